@@ -57,9 +57,24 @@ class BagMaker:
             data=rows.ravel(),
         )
 
-    def compressed(self, topic: str, time: float, data: bytes) -> None:
+    def compressed(self, topic: str, time: float, data: bytes, form: str = "png") -> None:
         kind, header = "sensor_msgs/msg/CompressedImage", self.header(time)
-        self.add(topic, kind, time, header=header, format="png", data=np.frombuffer(data, np.uint8))
+        self.add(topic, kind, time, header=header, format=form, data=np.frombuffer(data, np.uint8))
+
+    def odometry(self, topic: str, time: float, T: np.ndarray, child: str) -> None:
+        """A nav_msgs/Odometry; with an empty child, a PoseWithCovarianceStamped."""
+        position, orientation = self._vector("Point", T)
+        pose = self.make("geometry_msgs/msg/Pose", position=position, orientation=orientation)
+        posed = self.make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36))
+        if not child:
+            kind = "geometry_msgs/msg/PoseWithCovarianceStamped"
+            self.add(topic, kind, time, header=self.header(time, "odom"), pose=posed)
+            return
+        zero = self.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
+        twist = self.make("geometry_msgs/msg/Twist", linear=zero, angular=zero)
+        twist = self.make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36))
+        header = self.header(time, "odom")
+        self.add(topic, "nav_msgs/msg/Odometry", time, header=header, child_frame_id=child, pose=posed, twist=twist)
 
     def camera_info(
         self, topic: str, camera: Intrinsics, frame: str = "camera", model: str = "plumb_bob", D: Any = (0.0,) * 5

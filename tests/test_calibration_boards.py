@@ -154,7 +154,7 @@ def test_poses_are_read_in_every_format(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ('{"width": 640, "height": 480, "fx": 600, "fy": 600, "cx": 320, "cy": 240, "k1": -0.1}', None),
-        ('{"w": 640, "h": 480, "fl_x": 600, "fl_y": 600, "cx": 320, "cy": 240, "k1": -0.1, "frames": []}', None),
+        ('{"w": 640, "h": 480, "fl_x": 600, "fl_y": 600, "cx": 320, "cy": 240.5, "k1": -0.1, "frames": []}', None),
         ('{"intrinsics": {"width": 640, "height": 480, "fx": 600, "fy": 600, "cx": 320, "cy": 240}, '
          '"distortion": [-0.1, 0, 0, 0, 0]}', None),
         ("[]", "list"),

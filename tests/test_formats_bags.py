@@ -67,7 +67,7 @@ def test_every_container_gives_the_same_views(tmp_path: Path, name: str, ros1: b
     views = read_bag(tmp_path / name)
     same(views.capture, truth())
     np.testing.assert_allclose(views.stamps - START, np.arange(5) * PERIOD, atol=1e-5)
-    assert views.notes == ()
+    assert views.notes == (f"{POSE} is taken for the poses of the camera's optical frame; else see --camera-in-pose",)
 
 
 def test_depth_in_metres_and_other_colour_encodings(tmp_path: Path) -> None:

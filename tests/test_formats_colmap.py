@@ -303,3 +303,26 @@ def test_import_command_writes_clouds(tmp_path: Path, capsys) -> None:
     (tmp_path / "a.las").write_bytes(b"LASF")
     assert main(["import-capture", str(tmp_path / "a.las"), str(tmp_path / "cloud.ply")]) == 2
     assert ".mcap" in capsys.readouterr().err
+
+
+def test_empty_lines_may_be_left_out_of_a_text_model(tmp_path: Path) -> None:
+    """And of images without points the second line is empty, which some programs do not write."""
+    truth = write_workspace(tmp_path, binary=False)
+    path = tmp_path / "sparse/images.txt"
+    lines = path.read_text().splitlines()
+    count = len(NAMES)
+    for kept in ([line for line in lines if line.strip()], lines[:2] + [line for line in lines if "png" in line]):
+        path.write_text("\n".join([*kept, ""]))
+        read = read_colmap_capture(tmp_path, SCALE, UP)
+        np.testing.assert_allclose(read.T_world_cam, truth.T_world_cam[np.argsort(NAMES)], atol=1e-9)
+    path.write_text("\n".join([f"# Number of images: {count + 1}, mean observations per image: 2", *lines]))
+    with pytest.raises(InputError, match=f"{count} images, where its head says {count + 1}"):
+        read_colmap_capture(tmp_path, SCALE, UP)
+
+
+def test_images_without_depth_map_are_named(tmp_path: Path, capsys) -> None:
+    write_workspace(tmp_path / "dense", binary=False)
+    (tmp_path / f"dense/stereo/depth_maps/{NAMES[1]}.geometric.bin").unlink()
+    arguments = ["import-capture", str(tmp_path / "dense"), str(tmp_path / "out"), "--scale", str(SCALE), f"--up={UP}"]
+    assert main(arguments) == 0
+    assert f"left out for want of a depth map: {NAMES[1]}" in capsys.readouterr().out

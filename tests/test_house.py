@@ -11,7 +11,7 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "anther"
 MODULES = sorted(SOURCE.rglob("*.py"))
 
-BASE = {"errors", "checks", "files", "geometry", "images", "style", "__init__"}
+BASE = {"errors", "checks", "files", "geometry", "images", "style", "transforms", "__init__"}
 ORDER = [
     "capture", "calibration", "masks", "cloud", "skeleton", "stem", "flowers", "grasp", "elastic_rod",
     "plant", "pressing", "shake", "swing", "devices", "safety",

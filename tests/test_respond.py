@@ -177,7 +177,7 @@ def test_a_best_shake_beyond_anthers_own_limits_says_so(file: Path, capsys: pyte
 
 def test_a_plant_whose_stiffness_nobody_gave_stands(file: Path):
     """A real plant stands: the usual E is raised with a note; one that was given is refused instead."""
-    soft = respond.Args(file, density=30_000.0)
+    soft = respond.Args(file, density=5000.0, radius=0.001)
     raised = rod_plant.hanging(rod_plant.read_plant(soft), file)
     assert "raised from 100" in raised.notes[0]
     assert np.asarray(raised.rods.youngs)[1] > 100e6

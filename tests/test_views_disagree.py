@@ -12,10 +12,10 @@ import pytest
 from anther.capture import OPENGL_TO_OPENCV, Capture
 from anther.cloud import Cloud, fuse, likely_cause
 from anther.cloud._doubts import MOST_SEEN_THROUGH
-from anther.errors import StageFailure
+from anther.errors import FailureKind, StageFailure
 from anther.geometry import inverse
 from anther.masks import Masks, segment
-from anther.pipeline import Params, perceive
+from anther.pipeline import Params, cause_named, perceive
 from anther.runs import Run
 from anther.samples import write_samples
 from anther.skeleton import skeletonize
@@ -113,3 +113,22 @@ def test_a_real_capture_agrees_and_with_a_wrong_focal_length_does_not(data: Path
     wrong = fuse(with_focal(few, 0.8), found)
     assert wrong.seen_through > MOST_SEEN_THROUGH
     assert "focal length near" in wrong.notes[0]
+
+
+@pytest.mark.parametrize(("times", "told"), [(0.1, "10 times"), (0.25, "4 times"), (4.0, "0.25 times")])
+def test_depth_in_other_steps_is_named(capture: Capture, times: float, told: str) -> None:
+    cause = likely_cause(replace(capture, depth=capture.depth * np.float32(times)))
+    assert told in cause
+    assert "depth_unit_scale_factor" in cause
+
+
+@pytest.mark.parametrize("kind", ["no_plant_found", "no_stem_found", "no_grasp_found"])
+def test_the_cause_is_named_wherever_the_views_first_fail(capture: Capture, kind: FailureKind) -> None:
+    """Views with inverted poses may still give something that looks like a plant, and no grasp."""
+    inverted = replace(capture, T_world_cam=inverse(capture.T_world_cam @ OPENGL_TO_OPENCV) @ OPENGL_TO_OPENCV)
+    words = r"none is free\. They would agree if every pose were inverted"
+    with pytest.raises(StageFailure, match=words), cause_named(inverted):
+        raise StageFailure(kind, "none is free.")
+    with pytest.raises(StageFailure) as failure, cause_named(capture):
+        raise StageFailure(kind, "none is free.")
+    assert str(failure.value) == "none is free."

@@ -6,11 +6,8 @@ The folder is nerfstudio's: `transforms.json` beside PNG images (docs/capture.md
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,22 +18,15 @@ from numpy.typing import NDArray
 
 from anther.checks import check_array, check_range, check_transform
 from anther.errors import InputError, bad_input
-from anther.files import existing, read_json, written
+from anther.files import written
 from anther.geometry import Array, Box, Intrinsics
-from anther.images import read_image
+from anther.transforms import OPENGL_TO_OPENCV, PIXEL_CENTRE, check_views, in_threads, read_transforms
 
-OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
-"""nerfstudio's camera frame (x right, y up, z backward) expressed in OpenCV's (x right, y down, z forward)."""
-
-PIXEL_CENTRE = 0.5
-"""nerfstudio puts pixel centres at half-integers (its `pixel_offset`); `Intrinsics` puts them at integers [px]."""
+__all__ = ["OPENGL_TO_OPENCV", "PIXEL_CENTRE", "Capture", "check_views", "in_threads", "viewed_box"]
 
 _DEPTH_UNITS = (1e-4, 1e-3)  # [m] per 16-bit step: 6.5 m in tenths of a millimetre, else 65 m in millimetres
 _PLAUSIBLE_DEPTH = (0.02, 20.0)  # [m] median of a view's readings
 _PLAUSIBLE_POSITION = 50.0  # [m] from the world's origin
-_MOST_PIXELS = 2**28  # of all views together: some 300 of a D455, 2 GB with colour. A guess
-_INTRINSICS_KEYS = ("fl_x", "fl_y", "cx", "cy", "w", "h")
-_DISTORTION_KEYS = ("k1", "k2", "k3", "k4", "p1", "p2")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,23 +102,9 @@ class Capture:
             InputError: a file is missing, truncated or of the wrong size; poses or intrinsics are not usable;
                 the scale is implausible.
         """
-        folder = existing(folder)
-        meta = read_json(folder / "transforms.json" if folder.is_dir() else folder)
-        folder = folder if folder.is_dir() else folder.parent
-        frames = _frames(meta)
-        intrinsics = _read_intrinsics(meta, frames)
-        poses = np.stack([_read_pose(i, frame) for i, frame in enumerate(frames)])
-        _check_apart(poses)
-        joints = [frame.get("joints") for frame in frames]
-        return cls(
-            depth=_read_depth(folder, meta, frames, intrinsics),
-            intrinsics=intrinsics,
-            T_world_cam=poses @ OPENGL_TO_OPENCV,
-            rgb=_read_colour(folder, frames, intrinsics),
-            joints=None
-            if any(j is None for j in joints)
-            else check_array("joints of the frames", joints, (len(joints), None)),
-        )
+        read = read_transforms(folder)
+        _check_apart(read.T_world_cam)
+        return cls(read.depth, read.intrinsics, read.T_world_cam, read.rgb, read.joints)
 
 
 def _check_replaceable(folder: Path) -> None:
@@ -164,7 +140,8 @@ def _check_scale(depth: NDArray[Any], T_world_cam: Array) -> None:
 def _check_apart(poses: Array) -> None:
     """Refuse views that were all taken from one and the same place: nothing could be told about depth."""
     if len(poses) > 1 and np.abs(poses - poses[0]).max() < 1e-6:
-        raise _refused(
+        raise bad_input(
+            "transforms.json",
             given=f"{len(poses)} views with one and the same pose",
             allowed="a pose of its own for every view",
             do="Was the arm's pose read only once, or the camera not moved? Write each view's own pose.",
@@ -233,138 +210,3 @@ def _frame(capture: Capture, view: int) -> dict[str, Any]:
     if capture.joints is not None:
         frame["joints"] = capture.joints[view].tolist()
     return frame | {"transform_matrix": (capture.T_world_cam[view] @ OPENGL_TO_OPENCV).tolist()}
-
-
-def _refused(given: str, allowed: str, do: str) -> InputError:
-    return bad_input("transforms.json", given=given, allowed=allowed, do=do)
-
-
-def _frames(meta: Any) -> list[dict[str, Any]]:
-    frames = meta.get("frames") if isinstance(meta, dict) else None
-    if not isinstance(frames, list) or not frames or not all(isinstance(f, dict) for f in frames):
-        raise _refused(
-            given="no list of frames", allowed="an object with a non-empty list 'frames'", do="See docs/capture.md."
-        )
-    for key in ("transform_matrix", "depth_file_path"):
-        lacking = [i for i, frame in enumerate(frames) if key not in frame]
-        if lacking:
-            raise _refused(
-                given=f"frame {lacking[0]} without '{key}' ({len(lacking)} of {len(frames)} lack it)",
-                allowed=f"every frame has '{key}'",
-                do="Anther needs a depth image and a pose for every view.",
-            )
-    return frames
-
-
-def _read_intrinsics(meta: dict[str, Any], frames: list[dict[str, Any]]) -> Intrinsics:
-    """Return the shared intrinsics; per-frame values are allowed only if they are all the same."""
-    first = meta | {k: frames[0][k] for k in _INTRINSICS_KEYS if k in frames[0]}
-    for i, frame in enumerate(frames):
-        mixed = [k for k in _INTRINSICS_KEYS if k in frame and frame[k] != first.get(k)]
-        if mixed or any((k in frame) != (k in frames[0]) for k in _INTRINSICS_KEYS):
-            raise _refused(
-                given=f"frame {i} with other intrinsics than frame 0 ({', '.join(mixed) or 'some frames have none'})",
-                allowed="one camera for all views",
-                do="Save each camera's views as a capture of its own, or resample them to one camera.",
-            )
-    bent = [k for k in _DISTORTION_KEYS if any(_number(k, source.get(k, 0)) != 0 for source in (meta, *frames))]
-    if bent:
-        raise _refused(
-            given=f"lens distortion ({', '.join(bent)})",
-            allowed="a pinhole camera without distortion",
-            do="Undistort the images first (ns-process-data or cv2.undistort), then set the coefficients to 0.",
-        )
-    values = {key: _number(key, first.get(key)) for key in _INTRINSICS_KEYS}
-    return Intrinsics(
-        width=round(values["w"]),
-        height=round(values["h"]),
-        fx=values["fl_x"],
-        fy=values["fl_y"],
-        cx=values["cx"] - PIXEL_CENTRE,
-        cy=values["cy"] - PIXEL_CENTRE,
-    )
-
-
-def _number(key: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
-        raise bad_input(
-            f"transforms.json '{key}'", given=repr(value), allowed="a finite number", do="See docs/capture.md."
-        )
-    return float(value)
-
-
-def _read_pose(view: int, frame: dict[str, Any]) -> Array:
-    """Return the (4, 4) camera-to-world matrix, its rotation freed of rounding (up to 1e-3)."""
-    name = f"frame {view} transform_matrix"
-    T = np.array(check_array(name, frame["transform_matrix"], (4, 4)))
-    U, _, Vt = np.linalg.svd(T[:3, :3])
-    nearest = U @ Vt
-    if np.abs(nearest - T[:3, :3]).max() < 1e-3:
-        T[:3, :3] = nearest
-    check_transform(name, T)
-    return T
-
-
-def _read_depth(
-    folder: Path, meta: dict[str, Any], frames: list[dict[str, Any]], intrinsics: Intrinsics
-) -> NDArray[np.float32]:
-    unit = _number("depth_unit_scale_factor", meta.get("depth_unit_scale_factor", 1e-3))
-    check_range("depth_unit_scale_factor", unit, 1e-6, 1, "m")
-    size = check_views(len(frames), intrinsics)
-    depth = np.empty((len(frames), *size[::-1]), dtype=np.float32)
-
-    def read(view: int) -> None:
-        path = folder / str(frames[view]["depth_file_path"])
-        image = read_image(path, cv2.IMREAD_UNCHANGED, size)
-        if image.dtype != np.uint16 or image.ndim != 2:
-            raise bad_input(
-                str(path),
-                given=f"{image.dtype} image of shape {image.shape}",
-                allowed="one channel of 16 bits",
-                do="Save depth as 16-bit PNG; 8 bits are too coarse.",
-            )
-        np.multiply(image, np.float32(unit), out=depth[view])
-
-    in_threads(read, range(len(frames)))
-    return depth
-
-
-def _read_colour(folder: Path, frames: list[dict[str, Any]], intrinsics: Intrinsics) -> NDArray[np.uint8] | None:
-    named = [i for i, frame in enumerate(frames) if frame.get("file_path")]
-    if not named:
-        return None
-    if len(named) < len(frames):
-        raise _refused(
-            given=f"'file_path' in {len(named)} of {len(frames)} frames",
-            allowed="a colour image for every frame or for none",
-            do="Add the missing images, or remove file_path everywhere for a depth-only capture.",
-        )
-    size = check_views(len(frames), intrinsics)
-    rgb = np.empty((len(frames), *size[::-1], 3), dtype=np.uint8)
-
-    def read(view: int) -> None:
-        image = read_image(folder / str(frames[view]["file_path"]), cv2.IMREAD_COLOR, size)
-        rgb[view] = image[..., ::-1]
-
-    in_threads(read, range(len(frames)))
-    return rgb
-
-
-def check_views(views: int, camera: Intrinsics) -> tuple[int, int]:
-    """Return (width, height) [px] if so many views of that size can be held.
-
-    Raises:
-        InputError: they are too many or too large.
-    """
-    pixels = views * camera.width * camera.height
-    if pixels > _MOST_PIXELS:
-        given = f"{views} views of {camera.width} x {camera.height} px"
-        allowed = f"at most {_MOST_PIXELS / 1e6:.0f} million pixels"
-        raise bad_input("capture", given=given, allowed=allowed, do="Take fewer views, or shrink the images.")
-    return camera.width, camera.height
-
-
-def in_threads(work: Callable[[int], Any], items: Iterable[int]) -> list[Any]:
-    """Return what `work` makes of all numbers, or raise its first error; in threads: OpenCV, numba drop the GIL."""
-    with ThreadPoolExecutor(max_workers=min(8, os.cpu_count() or 1)) as pool:
-        return list(pool.map(work, items))

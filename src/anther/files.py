@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import errno
 import json
 import math
+import re
 import secrets
 import struct
 import zipfile
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,25 +110,132 @@ def read_json(path: Path | str) -> Any:
     Raises:
         InputError: the file is missing or is not JSON, is nested too deeply or has a number of more than 18 digits.
     """
-    path = whole_file(path, LARGEST_TEXT // 4)
     try:
-        return json.loads(path.read_text(encoding="utf-8"), parse_int=_integer)
+        return json.loads(read_text(path, LARGEST_TEXT // 4), parse_int=_integer)
+    except InputError:
+        raise
     except (ValueError, RecursionError) as error:
         raise bad_input(str(path), given=f"not JSON ({error})", allowed="a JSON file", do="Is it truncated?") from error
 
 
-def read_lines(path: Path | str) -> list[str]:
-    """Read the lines of a text, UTF-8 with or without its mark.
+_MARKS = (
+    (codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF32_LE, "utf-32"), (codecs.BOM_UTF32_BE, "utf-32"),
+    (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"),
+)  # fmt: skip
+_CONTROLS = re.compile("[\x00-\x08\x0e-\x1f]")
+
+
+def read_text(path: Path | str, largest: int = LARGEST_TEXT) -> str:
+    """Return a text as people's programs write it: UTF-8 or UTF-16, with or without its mark, or Windows' cp1252.
 
     Raises:
-        InputError: the file is missing, too large, or no text.
+        InputError: the file is missing, larger than `largest` [bytes], or no text.
     """
-    path = whole_file(path, LARGEST_TEXT)
+    data = whole_file(path, largest).read_bytes()
+    wide = "utf-16-le" if data[1:2] == b"\0" else "utf-16-be"  # of a text that begins with ASCII
+    unmarked = [wide] if data[:2].count(0) == 1 else ["utf-8", "cp1252"]
+    reasons = []
+    for encoding in next(([name] for mark, name in _MARKS if data.startswith(mark)), unmarked):
+        try:
+            text = data.decode(encoding)
+        except UnicodeDecodeError as error:
+            reasons.append(str(error))
+            continue
+        if encoding == "utf-8" or not _CONTROLS.search(text):
+            return text
+    given, allowed = f"unreadable, no text ({' '.join(reasons) or 'control characters'})", "a text file, such as a CSV"
+    raise bad_input(str(path), given=given, allowed=f"{allowed} file, UTF-8", do="Export it again.")
+
+
+def read_lines(path: Path | str) -> list[str]:
+    """Read the lines of a text, see `read_text`."""
+    return read_text(path).splitlines()
+
+
+class Row(NamedTuple):
+    """The cells of a table's row, and the number of its line from 1 on."""
+
+    line: int
+    cells: list[str]
+
+
+_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
+_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
+
+
+def read_rows(path: Path | str, *, comment: str | None = "#") -> list[Row]:
+    """Read a table as a spreadsheet saves it; the first row names the columns.
+
+    Cells are separated by what a first line `sep=;` says, else by tabs or semicolons where the first row has some, else
+    by commas. Numbers get a decimal point where tabs or semicolons separate (`number` does it where cells are quoted).
+    Rows with nothing in them, and cells at the end of a row that belong to no column and hold nothing, are left out.
+
+    Args:
+        path: the file.
+        comment: how lines begin that are left out too; None: there are none.
+
+    Raises:
+        InputError: the file is missing or no text; a quote is not closed; quoted numbers may be decimals or thousands.
+    """
+    lines = [(n, line) for n, line in enumerate(read_lines(path), 1) if line.strip()]
+    lines = [(n, line) for n, line in lines if comment is None or not line.lstrip().startswith(comment)]
+    said = re.fullmatch(r'"?sep=(.)"?\s*', lines[0][1], re.IGNORECASE) if lines else None
+    lines = lines[1:] if said else lines
+    if not lines:
+        return []
+    separator = said[1] if said else next((mark for mark in "\t;" if mark in lines[0][1]), ",")
+    reader = csv.reader((f"{line}\n" for _, line in lines), delimiter=separator, skipinitialspace=True, strict=True)
+    rows = []
     try:
-        return path.read_text(encoding="utf-8-sig").splitlines()
-    except UnicodeDecodeError as error:
-        given, do = f"unreadable, no text ({error})", "Export it again."
-        raise bad_input(str(path), given=given, allowed="a text file, such as a CSV file, UTF-8", do=do) from error
+        for cells in reader:
+            rows.append(Row(lines[reader.line_num - 1][0], [cell.strip() for cell in cells]))
+    except csv.Error as error:
+        at = f"{path}, line {lines[reader.line_num - 1][0]}"
+        raise bad_input(at, given=str(error), allowed="a row of cells", do="Mend it, or export it again.") from error
+    return _tidied(path, [row for row in rows if any(row.cells)], separator)
+
+
+def _tidied(path: Path | str, rows: list[Row], separator: str) -> list[Row]:
+    """Return rows without empty cells behind the last named column, decimal commas turned into points."""
+    width = max((i for i, cell in enumerate(rows[0].cells, 1) if cell), default=0) if rows else 0
+    for row in rows:
+        while len(row.cells) > width and not row.cells[-1]:
+            row.cells.pop()
+    numbers = [(row.line, cell) for row in rows[1:] for cell in row.cells if _DECIMAL_COMMA.fullmatch(cell)]
+    if separator != ",":
+        return [Row(line, [_point(cell) for cell in cells]) for line, cells in rows]
+    if numbers and all(_THOUSANDS.fullmatch(cell) for _, cell in numbers):
+        line, cell = numbers[0]
+        do = "Separate the columns by semicolons if it is a decimal comma; leave the comma out if it is for thousands."
+        raise bad_input(f"{path}, line {line}", given=f"'{cell}'", allowed="a decimal point", do=do)
+    return rows
+
+
+def _point(cell: str) -> str:
+    return cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell
+
+
+def number(cell: str) -> float | None:
+    """Return the finite number in a table's cell, which may have a decimal comma; None if it holds none."""
+    try:
+        value = float(_point(cell))
+    except ValueError:
+        return None
+    return value if math.isfinite(value) and "_" not in cell else None
+
+
+def named_file(folder: Path, name: str) -> Path:
+    """Return the file in a folder that another file names, perhaps as Windows does.
+
+    There backslashes separate folders, and upper and lower case are one.
+    """
+    path = folder / name
+    if not path.exists() and "\\" in name:
+        path = folder / name.replace("\\", "/")
+    if path.exists() or not path.parent.is_dir():
+        return path
+    alike = [other for other in path.parent.iterdir() if other.name.lower() == path.name.lower()]
+    return alike[0] if len(alike) == 1 else path
 
 
 def read_object(path: Path | str) -> dict[str, Any]:

@@ -155,25 +155,29 @@ def perceive(
         StageFailure: no plant or no stem was found.
     """
     find_masks = find_masks or (lambda views, box, _: masks.segment(views, box, params.masks))
-    with _cause_named(capture):
+    with cause_named(capture):
         labels = run.stage("masks", Masks.load, lambda advance: find_masks(capture, workspace, advance))
         fused = run.stage(
             "cloud", Cloud.load, lambda advance: cloud.fuse(capture, labels, workspace, params.cloud, progress=advance)
         )
-    tree = run.stage("skeleton", Skeleton.load, lambda _: skeleton.skeletonize(fused, params.skeleton))
-    centres = flowers.flower_centres(fused)
-    main = run.stage("stem", Stem.load, lambda _: stem.find_stem(tree, params.stem, flowers_at=centres))
+        tree = run.stage("skeleton", Skeleton.load, lambda _: skeleton.skeletonize(fused, params.skeleton))
+        centres = flowers.flower_centres(fused)
+        main = run.stage("stem", Stem.load, lambda _: stem.find_stem(tree, params.stem, flowers_at=centres))
     found = run.stage("flowers", Flowers.load, lambda _: flowers.find_flowers(fused, tree, main, centres=centres))
     return Seen(labels, fused, tree, main, found)
 
 
+_UNSEEN = ("no_plant_found", "no_stem_found", "no_grasp_found")
+
+
 @contextmanager
-def _cause_named(capture: Capture) -> Iterator[None]:
-    """Add to a failure to find the plant what is probably wrong with the views."""
+def cause_named(capture: Capture) -> Iterator[None]:
+    """Add to a failure to find the plant, its stem or a grasp what is probably wrong with the views."""
     try:
         yield
     except StageFailure as failure:
-        if failure.kind == "no_plant_found" and (cause := likely_cause(capture)):
+        cause = likely_cause(capture) if failure.kind in _UNSEEN else ""
+        if cause and cause not in str(failure):
             raise StageFailure(failure.kind, f"{failure} {cause}") from failure
         raise
     except InputError as error:

@@ -6,6 +6,7 @@ refinement of camera and board pose together on reprojection errors, without out
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,11 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
 from anther.calibration._hand_eye import (
+    AGREED,
+    CERTAIN,
     METHODS,
+    ODD,
+    EyeToHand,
     HandEye,
     Method,
     MethodError,
@@ -28,12 +33,11 @@ from anther.calibration._inputs import (
     Board,
     CharucoBoard,
     Chessboard,
-    check_size,
     parse_board,
-    read_intrinsics,
     read_poses,
     why_unseen,
 )  # fmt: skip
+from anther.calibration._intrinsics import check_size, read_intrinsics
 from anther.calibration._refinement import Fit, Noise, Problem, estimate_noise, pixel_noise, refine, view_distances
 from anther.calibration._views import (
     CELLS,
@@ -54,10 +58,10 @@ from anther.errors import InputError, bad_input
 from anther.geometry import Array, Intrinsics, inverse, pose7, transform_from_pose7
 
 __all__ = [
-    "CELLS", "Board", "BoardCorners", "BoardViews", "CharucoBoard", "Chessboard", "HandEye", "Method", "MethodError",
-    "Moved", "board_views", "calibrate", "camera_moved", "check_size", "estimate_intrinsics", "find_corners",
-    "flange_motions", "image_coverage", "largest_distortion", "parse_board", "read_intrinsics", "read_poses",
-    "undistorted", "why_unseen",
+    "CELLS", "Board", "BoardCorners", "BoardViews", "CharucoBoard", "Chessboard", "EyeToHand", "HandEye", "Method",
+    "MethodError", "Moved", "board_views", "calibrate", "calibrate_beside", "camera_moved", "check_size",
+    "estimate_intrinsics", "find_corners", "flange_motions", "image_coverage", "largest_distortion", "parse_board",
+    "read_intrinsics", "read_poses", "undistorted", "why_unseen",
 ]  # fmt: skip
 
 FEW_FOR_NOISE = 6
@@ -73,7 +77,8 @@ ROUNDS = 8
 LEAST_TURN = float(np.deg2rad(3))
 """The flange must turn about two different axes by at least this [rad]."""
 LOOSE = 0.002
-"""Standard error of the camera's place from which on the views are called too poor [m]."""
+"""Standard error of the camera's place from which on the views are called too poor, and how far a board of another size
+than was said may move it [m]."""
 
 
 def calibrate(
@@ -96,23 +101,59 @@ def calibrate(
         free_intrinsics: whether focal lengths and principal point are sought too, from where they are given: for
             `estimate_intrinsics`, which does not know how the camera moved.
         images: names of the views, for messages and the result; by default their numbers.
-        distortion: (5,) of the lens, already taken out of `views`; only recorded.
+        distortion: of the lens, already taken out of `views`; only recorded.
 
     Raises:
         InputError: fewer than three views, motions that do not determine the transform, or poses that do not belong
             to the images; an unknown method.
     """
+    flange = check_transform("T_base_flange", T_base_flange, len(views.images))
+    return _calibrated(flange, views, intrinsics, method, free_intrinsics, images, distortion)
+
+
+def calibrate_beside(
+    T_base_flange: Any,
+    views: BoardViews,
+    intrinsics: Intrinsics,
+    *,
+    method: Method = "tsai",
+    free_intrinsics: bool = False,
+    images: tuple[str, ...] | None = None,
+    distortion: Array | None = None,
+) -> EyeToHand:
+    """Return where a camera beside the robot stands, from views of a board that is fixed to the flange.
+
+    T_base_flange^-1 takes the place of T_base_flange: the equation is then that of `calibrate`, which tells of the
+    arguments and errors.
+    """
+    flange = check_transform("T_base_flange", T_base_flange, len(views.images))
+    return EyeToHand(
+        _calibrated(inverse(flange), views, intrinsics, method, free_intrinsics, images, distortion, eye_to_hand=True)
+    )
+
+
+def _calibrated(
+    flange: Array,
+    views: BoardViews,
+    intrinsics: Intrinsics,
+    method: Method,
+    free_intrinsics: bool,
+    images: tuple[str, ...] | None,
+    distortion: Array | None,
+    *,
+    eye_to_hand: bool = False,
+) -> HandEye:
+    """Return the calibration; with `eye_to_hand` of T_flange_base (V, 4, 4), base and flange exchanged."""
     if method not in METHODS:
         raise bad_input("hand-eye method", given=method, allowed=", ".join(METHODS), do="Choose one of these.")
     board = check_transform("T_cam_board", views.T_cam_board, len(views.images))
-    flange = check_transform("T_base_flange", T_base_flange, len(board))
     names = images or tuple(str(number) for number in views.images)
     check_motions(flange, LEAST_TURN)
     centre = np.concatenate(views.corners.points).mean(axis=0)
     X, Z, misfit = robust_estimate(flange, board, centre, ARM_ERRORS, method)
-    _refuse_strangers(flange, board, centre, X, Z)
+    _refuse_strangers(flange, board, centre, (X, Z, misfit), eye_to_hand)
     used = misfit <= 5 * max(float(np.median(misfit)), 1.0)
-    problem = Problem.of(flange, views, intrinsics, free_intrinsics)
+    problem = Problem.of(flange, views, intrinsics, free_intrinsics, eye_to_hand)
     fit, noise, used = _without_outliers(problem, X, Z, used, pixel_noise(views))
     problem, board = problem.at(fit.intrinsics), board_views(views.corners, fit.intrinsics).T_cam_board
     turn, shift = disagreement(predicted_board(flange, fit.T_flange_cam, fit.T_base_board), board, centre)
@@ -136,7 +177,11 @@ def calibrate(
         arm_translation_error=noise.translation,
         methods=_compare(problem, board, centre, fit, noise, used, left_out),
         method=f"{method} + nonlinear refinement",
-        notes=_notes(flange, used, names, float(spread[1])),
+        notes=(
+            *_notes(flange, used, names, float(spread[1])),
+            *_place_notes(fit, eye_to_hand),
+            *_size_notes(problem, fit, noise, used),
+        ),
     )
 
 
@@ -175,27 +220,94 @@ def _notes(flange: Array, used: NDArray[Any], names: tuple[str, ...], spread: fl
     return tuple(notes)
 
 
-def _refuse_strangers(flange: Array, board: Array, centre: Array, X: Array, Z: Array) -> None:
+def _place_notes(fit: Fit, eye_to_hand: bool) -> tuple[str, ...]:
+    """Return a note where poses T_flange_base of the other place of the camera would give the same equation."""
+    camera, board = (float(np.linalg.norm(T[:3, 3])) for T in (fit.T_flange_cam, fit.T_base_board))
+    if eye_to_hand == (camera > board):
+        return ()
+    on, off = ("base", "flange") if eye_to_hand else ("flange", "base")
+    return (
+        f"the camera would be {camera:.2f} m from the {on}, and the board {board:.2f} m from the {off}: are the poses "
+        f"T_flange_base, of a camera {'on the flange' if eye_to_hand else 'beside the robot (--eye-to-hand)'}?",
+    )
+
+
+def _size_notes(problem: Problem, fit: Fit, noise: Noise, used: NDArray[Any]) -> tuple[str, ...]:
+    """Return a note where the arm's motion says that the board is of another size than was said.
+
+    The arm's translations are in metres, the board's in what its squares were said to be.
+    """
+    free = replace(problem, free_scale=True)
+    try:
+        found = refine(free, fit.T_flange_cam, fit.T_base_board, noise, used)
+        if used.sum() >= FEW_FOR_NOISE:
+            noise = estimate_noise(free, found, noise.pixel, used)
+            found = refine(free, found.T_flange_cam, found.T_base_board, noise, used)
+    except InputError:
+        return ()  # these views do not tell
+    away = float(np.linalg.norm(found.T_flange_cam[:3, 3] - fit.T_flange_cam[:3, 3]))
+    sure = abs(np.log(found.scale)) > CERTAIN * np.sqrt(found.covariance[-1, -1])
+    if not sure or away < LOOSE:
+        return ()
+    edges = np.diff(np.unique(np.round(problem.points[:, 0], 6)))  # [m]: corners are a square apart
+    said = 1e3 * float(edges.min())
+    share, way = 100 * abs(found.scale - 1), "smaller" if found.scale < 1 else "larger"
+    return (
+        f"the arm's motion says that the board is {share:.1f} % {way} than said: squares of {said * found.scale:.2f} "
+        f"mm, not {said:g}; the camera's place would move by {1e3 * away:.1f} mm, which the stated error does not "
+        "hold. Measure the squares and correct --board. (If they are right, the focal length is wrong, or the poses' "
+        "unit.)",
+    )
+
+
+def _refuse_strangers(
+    flange: Array, board: Array, centre: Array, found: tuple[Array, Array, Array], eye_to_hand: bool
+) -> None:
     """Refuse poses that no hand-eye transform explains, and say which mix-up of conventions would explain them."""
-    if not _hopeless(flange, board, centre, X, Z):
+    X, Z, misfit = found
+    score, hopeless = _half(misfit), _hopeless(flange, board, centre, X, Z)
+    if score < AGREED:
         return
-    first = np.stack([pose7(T) for T in flange])[:, [0, 1, 2, 4, 5, 6, 3]]
-    guesses = {
-        "They look like T_flange_base: invert them.": inverse(flange),
-        "Their quaternions look like w x y z: write x y z w.": np.stack([transform_from_pose7(p) for p in first]),
+    first = np.stack([pose7(T) for T in (inverse(flange) if eye_to_hand else flange)])[:, [0, 1, 2, 4, 5, 6, 3]]
+    wxyz = np.stack([transform_from_pose7(p) for p in first])
+    advice = {
+        "": inverse(flange),
+        "Their quaternions look like w x y z: write x y z w.": inverse(wxyz) if eye_to_hand else wxyz,
     }
-    advice = "Check that image names, poses and units (m, quaternion x y z w) belong together."
-    for text, other in guesses.items():
-        if not _hopeless(other, board, centre, *robust_estimate(other, board, centre, ARM_ERRORS, "park")[:2]):
-            advice = text
+    best, best_score = "Check that image names, poses and units (m, quaternion x y z w) belong together.", score / ODD
+    for text, other in advice.items():
+        X_other, Z_other, misfit = robust_estimate(other, board, centre, ARM_ERRORS, "park")
+        if _half(misfit) < best_score and not _hopeless(other, board, centre, X_other, Z_other):
+            best, best_score = text or _exchanged(X_other, Z_other, eye_to_hand), _half(misfit)
+    if not hopeless and best_score == score / ODD:
+        return
     turn, shift = disagreement(predicted_board(flange, X, Z), board, centre)
+    fixed, moving = ("camera", "board") if eye_to_hand else ("board", "camera")
     raise bad_input(
         "flange poses",
         given=f"poses from which half of the views disagree about the board ({_half(np.rad2deg(turn)):.0f} deg, "
         f"{_half(1e3 * shift):.0f} mm)",
-        allowed="T_base_flange of a flange with the camera on it, the board standing still",
-        do=advice,
+        allowed=f"T_base_flange of a flange with the {moving} on it, the {fixed} standing still",
+        do=best,
     )
+
+
+def _exchanged(X: Array, Z: Array, eye_to_hand: bool) -> str:
+    """Return what to do about poses that fit once inverted.
+
+    Poses T_flange_base of a camera on the flange look exactly like poses T_base_flange of a board on the flange; but
+    what is on the flange is nearer to it than what stands beside the robot is to the base.
+    """
+    beside = np.linalg.norm(X[:3, 3]) > np.linalg.norm(Z[:3, 3])
+    if eye_to_hand and not beside:
+        return "They look like those of a camera on the flange, the board standing still: leave out --eye-to-hand."
+    if beside and not eye_to_hand:
+        return (
+            "They look like those of a camera beside the robot (eye-to-hand), the board on the flange: give "
+            "--eye-to-hand, which tells T_base_cam. (If the camera is on the flange, they are T_flange_base: "
+            "invert them.)"
+        )
+    return "They look like T_flange_base: invert them."
 
 
 def _half(values: Array) -> float:
@@ -236,7 +348,7 @@ def _left_out_errors(
     for view in np.flatnonzero(used) if used.sum() > 3 else ():
         others = used & (np.arange(len(used)) != view)
         if method is None:
-            X, Z, camera, _ = refine(problem, fit.T_flange_cam, fit.T_base_board, noise, others)
+            X, Z, camera = refine(problem, fit.T_flange_cam, fit.T_base_board, noise, others)[:3]
         else:
             (X, Z), camera = closed_form(problem.T_base_flange[others], T_cam_board[others], method), fit.intrinsics
         turn, shift = disagreement(predicted_board(problem.T_base_flange, X, Z), T_cam_board, centre)

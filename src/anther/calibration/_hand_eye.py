@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, norm
 
+from anther.calibration._intrinsics import LENS_SIZES
 from anther.calibration._refinement import LEAST_PIXEL_NOISE, Noise, Problem, misfit, refine
 from anther.calibration._views import BoardViews
 from anther.checks import check_array, check_transform
@@ -23,7 +24,7 @@ from anther.errors import InputError, bad_input
 from anther.files import read_object, understood, write_json
 from anther.geometry import Array, Intrinsics, inverse, transform
 
-KIND, SCHEMA = "hand-eye", 2
+KIND, KIND_BESIDE, SCHEMA = "hand-eye", "eye-to-hand", 2
 
 
 class MethodError(NamedTuple):
@@ -54,7 +55,8 @@ class HandEye:
         T_flange_cam: (4, 4).
         T_base_board: (4, 4) where the board stood.
         intrinsics: of the camera.
-        distortion: (5,) of the lens, k1, k2, p1, p2, k3 as in OpenCV; 0 where there is none.
+        distortion: of the lens in OpenCV's order, (5,), (8,), (12,) or (14,): k1, k2, p1, p2, k3, k4, k5, k6, ...; 0
+            where there is none.
         images: (V) names of the views.
         used: (V,) whether the view took part; the others are outliers.
         pixel_residuals: (V,) RMS distance between the corners seen and expected [px].
@@ -97,7 +99,8 @@ class HandEye:
             object.__setattr__(self, name, check_array(name, getattr(self, name), (n,)))
         left_out = check_array("left_out_errors", self.left_out_errors, (n, 3), finite=False)
         object.__setattr__(self, "left_out_errors", left_out)
-        object.__setattr__(self, "distortion", check_array("distortion", self.distortion, (5,)))
+        lens = next((size for size in LENS_SIZES if size == len(self.distortion)), LENS_SIZES[0])
+        object.__setattr__(self, "distortion", check_array("distortion", self.distortion, (lens,)))
         object.__setattr__(self, "used", check_array("used views", self.used, (n,), dtype="bool"))
 
     def board_in_camera(self, T_base_flange: Array) -> Array:
@@ -106,9 +109,7 @@ class HandEye:
 
     def save(self, path: Path | str) -> None:
         """Write a JSON file (docs/calibration.md)."""
-        values = {name: getattr(self, name) for name in self.__slots__}
-        values |= {"intrinsics": asdict(self.intrinsics), "methods": [row._asdict() for row in self.methods]}
-        write_json(path, {"kind": KIND, "schema": SCHEMA, **values})
+        _save(path, KIND, self, {})
 
     @classmethod
     def load(cls, path: Path | str) -> HandEye:
@@ -117,21 +118,70 @@ class HandEye:
         Raises:
             InputError: the file is missing, truncated or holds something else.
         """
-        stored = read_object(path)
-        if (stored.get("kind"), stored.get("schema")) != (KIND, SCHEMA):
-            raise bad_input(
-                str(path),
-                given="something else, or another schema number",
-                allowed=f"a calibration written by anther calibrate, schema {SCHEMA}",
-                do="Calibrate again.",
-            )
-        with understood(path, "a whole file", "Restore it."):
-            values = {name: stored[name] for name in cls.__slots__}
-            values["intrinsics"] = Intrinsics(**values["intrinsics"])
-            values["methods"] = tuple(MethodError(**_with_nan(row)) for row in values["methods"])
-            values["images"], values["notes"] = tuple(values["images"]), tuple(values["notes"])
-            values["left_out_errors"] = np.array(values["left_out_errors"], dtype=np.float64).reshape(-1, 3)
-            return cls(**values)
+        return _load(path, KIND, {})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EyeToHand:
+    """Where a camera beside the robot stands, and how well the views of a board on the flange agree with it.
+
+    Attributes:
+        exchanged: the calibration with base and flange exchanged: its T_flange_cam is T_base_cam, its T_base_board
+            T_flange_board; all else is as it says.
+    """
+
+    exchanged: HandEye
+
+    @property
+    def T_base_cam(self) -> Array:
+        """(4, 4): T_world_cam, because the world is the arm's base."""
+        return self.exchanged.T_flange_cam
+
+    @property
+    def T_flange_board(self) -> Array:
+        """(4, 4)."""
+        return self.exchanged.T_base_board
+
+    def save(self, path: Path | str) -> None:
+        """Write a JSON file (docs/calibration.md)."""
+        _save(path, KIND_BESIDE, self.exchanged, _EXCHANGED)
+
+    @classmethod
+    def load(cls, path: Path | str) -> EyeToHand:
+        """Read what `save` wrote.
+
+        Raises:
+            InputError: the file is missing, truncated or holds something else.
+        """
+        return cls(_load(path, KIND_BESIDE, _EXCHANGED))
+
+
+_EXCHANGED = {"T_flange_cam": "T_base_cam", "T_base_board": "T_flange_board"}
+
+
+def _save(path: Path | str, kind: str, found: HandEye, names: dict[str, str]) -> None:
+    values = {names.get(name, name): getattr(found, name) for name in HandEye.__slots__}
+    values |= {"intrinsics": asdict(found.intrinsics), "methods": [row._asdict() for row in found.methods]}
+    write_json(path, {"kind": kind, "schema": SCHEMA, **values})
+
+
+def _load(path: Path | str, kind: str, names: dict[str, str]) -> HandEye:
+    stored = read_object(path)
+    if (stored.get("kind"), stored.get("schema")) != (kind, SCHEMA):
+        other = stored.get("kind") in (KIND, KIND_BESIDE) and stored.get("kind") != kind
+        raise bad_input(
+            str(path),
+            given=f"a calibration of kind '{stored['kind']}'" if other else "something else, or another schema number",
+            allowed=f"a calibration written by anther calibrate, kind '{kind}', schema {SCHEMA}",
+            do="'hand-eye': a camera on the flange; 'eye-to-hand': beside the robot." if other else "Calibrate again.",
+        )
+    with understood(path, "a whole file", "Restore it."):
+        values = {name: stored[names.get(name, name)] for name in HandEye.__slots__}
+        values["intrinsics"] = Intrinsics(**values["intrinsics"])
+        values["methods"] = tuple(MethodError(**_with_nan(row)) for row in values["methods"])
+        values["images"], values["notes"] = tuple(values["images"]), tuple(values["notes"])
+        values["left_out_errors"] = np.array(values["left_out_errors"], dtype=np.float64).reshape(-1, 3)
+        return HandEye(**values)
 
 
 def _with_nan(row: dict[str, Any]) -> dict[str, Any]:

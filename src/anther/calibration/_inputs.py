@@ -1,14 +1,12 @@
-"""What a user brings: a board, the flange's poses by image name (CSV or JSON), the camera's intrinsics (JSON).
+"""What a user brings: a board, and the flange's poses by image name (CSV or JSON).
 
 Of a board: what was printed, how the command line writes it, and where its corners are in an image.
 """
 
 from __future__ import annotations
 
-import csv
-import math
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +16,8 @@ from numpy.typing import NDArray
 
 from anther.checks import check_range
 from anther.errors import InputError, bad_input
-from anther.files import existing, read_json, read_lines, understood
-from anther.geometry import Array, Intrinsics, transform_from_pose7
+from anther.files import existing, number, read_json, read_rows
+from anther.geometry import Array, transform_from_pose7
 
 SPECS = (
     "charuco:7x5:30mm:22mm[:DICT_4X4_50] (squares, square, marker, dictionary) or chessboard:9x6:25mm (inner corners)"
@@ -153,6 +151,8 @@ Board = CharucoBoard | Chessboard
 
 
 DICTIONARIES = ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL")
+FEWEST = 8
+"""Corners that tell one board from another: as many as a view needs (`find_corners`)."""
 DARK, BRIGHT = 20, 235
 """Images with a mean grey beyond these show nothing [of 255]."""
 
@@ -165,6 +165,10 @@ def why_unseen(image: NDArray[Any], board: Board) -> str:
     if isinstance(board, CharucoBoard):
         markers = _markers(image, board.dictionary)
         if markers >= 2:
+            alike = {text: len(other.find(image)[0]) for text, other in _alike(board).items()}
+            text, count = max(alike.items(), key=lambda other: other[1])
+            if count > max(len(board.find(image)[0]), FEWEST):
+                return f"{markers} of its markers are seen, but they are another board's: {text}"
             do = "Show more of it, nearer; is it printed as --board says (squares, dictionary, :legacy)?"
             return f"{markers} of its markers are seen, but too few corners between them. {do}"
         others = {name: _markers(image, name) for name in DICTIONARIES if name[:8] != board.dictionary[:8]}
@@ -173,6 +177,25 @@ def why_unseen(image: NDArray[Any], board: Board) -> str:
             kind = name.removesuffix("_1000")
             return f"It shows {count} markers of {kind}: append the board's own dictionary to --board."
     return "Nothing of it is found: bring it into view, 0.3 to 0.6 m in front of the camera, all of it, in focus."
+
+
+def _alike(board: CharucoBoard) -> dict[str, CharucoBoard]:
+    """Return boards that this one is easily taken for, by what to do."""
+    pattern = (
+        "take :legacy off --board."
+        if board.legacy
+        else (
+            "it was printed with OpenCV before 4.6: append :legacy to --board, behind its dictionary "
+            f"({board.dictionary})."
+        )
+    )
+    turned = replace(board, columns=board.rows, rows=board.columns)
+    sizes = f"give --board {board.rows}x{board.columns} squares, not {board.columns}x{board.rows}"
+    return {
+        pattern: replace(board, legacy=not board.legacy),
+        f"{sizes}.": turned,
+        f"{sizes}, and {'no ' if board.legacy else ''}:legacy.": replace(turned, legacy=not board.legacy),
+    }
 
 
 def _markers(image: NDArray[Any], name: str) -> int:
@@ -215,8 +238,6 @@ def _length(word: str, text: str) -> float:
 COLUMNS = ("image", "x", "y", "z", "qx", "qy", "qz", "qw")
 REACH = 10.0
 """A flange farther than this from its base [m] was not given in metres."""
-_NAMES = {"width": "w", "height": "h", "fx": "fl_x", "fy": "fl_y", "cx": "cx", "cy": "cy"}  # Anther's, nerfstudio's
-_DISTORTION = ("k1", "k2", "p1", "p2", "k3")
 
 
 def read_poses(path: Path | str) -> dict[str, Array]:
@@ -263,66 +284,22 @@ def _json_rows(path: Path) -> list[tuple[str, str, Any]]:
 
 
 def _csv_rows(path: Path) -> list[tuple[str, str, Any]]:
-    lines = [(n, line) for n, line in enumerate(read_lines(path), 1) if line.strip() and not line.startswith("#")]
-    if not lines:
+    table = read_rows(path)
+    if not table:
         return []
-    separator = next((mark for mark in (";", "\t") if mark in lines[0][1]), ",")
-    with understood(path, "CSV or JSON", "Export it again."):
-        cells = [[word.strip() for word in next(csv.reader([line], delimiter=separator))] for _, line in lines]
-    names, rows = [word.lower() for word in cells[0]], []
+    names, rows = [word.lower() for word in table[0].cells], []
     if sorted(names) != sorted(COLUMNS):
         raise bad_input(
-            f"{path}, line {lines[0][0]}",
+            f"{path}, line {table[0].line}",
             given=f"columns {', '.join(names)}",
             allowed=", ".join(COLUMNS),
             do="Name each column once, in any order.",
         )
-    for (number, _), words in zip(lines[1:], cells[1:], strict=True):
-        where = f"{path}, line {number}"
+    for line, words in table[1:]:
+        where = f"{path}, line {line}"
         if len(words) != len(names):
             raise bad_input(where, given=f"{len(words)} entries", allowed=str(len(names)), do="Complete the line.")
         entry = dict(zip(names, words, strict=True))
-        numbers = [entry[name] for name in COLUMNS[1:]]
-        rows.append((where, entry["image"], [n.replace(",", ".") for n in numbers] if separator == ";" else numbers))
+        told = [(entry[name], number(entry[name])) for name in COLUMNS[1:]]
+        rows.append((where, entry["image"], [cell if value is None else value for cell, value in told]))
     return rows
-
-
-def read_intrinsics(path: Path | str) -> tuple[Intrinsics, Array]:
-    """Return intrinsics and distortion (5,) k1, k2, p1, p2, k3 from a JSON file.
-
-    It holds width, height, fx, fy, cx, cy, and perhaps k1 ... k3; or it is a `transforms.json` (docs/capture.md), or
-    an earlier `calibration.json`.
-
-    Raises:
-        InputError: the file is missing, or an entry is missing or unusable.
-    """
-    stored = read_json(path)
-    inner = stored.get("intrinsics") if isinstance(stored, dict) else None
-    if isinstance(stored, dict) and isinstance(inner, dict):
-        bent = stored.get("distortion")
-        stored = inner | (dict(zip(_DISTORTION, bent, strict=False)) if isinstance(bent, list) else {})
-    if not isinstance(stored, dict):
-        raise bad_input(str(path), given=type(stored).__name__, allowed=f"{{{', '.join(_NAMES)}}}", do="Correct it.")
-    values = {name: _number(path, stored.get(name, stored.get(other)), name) for name, other in _NAMES.items()}
-    distortion = np.array([_number(path, stored.get(name, 0.0), name) for name in _DISTORTION])
-    width, height = int(values.pop("width")), int(values.pop("height"))
-    return Intrinsics(width, height, **values), distortion
-
-
-def check_size(given: Intrinsics, size: tuple[int, int], whose: str) -> None:
-    """Check that intrinsics are of images of `size` (width, height) [px]."""
-    if (given.width, given.height) != size:
-        own, allowed = f"{given.width} x {given.height} px", f"{size[0]} x {size[1]} px, as {whose}"
-        raise bad_input("intrinsics", given=own, allowed=allowed, do="Give those of this resolution.")
-
-
-def _number(path: Path | str, value: Any, name: str) -> float:
-    number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    if not number:
-        raise bad_input(
-            f"{path} '{name}'",
-            given="nothing" if value is None else repr(value),
-            allowed=f"a number; the file holds {', '.join(_NAMES)}",
-            do="Add it.",
-        )
-    return float(value)

@@ -45,16 +45,19 @@ class Noise(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """T_flange_cam, T_base_board, the intrinsics, and the (12, 12) or (16, 16) covariance of their errors.
+    """T_flange_cam, T_base_board, the intrinsics, the covariance of their errors, and the board's size over what was
+    said.
 
     The errors are, in this order: rotation [rad] and shift [m] of the camera on the flange, in flange axes; rotation
-    and shift of the board, in base axes; if the intrinsics are free, of fx, fy, cx, cy as shares of the focal length.
+    and shift of the board, in base axes; if the intrinsics are free, of fx, fy, cx, cy as shares of the focal length;
+    if the board's size is free, of that, as a share.
     """
 
     T_flange_cam: Array
     T_base_board: Array
     intrinsics: Intrinsics
     covariance: Array
+    scale: float = 1.0
 
 
 class _Sums(NamedTuple):
@@ -79,6 +82,10 @@ class Problem:
         pixels: (N, 2).
         intrinsics: of the camera.
         free_intrinsics: whether they are only a start.
+        free_scale: whether the board's size is only a start.
+        eye_to_hand: whether the board is on the flange and the camera stands still. `T_base_flange` is then
+            T_flange_base, X T_base_cam and Z T_flange_board: the equation is the same, but the arm's error is the
+            flange's on the board's side.
     """
 
     T_base_flange: Array
@@ -87,19 +94,26 @@ class Problem:
     pixels: Array
     intrinsics: Intrinsics
     free_intrinsics: bool = False
+    free_scale: bool = False
+    eye_to_hand: bool = False
 
     @classmethod
     def of(
-        cls, T_base_flange: Array, views: BoardViews, intrinsics: Intrinsics, free_intrinsics: bool = False
+        cls,
+        T_base_flange: Array,
+        views: BoardViews,
+        intrinsics: Intrinsics,
+        free_intrinsics: bool = False,
+        eye_to_hand: bool = False,
     ) -> Problem:
         """Return the problem of some views of a board."""
         view = np.repeat(np.arange(len(T_base_flange)), [len(p) for p in views.corners.points])
         points, pixels = np.concatenate(views.corners.points), np.concatenate(views.corners.pixels)
-        return cls(T_base_flange, view, points, pixels, intrinsics, free_intrinsics)
+        return cls(T_base_flange, view, points, pixels, intrinsics, free_intrinsics, eye_to_hand=eye_to_hand)
 
-    def at(self, intrinsics: Intrinsics) -> Problem:
-        """Return the same problem with these intrinsics."""
-        return replace(self, intrinsics=intrinsics)
+    def at(self, intrinsics: Intrinsics, scale: float = 1.0) -> Problem:
+        """Return the same problem with these intrinsics, and a board so many times as large."""
+        return replace(self, intrinsics=intrinsics, points=self.points * scale)
 
     def residuals(self, X: Array, Z: Array) -> Array:
         """Return (N, 2): where the corners are seen, less where they should be [px]."""
@@ -135,8 +149,10 @@ class Problem:
             focal = np.array([c.fx, c.fy])
             rays = np.stack([p[:, 0] / z, p[:, 1] / z], axis=1)
             blocks += [np.eye(2) * (focal * rays)[:, :, None], np.broadcast_to(np.diag(focal), (len(p), 2, 2))]
+        blocks += [to_flange @ lever[:, :, None]] if self.free_scale else []
         F = np.concatenate(blocks, axis=2)
-        J = np.concatenate([D @ _cross(in_flange), -D], axis=2)
+        moved = [-to_flange @ _cross(lever + Z[:3, 3]), to_flange] if self.eye_to_hand else [D @ _cross(in_flange), -D]
+        J = np.concatenate(moved, axis=2)
         r = self.pixels - self._project(p)
         first = np.searchsorted(self.view, np.arange(len(self.T_base_flange)))
         pairs = (("ni,ni->n", r, r), ("nij,ni->nj", F, r), ("nij,nik->njk", F, F))
@@ -161,7 +177,7 @@ def refine(problem: Problem, X: Array, Z: Array, noise: Noise, used: NDArray[Any
     Raises:
         InputError: the views do not determine camera and board.
     """
-    weights = np.asarray(used, dtype=np.float64)
+    weights, scale = np.asarray(used, dtype=np.float64), 1.0
     for _ in range(ITERATIONS):
         A, b, _ = _normal_equations(problem.sums(X, Z), noise, weights)
         A, step = A[sought, sought], np.zeros(len(b))
@@ -170,11 +186,13 @@ def refine(problem: Problem, X: Array, Z: Array, noise: Noise, used: NDArray[Any
         step *= min(1.0, LARGEST_STEP / (length + 1e-300))
         X, Z = _moved(X, step[:6]), _moved(Z, step[6:12])
         if problem.free_intrinsics:
-            problem = problem.at(_adjusted(problem.intrinsics, step[12:]))
+            problem = problem.at(_adjusted(problem.intrinsics, step[12:16]))
+        if problem.free_scale:
+            grown = float(np.exp(step[-1]))
+            problem, scale = problem.at(problem.intrinsics, grown), scale * grown
         if length < SETTLED:
-            return Fit(
-                X, Z, problem.intrinsics, np.asarray(np.linalg.pinv(A, rcond=1e-14, hermitian=True), dtype=np.float64)
-            )
+            covariance = np.asarray(np.linalg.pinv(A, rcond=1e-14, hermitian=True), dtype=np.float64)
+            return Fit(X, Z, problem.intrinsics, covariance, scale)
     raise InputError("hand-eye calibration: the refinement does not settle. Take more views, tilted more.")
 
 
@@ -187,7 +205,7 @@ def misfit(problem: Problem, X: Array, Z: Array, noise: Noise) -> float:
 def estimate_noise(problem: Problem, fit: Fit, pixel: float, used: NDArray[Any]) -> Noise:
     """Return the noise with the arm's errors for which the `used` (V,) views are most likely (REML)."""
     sums, weights = (
-        problem.at(fit.intrinsics).sums(fit.T_flange_cam, fit.T_base_board),
+        problem.at(fit.intrinsics, fit.scale).sums(fit.T_flange_cam, fit.T_base_board),
         np.asarray(used, dtype=np.float64),
     )
 
@@ -209,7 +227,7 @@ def view_distances(problem: Problem, fit: Fit, noise: Noise, own_noise: Array) -
     Squared, they are chi-square distributed with 6 degrees of freedom for views that are as they should be. A view
     whose corners are found worse than usual, by its `own_noise` (V,) [px], is judged by that.
     """
-    sums = problem.at(fit.intrinsics).sums(fit.T_flange_cam, fit.T_base_board)
+    sums = problem.at(fit.intrinsics, fit.scale).sums(fit.T_flange_cam, fit.T_base_board)
     variance = np.maximum(own_noise, noise.pixel)[:, None, None] ** 2
     information = sums.JJ / variance
     away = np.linalg.solve(information, sums.Jr[..., None] / variance)

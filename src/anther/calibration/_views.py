@@ -14,11 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from anther.calibration._inputs import Board
+from anther.calibration._inputs import Board, why_unseen
 from anther.errors import InputError, bad_input
 from anther.geometry import Array, Intrinsics, small_transform, transform_points
 
 LEAST_VIEWS, LEAST_CORNERS = 3, 8
+UNDONE = 0.05
+"""A corner freed of its lens and bent again lies within this of where it was seen [px]; corners are found to 0.1."""
 CELLS = (8, 6)
 """Columns and rows of the grid in which covered cells are counted."""
 
@@ -71,10 +73,10 @@ def find_corners(images: Iterable[NDArray[Any]], board: Board) -> BoardCorners:
     Raises:
         InputError: no image shows the board.
     """
-    numbers, points, pixels, count = [], [], [], 0
+    numbers, points, pixels, count, last = [], [], [], 0, np.zeros((1, 1), np.uint8)
     for number, image in enumerate(images):
         known, seen = board.find(image)
-        count += 1
+        count, last = count + 1, image
         if len(known) >= LEAST_CORNERS and np.linalg.matrix_rank(known[:, :2] - known[0, :2], tol=1e-9) == 2:
             numbers.append(number)
             points.append(known)
@@ -84,13 +86,13 @@ def find_corners(images: Iterable[NDArray[Any]], board: Board) -> BoardCorners:
             "calibration images",
             given=f"{count} images, none with {LEAST_CORNERS} corners of the board",
             allowed=f"a {board}",
-            do="Check the board's size and dictionary, focus and light.",
+            do=why_unseen(last if last.ndim == 2 else cv2.cvtColor(last, cv2.COLOR_BGR2GRAY), board),
         )
     return BoardCorners(np.array(numbers), tuple(points), tuple(pixels))
 
 
 def estimate_intrinsics(corners: BoardCorners, width: int, height: int) -> tuple[Intrinsics, Array]:
-    """Return the camera's intrinsics and its distortion (5,) k1, k2, p1, p2, k3, from views of a flat board.
+    """Return the camera's intrinsics and its distortion (5,), k1, k2, p1, p2, k3, from views of a flat board.
 
     Zhang's method (Zhang 2000) as in `cv2.calibrateCamera`. Distortion (k1, k2, p1, p2; k3 stays 0) is kept only where
     it pays for its four numbers by Schwarz's criterion (Schwarz 1978); otherwise it is zero.
@@ -127,13 +129,31 @@ def _calibrate_camera(corners: BoardCorners, size: tuple[int, int], flags: int) 
 
 
 def undistorted(corners: BoardCorners, intrinsics: Intrinsics, distortion: Array) -> BoardCorners:
-    """Return the corners where a camera of these intrinsics without distortion would see them."""
-    K = intrinsics.matrix
-    pixels = tuple(
-        np.asarray(cv2.undistortPoints(seen.reshape(-1, 1, 2), K, distortion, P=K), dtype=np.float64).reshape(-1, 2)
-        for seen in corners.pixels
-    )
-    return BoardCorners(corners.images, corners.points, pixels) if np.any(distortion) else corners
+    """Return the corners where a camera of these intrinsics without distortion would see them.
+
+    Args:
+        corners: as seen through the lens.
+        intrinsics: of the camera.
+        distortion: of the lens in OpenCV's order, 5, 8, 12 or 14 numbers.
+
+    Raises:
+        InputError: the polynomials cannot be undone at a corner: they are no lens's that took these images.
+    """
+    if not np.any(distortion):
+        return corners
+    K, settled = intrinsics.matrix, (cv2.TERM_CRITERIA_MAX_ITER | cv2.TERM_CRITERIA_EPS, 200, 1e-10)
+    pixels = []
+    for seen in corners.pixels:
+        rays = cv2.undistortPointsIter(seen.reshape(-1, 1, 2), K, distortion, np.eye(3), np.eye(3), settled)
+        rays = np.asarray(rays, dtype=np.float64).reshape(-1, 2)
+        back, _ = cv2.projectPoints(np.c_[rays, np.ones(len(rays))], np.zeros(3), np.zeros(3), K, distortion)
+        off = float(np.abs(back.reshape(-1, 2) - seen).max())
+        if not off < UNDONE:
+            do = "Are these the numbers of this lens, at this image size?"
+            given, allowed = f"a lens that cannot be undone ({off:.3g} px off)", f"within {UNDONE:g} px"
+            raise bad_input("distortion", given=given, allowed=allowed, do=do)
+        pixels.append(rays @ np.diag([K[0, 0], K[1, 1]]) + K[:2, 2])
+    return BoardCorners(corners.images, corners.points, tuple(pixels))
 
 
 def largest_distortion(intrinsics: Intrinsics, distortion: Array) -> float:
@@ -223,7 +243,7 @@ def check_motions(T_base_flange: Array, least_turn: float) -> None:
             "hand-eye calibration",
             given=f"degenerate motions, that turn about one axis only ({np.rad2deg(second):.1f} deg about any other)",
             allowed=f"turns of {np.rad2deg(least_turn):.0f} deg or more about two axes",
-            do="Tilt the camera about several axes, 20 to 40 deg between views.",
+            do="Tilt the flange about several axes, 20 to 40 deg between views.",
         )
 
 
@@ -235,7 +255,7 @@ def motion_warnings(T_base_flange: Array) -> tuple[str, ...]:
     if motions.largest < SMALL_TURN:
         notes.append(
             f"too little rotation: at most {np.rad2deg(motions.largest):.0f} deg between views, errors go with "
-            f"1 / rotation; tilt the camera by 20 to 40 deg"
+            f"1 / rotation; tilt the flange by 20 to 40 deg"
         )
     elif motions.second < SMALL_SECOND_TURN:
         notes.append(

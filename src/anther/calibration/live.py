@@ -22,7 +22,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import qmc
 
 from anther.calibration import LOOSE, HandEye, calibrate
-from anther.calibration._inputs import COLUMNS, Board, parse_board, read_intrinsics
+from anther.calibration._inputs import COLUMNS, Board, parse_board
+from anther.calibration._intrinsics import read_intrinsics
 from anther.calibration._views import (
     BoardCorners,
     BoardViews,
@@ -68,7 +69,7 @@ class Taken:
         folder: where they are kept.
         board: as the command line writes it, see `parse_board`.
         intrinsics: of the camera.
-        distortion: (5,) of its lens, in the images.
+        distortion: of its lens, in OpenCV's order, in the images.
         joints: V arrays (J,) [rad].
         T_base_flange: V arrays (4, 4).
         views: V views, each of one image.
@@ -164,8 +165,7 @@ class Taken:
         return motions.largest, motions.second
 
     def _write(self) -> None:
-        lens = dict(zip(("k1", "k2", "p1", "p2", "k3"), map(float, self.distortion), strict=True))
-        write_json(self.folder / INTRINSICS, asdict(self.intrinsics) | lens)
+        write_json(self.folder / INTRINSICS, asdict(self.intrinsics) | {"distortion": self.distortion})
         rows = [
             ",".join([name, *(f"{x:.9f}" for x in pose7(T))])
             for name, T in zip(self.names, self.T_base_flange, strict=True)

@@ -132,6 +132,7 @@ class Cloud:
         """
         path = Path(path)
         fields = read_ply(path)
+        fields.pop("unused")
         if not path.with_suffix(".npz").exists():
             return cls(**fields)
         with understood(path.with_suffix(".npz")):

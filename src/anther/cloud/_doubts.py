@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from anther.capture import OPENGL_TO_OPENCV, Capture
 from anther.cloud._fusion import balances
-from anther.errors import StageFailure
+from anther.errors import InputError, StageFailure
 from anther.geometry import Array, Box, Intrinsics, inverse, transform_points
 
 RANGE = (0.05, 10.0)
@@ -134,6 +134,8 @@ GREY = 8
 """Images whose channels differ by no more than this [grey levels] in 99 of 100 pixels have no colour."""
 FOCAL = (0.5, 0.667, 0.75, 0.8, 0.9, 1.111, 1.25, 1.333, 1.5, 2.0)
 """Focal lengths that are tried, over the given one: a tenth to a third off, or of images of half or twice the size."""
+STEPS = (0.1, 0.25, 4.0, 10.0)
+"""Depths that are tried, over the given one: steps of 0.1 or 0.25 mm taken for 1 mm, or the other way round."""
 LEAST_GAIN = 0.1
 """A change is the cause if it makes so much more of what the views could judge agree [-], and twice as much."""
 
@@ -185,8 +187,8 @@ def disagreement(
 def likely_cause(capture: Capture, points_cam: Sequence[Array] | None = None) -> str:
     """Return what is probably wrong with a capture, as a sentence for the user, or nothing where nothing stands out.
 
-    The views are compared as given, with other focal lengths, with the camera's axes of the other convention (OpenCV: y
-    down, z forward; OpenGL: y up, z backward), and with each pose inverted.
+    The views are compared as given, with other focal lengths, with depth in other steps, with the camera's axes of the
+    other convention (OpenCV: y down, z forward; OpenGL: y up, z backward), and with each pose inverted.
 
     Args:
         capture: the views, with the poses as given.
@@ -223,6 +225,17 @@ def _changes(capture: Capture, points: Sequence[Array]) -> Iterator[tuple[Captur
             replace(capture, T_world_cam=poses),
             points,
             "They would agree if every pose were inverted: transform_matrix maps from the camera to the world.",
+        )
+    for times in STEPS:
+        try:
+            scaled = replace(capture, depth=capture.depth * np.float32(times))
+        except InputError:  # no plausible depth
+            continue
+        yield (
+            scaled,
+            [p * times for p in points],
+            f"They would agree if depth were {times:g} times what it is: is depth_unit_scale_factor in transforms.json "
+            "right? It says metres per step of the depth image, by default 0.001.",
         )
     for share in FOCAL:
         yield (

@@ -1,4 +1,5 @@
-"""Images of a board and the flange's poses -> where the camera sits on the flange, and how far that can be trusted.
+"""Images of a board and the flange's poses -> where the camera sits on the flange or stands beside the robot, and how
+far that can be trusted.
 
 With --live the arm of a cell takes the images; with --check it looks whether the camera has moved since.
 """
@@ -14,7 +15,7 @@ import numpy as np
 
 from anther.calibration import HandEye, Method
 from anther.errors import InputError, bad_input
-from anther.geometry import Array, Intrinsics
+from anther.geometry import Array, Intrinsics, inverse
 
 SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp"}
 BENT = 0.3
@@ -34,10 +35,12 @@ class Args:
     """charuco:7x5:30mm:22mm (squares, their edge, the markers'; then perhaps :DICT_4X4_50), or chessboard:9x6:25mm
     (inner corners)."""
     intrinsics: Path | None = None
-    """JSON with width, height, fx, fy, cx, cy, perhaps k1 k2 p1 p2 k3; or a transforms.json or calibration.json. By
-    default intrinsics.json in the images' folder; with --live the camera's own."""
+    """JSON with width, height, fx, fy, cx, cy, perhaps k1 k2 p1 p2 k3 k4 k5 k6; or a transforms.json or
+    calibration.json. By default intrinsics.json in the images' folder; with --live the camera's own."""
     estimate_intrinsics: bool = False
     """Estimate the intrinsics from the same images."""
+    eye_to_hand: bool = False
+    """The camera stands beside the robot and the board is on the flange: find T_base_cam."""
     out: Path | None = None
     """Folder for calibration.json and calibration.png, by default this one. With --live for the views too, by default a
     new one beside the cell file; one that was begun is gone on with."""
@@ -73,7 +76,7 @@ def run(args: Args) -> int:
 
 NEEDED = {"images": ("images", "poses", "board"), "live": ("cell", "board"), "check": ("cell",)}
 WAYS = {
-    "images": (*NEEDED["images"], "intrinsics", "estimate_intrinsics", "out", "json", "method"),
+    "images": (*NEEDED["images"], "intrinsics", "estimate_intrinsics", "eye_to_hand", "out", "json", "method"),
     "live": (*NEEDED["live"], "live", "intrinsics", "out", "by_hand", "yes"),
     "check": (*NEEDED["check"], "check", "yes"),
 }
@@ -121,7 +124,8 @@ def _from_files(args: Args) -> None:
     seen = tuple(names[number] for number in views.images)
     notes += [f"no board found in {', '.join(n for n in names if n not in seen)}"] if len(seen) < len(names) else []
     flange = np.stack([poses[name] for name in seen])
-    found = calibration.calibrate(
+    solve = calibration.calibrate_beside if args.eye_to_hand else calibration.calibrate
+    result = solve(
         flange,
         views,
         intrinsics,
@@ -130,13 +134,15 @@ def _from_files(args: Args) -> None:
         images=seen,
         distortion=distortion,
     )
+    found = result.exchanged if isinstance(result, calibration.EyeToHand) else result
     notes += [*found.notes, *_camera_notes(args, views, intrinsics, distortion)]
-    found.save(out / "calibration.json")
-    save_figure(draw_calibration(found, views, flange), out / "calibration.png")
+    result.save(out / "calibration.json")
+    moving = inverse(flange) if args.eye_to_hand else flange
+    save_figure(draw_calibration(found, views, moving), out / "calibration.png")
     if args.json:
         print(json.dumps(json.loads((out / "calibration.json").read_text()) | {"notes": notes}, indent=2))
     else:
-        _print(found, notes, out, estimated=args.estimate_intrinsics)
+        _print(found, notes, out, args)
 
 
 def _given_intrinsics(args: Args, folder: Path) -> tuple[Intrinsics, Array] | None:
@@ -156,17 +162,18 @@ def _given_intrinsics(args: Args, folder: Path) -> tuple[Intrinsics, Array] | No
 
 def _names(folder: Path, poses: dict[str, Array]) -> tuple[list[str], list[str]]:
     """Return the images that have poses, and notes."""
-    from anther.files import existing
+    from anther.files import existing, named_file
 
     if not existing(folder).is_dir():
         raise bad_input(f"{folder}", given="a file", allowed="a folder of images", do="Give the folder.")
     there = {path.name for path in folder.iterdir() if path.suffix.lower() in SUFFIXES}
-    missing = sorted(set(poses) - there)
+    meant = {name: named_file(folder, name) for name in poses}
+    missing = sorted(name for name, path in meant.items() if not path.is_file())
     if missing:
         given = f"poses for {', '.join(missing[:5])}{' ...' if len(missing) > 5 else ''}, which {folder} lacks"
         do = "Copy them there, or correct the names."
         raise bad_input("images", given=given, allowed="an image for each pose, by file name", do=do)
-    spare = sorted(there - set(poses))
+    spare = sorted(there - {path.name for path in meant.values()})
     return sorted(poses), [f"no pose for {', '.join(spare)}: not used"] if spare else []
 
 
@@ -177,12 +184,13 @@ def _find(folder: Path, names: list[str], board: Any) -> tuple[Any, tuple[int, i
     from rich.progress import track
 
     from anther.calibration import find_corners
+    from anther.files import named_file
     from anther.images import read_image
 
     sizes: dict[tuple[int, int], str] = {}
 
     def read(name: str) -> Any:
-        image = read_image(folder / name, cv2.IMREAD_GRAYSCALE)
+        image = read_image(named_file(folder, name), cv2.IMREAD_GRAYSCALE)
         sizes.setdefault((image.shape[1], image.shape[0]), name)
         if len(sizes) > 1:
             text = ", ".join(f"{w} x {h} ({first})" for (w, h), first in sizes.items())
@@ -207,7 +215,7 @@ def _camera_notes(args: Args, views: Any, intrinsics: Intrinsics, distortion: Ar
     return notes
 
 
-def _print(found: HandEye, notes: list[str], out: Path, *, estimated: bool) -> None:
+def _print(found: HandEye, notes: list[str], out: Path, args: Args) -> None:
     from rich.console import Console
 
     from anther.geometry import pose7
@@ -221,10 +229,10 @@ def _print(found: HandEye, notes: list[str], out: Path, *, estimated: bool) -> N
     lens = f"{camera.width} x {camera.height} px, f {camera.fx:.2f} {camera.fy:.2f}, c {camera.cx:.2f} {camera.cy:.2f}"
     bend = " ".join(f"{k:.4g}" for k in found.distortion)
     for line in (
-        f"T_flange_cam  {pose}   (x y z [m] qx qy qz qw)",
+        f"{'T_base_cam' if args.eye_to_hand else 'T_flange_cam'}  {pose}   (x y z [m] qx qy qz qw)",
         f"standard error, worst direction: {own}",
         f"corners found to {found.pixel_noise:.2f} px; the arm's poses err by {arm}",
-        f"camera ({'estimated' if estimated else 'given'}): {lens}, distortion {bend}",
+        f"camera ({'estimated' if args.estimate_intrinsics else 'given'}): {lens}, distortion {bend}",
         *(f"warning: {note}" for note in notes),
         f"written: {out / 'calibration.json'}, {out / 'calibration.png'}",
     ):

@@ -13,7 +13,7 @@ import tyro
 from anther.capture import Capture, check_views
 from anther.checks import check_array
 from anther.errors import bad_input
-from anther.files import existing, read_object, understood
+from anther.files import existing, named_file, read_object, understood
 from anther.geometry import Intrinsics
 from anther.images import read_image
 
@@ -48,7 +48,7 @@ def read_kinect(folder: Path) -> Capture:
         poses = np.array([check_array("T_world_cam", frame["T_world_cam"], (4, 4)) for frame in meta["frames"]])
         poses[:, :3, 3] *= _MM
         size = check_views(len(poses), camera := Intrinsics(**values))
-        depth = np.stack([_depth(folder / frame["file"], scale, size) for frame in meta["frames"]])
+        depth = np.stack([_depth(named_file(folder, str(frame["file"])), scale, size) for frame in meta["frames"]])
     return Capture(depth=depth, intrinsics=camera, T_world_cam=poses)
 
 

@@ -11,7 +11,7 @@ import tyro
 from anther.errors import bad_input
 from anther.files import existing
 from anther.formats.bags import BagOptions, read_bag
-from anther.formats.colmap import read_colmap_capture, read_colmap_cloud
+from anther.formats.colmap import read_colmap_capture, read_colmap_cloud, without_depth
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,8 @@ def run(args: Args) -> None:
         cloud.save(args.out)
         return _say(f"{args.out}: {len(cloud.points):,} points", cloud.notes)
     elif source.is_dir():
-        capture = read_colmap_capture(source, scale, up)
+        capture, left_out = read_colmap_capture(source, scale, up), without_depth(source)
+        notes = (f"left out for want of a depth map: {', '.join(left_out)}",) if left_out else ()
     else:
         allowed = "a COLMAP folder, .ply, .bag, .mcap, .db3, or a ROS 2 bag folder"
         do = "Kinect turntables: `anther convert-kinect`. Other clouds: `anther skeletonize` reads them."

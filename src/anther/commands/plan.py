@@ -17,6 +17,7 @@ from anther.commands.skeletonize import best_grasps, main_stem, node_named, read
 from anther.errors import bad_input
 from anther.files import read_object
 from anther.flowers import Flowers
+from anther.formats.skeletons import Units
 from anther.fruit_set import worth
 from anther.geometry import Array
 from anther.grasp import Grasp, load_grasps
@@ -59,6 +60,8 @@ class Args:
     radius: float | None = None
     """Of a skeleton file without radii: of every node [m]; by default as thick as the crop's stem is at its base, and
     thinner with what a node carries."""
+    units: Units | None = None
+    """Of a skeleton file: of its lengths; by default what it states, else metres if that makes a plant."""
     root: str | None = None
     """Of a skeleton file: where the plant stands, a node's number or x,y,z [m]; by default the file's own root, or
     where it begins to rise."""
@@ -132,8 +135,8 @@ def read_plant(args: Args) -> tuple[PlantModel, list[Grasp]]:
     material = measured or {"tomato": TOMATO, "pepper": PEPPER}[args.crop]
     if not args.source.is_dir():
         return _of_skeleton(args, material)
-    if args.flower or any(given is not None for given in (args.radius, args.root, args.stem_tip)):
-        names = "--flower, --radius, --root or --stem-tip"
+    if args.flower or any(given is not None for given in (args.units, args.radius, args.root, args.stem_tip)):
+        names = "--flower, --units, --radius, --root or --stem-tip"
         raise bad_input(names, given="with a run folder", allowed="skeleton files", do="Leave it out.")
     skeleton, stem = Skeleton.load(kept(args.source, "skeleton")), Stem.load(kept(args.source, "stem"))
     there = {stage: args.source / name for stage, name in FILES.items() if (args.source / name).exists()}
@@ -148,7 +151,7 @@ def read_plant(args: Args) -> tuple[PlantModel, list[Grasp]]:
 
 
 def _of_skeleton(args: Args, material: Material) -> tuple[PlantModel, list[Grasp]]:
-    source, skeleton = read_source(args.source, radius=args.radius, root=args.root, crop=args.crop)
+    source, skeleton = read_source(args.source, units=args.units, radius=args.radius, root=args.root, crop=args.crop)
     at = np.array([source.node(number) for number in args.flower], dtype=np.int64)
     if np.any(at == 0):
         raise bad_input("flower", given="the root", allowed="a node of a branch or of the stem", do="Name another.")

@@ -13,7 +13,7 @@ from anther.capture import Capture
 from anther.commands.run_folder import finish, open_run
 from anther.commands.skeletonize import known_better
 from anther.geometry import Box
-from anther.pipeline import MaskSource, Params, mask_finder, perceive, rank_grasps
+from anther.pipeline import MaskSource, Params, cause_named, mask_finder, perceive, rank_grasps
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,8 @@ def run(args: Args) -> None:
     with open_run(out, args, ("capture", "workspace")) as run:
         capture = run.stage("capture", Capture.load, lambda _: capture)
         seen = perceive(capture, workspace, run, args.params, find_masks)
-        grasps = rank_grasps(seen, None, run, args.params)
+        with cause_named(capture):
+            grasps = rank_grasps(seen, None, run, args.params)
     results = finish(run)
     length, sure = seen.stem.arc_length[-1], seen.stem.confidence
     print(f"{len(seen.cloud.points):,} points, {len(seen.skeleton.nodes)} skeleton nodes, main stem {length:.3f} m")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,7 +14,7 @@ from anther.checks import check_range
 from anther.commands.skeletonize import main_stem, node_named, read_source
 from anther.elastic_rod import Clamp, Discretisation, Rods, least_stiffness, stands, with_gravity_equilibrium
 from anther.errors import StageFailure, bad_input
-from anther.formats.skeletons import SkeletonFile
+from anther.formats.skeletons import SkeletonFile, Units
 from anther.geometry import Array
 from anther.identification import read_material
 from anther.plant import MARGIN, PlantModel
@@ -27,6 +27,10 @@ USUAL = {"youngs": 100e6, "density": 1100.0, "bend_over_twist": 1.5, "damping_ra
 """Of a bare skeleton: E of a tomato stem [Pa], the authors' density [kg/m^3], a round bar [-], and zeta [-]."""
 
 
+DENSITY = (10.0, 5000.0)
+"""Allowed [kg/m^3], as in `Material`."""
+
+
 @dataclass(frozen=True)
 class PlantOptions:
     """Attributes: the plant, what it is made of, and what holds it."""
@@ -35,6 +39,8 @@ class PlantOptions:
     """Skeleton file: the authors' .txt (nodes count from 0), .swc (ids), or Anther's .npz (nodes count from 0); or a
     run folder, whose plant model also has the leaves' mass, pedicels and flowers."""
     _: KW_ONLY
+    units: Units | None = None
+    """Of a skeleton file: of its lengths; by default what it states, else metres if that makes a plant."""
     radius: float | None = None
     """Radius of every edge [m]. By default the radii in the file; if it has none, as thick as the crop's stem is at its
     base, and thinner with what a node carries."""
@@ -74,6 +80,7 @@ class RodPlant:
         damping_ratio: share of critical damping [-].
         stem_nodes: (S,) main stem, root first; None where it is still to be found.
         flower_nodes: (F,) may be empty.
+        merged: numbers of nodes of the file that repeat another's point -> the other's number.
         youngs_given: whether anybody said how stiff it is; if not, a plant that buckles is taken to be stiffer.
         notes: what the user should know.
     """
@@ -85,11 +92,12 @@ class RodPlant:
     stem_nodes: NDArray[Any] | None
     flower_nodes: NDArray[Any]
     youngs_given: bool = True
+    merged: dict[int, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
     def node(self, number: int) -> int:
         """Return the index of the node that the user calls `number`."""
-        return SkeletonFile(self.rods.nodes, self.rods.parent, None, self.numbers).node(number)
+        return SkeletonFile(self.rods.nodes, self.rods.parent, None, self.numbers, merged=self.merged).node(number)
 
     def damped(self, frequency: float) -> Rods:
         """Return the rods with the damping ratio for motion at `frequency` [Hz] (`Rods.viscous_time`)."""
@@ -108,6 +116,11 @@ def read_plant(options: PlantOptions) -> RodPlant:
     check_range("damping_ratio", options.damping_ratio or 0.0, 0, 10)
     check_range("least_radius", options.least_radius, 0, 1, "m")
     check_range("pads", options.pads, 0, 1, "m")
+    if options.density is not None and not DENSITY[0] <= options.density <= DENSITY[1]:
+        allowed, do = f"{DENSITY[0]:g} to {DENSITY[1]:g} kg/m3", "1.05 g/cm3 are 1050 kg/m3."
+        raise bad_input("density", given=f"{options.density:g}", allowed=allowed, do=do)
+    if options.youngs is not None:
+        check_range("youngs", options.youngs, 1, 1e12, "Pa")
     material = None if options.material is None else read_material(options.material)
     stated = {name: getattr(options, name) for name in USUAL}
     given = {} if material is None else {name: getattr(material, name) for name in USUAL}
@@ -127,7 +140,14 @@ def with_stem(plant: RodPlant) -> RodPlant:
 
 
 def _of_skeleton(options: PlantOptions, given: dict[str, float]) -> RodPlant:
-    source, skeleton = read_source(options.skeleton, radius=options.radius, root=options.root, crop=options.crop)
+    source, skeleton = read_source(
+        options.skeleton,
+        units=options.units,
+        radius=options.radius,
+        least=options.least_radius,
+        root=options.root,
+        crop=options.crop,
+    )
     tip = None if options.stem_tip is None else source.node(node_named("--stem-tip", options.stem_tip, source))
     stem = None if tip is None else skeleton.path_from_root(tip)
     made, radius = USUAL | given, 0.5 * (skeleton.radius + skeleton.radius[skeleton.parent])
@@ -141,14 +161,24 @@ def _of_skeleton(options: PlantOptions, given: dict[str, float]) -> RodPlant:
     )
     nowhere = np.zeros(0, np.int64)
     return RodPlant(
-        rods, Clamp.root(rods), source.numbers, made["damping_ratio"], stem, nowhere, youngs_given="youngs" in given
+        rods,
+        Clamp.root(rods),
+        source.numbers,
+        made["damping_ratio"],
+        stem,
+        nowhere,
+        youngs_given="youngs" in given,
+        merged=source.merged,
+        notes=source.notes,
     )
 
 
 def _of_run(options: PlantOptions, given: dict[str, float]) -> RodPlant:
     """Return the plant model of a run; its pedicels keep their own radius and stiffness."""
-    if options.root is not None or options.stem_tip is not None:
-        raise bad_input("--root or --stem-tip", given="with a run folder", allowed="skeleton files", do="Leave it out.")
+    if any(given is not None for given in (options.root, options.stem_tip, options.units)):
+        raise bad_input(
+            "--root, --stem-tip or --units", given="with a run folder", allowed="skeleton files", do="Leave it out."
+        )
     model = PlantModel.load(kept(options.skeleton, "plant model"))
     made, rods, stalk = model.material, model.rods, model.is_pedicel
     radius = np.maximum(rods.edge_radius if options.radius is None else options.radius, options.least_radius)
@@ -175,12 +205,14 @@ def hanging(plant: RodPlant, name: object) -> RodPlant:
     """
     rods, clamp, notes = plant.rods, plant.clamp, plant.notes
     if not stands(rods, clamp):
-        factor = least_stiffness(rods, clamp)
         youngs, grams = float(np.asarray(rods.youngs)[1]), 1e3 * rods.node_mass.sum()
+        usual = USUAL["youngs"] / youngs  # sought from there, however far off the given one is
+        factor = least_stiffness(replace(rods, youngs=usual * np.asarray(rods.youngs)), clamp)
+        factor = None if factor is None else usual * factor
         if factor is None or plant.youngs_given:
             enough = "no stiffness helps" if factor is None else f"it would stand from E = {factor * youngs:.3g} Pa"
             why = f"with E = {youngs:g} Pa and these radii the plant buckles under its own weight ({grams:.3g} g)"
-            do = "Give --youngs, --radius, --least-radius or --density other values."
+            do = "Give --youngs (in Pa: 100 MPa is 100e6), --radius, --least-radius or --density other values."
             raise StageFailure("no_convergence", f"{name}: {why}; {enough}. {do}")
         before, least, after = (f"{share * youngs / 1e6:.3g}" for share in (1, factor, MARGIN * factor))
         rods = replace(rods, youngs=MARGIN * factor * np.asarray(rods.youngs))

@@ -41,11 +41,20 @@ ROOTLESS = (".txt", ".ply")
 
 
 def read_source(
-    path: Path, *, radius: float | None = None, root: str | None = None, crop: Crop = "tomato"
+    path: Path,
+    *,
+    units: Units | None = None,
+    radius: float | None = None,
+    least: float = 0.0,
+    root: str | None = None,
+    crop: Crop = "tomato",
 ) -> tuple[SkeletonFile, Skeleton]:
     """Return a skeleton file (.npz, .swc, .txt, .ply, .graphml or .mtg), rooted, and the skeleton in it.
 
     Args:
+        path: the file.
+        units: of its lengths; None: those that it states, else metres.
+        least: no node's radius is less [m].
         radius: of every node [m]; None: those in the file, else the crop's stem at its base, thinner with what a node
             carries (`supposed_radius`).
         root: where the plant stands, see `node_named`; None: the file's own root, or where the way up begins to rise.
@@ -54,7 +63,7 @@ def read_source(
     Raises:
         InputError: a bad file, radius or node.
     """
-    source = read_skeleton(path)
+    source = read_skeleton(path, units)
     if radius is not None:
         check_range("radius", radius, 1e-4, 0.2, "m")
     if root is not None:
@@ -62,7 +71,7 @@ def read_source(
     elif path.suffix.lower() in ROOTLESS:
         source = source.rooted_at().without_scraps()
     bare = radius is None and source.radius is None
-    return source, source.skeleton(supposed_radius(source, STEM[crop]) if bare else radius)
+    return source, source.skeleton(supposed_radius(source, STEM[crop]) if bare else radius, least)
 
 
 def node_named(option: str, text: str, source: SkeletonFile) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -23,7 +24,7 @@ from anther.stem import Params as StemParams
 from anther.stem import find_stem
 from anther.traits import LEVELS, Limb, measure
 
-SUFFIXES = (".ply", ".pcd", ".xyz", ".txt", ".csv", ".asc", ".npz")
+SUFFIXES = (".ply", ".pcd", ".xyz", ".txt", ".csv", ".asc", ".pts", ".npz")
 COUNTED = ("branch", "truss", "leaf")
 COLUMNS: dict[str, type] = {
     "plant": str,
@@ -70,17 +71,14 @@ class Args:
 def run(args: Args) -> int:
     """Measure what is not measured yet, write the tables; return 1 if a plant could not be measured."""
     folder = existing(args.clouds)
-    own = args.out.resolve()  # may lie among the clouds, and holds .csv and .npz
-    found = sorted(
-        path
-        for path in folder.rglob("*")
-        if path.suffix.lower() in SUFFIXES and path.is_file() and not path.resolve().is_relative_to(own)
-    )
+    found, left_out = clouds_in(folder, args.out)
     if not folder.is_dir() or not found:
         allowed = f"a folder with clouds: {', '.join(SUFFIXES)}"
         raise bad_input(str(folder), given="none in it", allowed=allowed, do="For one cloud: `anther skeletonize`.")
     made_folder(args.out)
     console, rows = Console(markup=False, highlight=False), list[dict[str, Any]]()
+    if left_out:
+        console.print(f"not read: {', '.join(left_out[:5])}{' ...' if len(left_out) > 5 else ''}")
     for path in found:
         name = str(path.relative_to(folder))
         rows.append(_measured(args, path, name))
@@ -96,6 +94,29 @@ def run(args: Args) -> int:
     write_table(args.out / f"limbs.{suffix}", LIMB_COLUMNS, limbs)
     _print(console, rows, args.out / f"plants.{suffix}")
     return int(any(row["failure"] for row in rows))
+
+
+def clouds_in(folder: Path, out: Path) -> tuple[list[Path], list[str]]:
+    """Return the clouds in a folder and those below it, also behind links, each once; and the names of those left out.
+
+    What lies in `out` does not count, which may lie among the clouds and holds .csv and .npz. Left out is what programs
+    hide (a Mac's ._NAME and __MACOSX, Excel's ~$NAME), and a link that leads nowhere.
+    """
+    own, found, seen, left_out = out.resolve(), dict[Path, Path](), set[Path](), list[str]()
+    for place, below, names in os.walk(folder, followlinks=True):
+        real = Path(place).resolve()
+        if real in seen or real.is_relative_to(own):  # a link may lead into a circle
+            below.clear()
+            continue
+        seen.add(real)
+        left_out += [name for name in below if name.startswith("__MACOSX")]
+        below[:] = sorted(name for name in below if not name.startswith((".", "__MACOSX")))
+        for path in (Path(place) / name for name in sorted(names) if Path(name).suffix.lower() in SUFFIXES):
+            if path.name.startswith((".", "~$")) or not path.is_file():
+                left_out.append(path.name)
+            else:
+                found.setdefault(path.resolve(), path)
+    return sorted(found.values()), left_out
 
 
 def _measured(args: Args, path: Path, name: str) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from anther.checks import check_range
 from anther.commands.run_folder import LOG
 from anther.commands.skeletonize import main_stem, read_source
 from anther.errors import StageFailure, bad_input
+from anther.formats.skeletons import Units
 from anther.results import RunResults, read_run
 
 
@@ -22,6 +23,8 @@ class Args:
 
     run: Annotated[Path, tyro.conf.Positional]
     """Run folder, e.g. runs/demo; or a skeleton file."""
+    units: Units | None = None
+    """Of a skeleton file: of its lengths; by default what it states, else metres if that makes a plant."""
     html: Path | None = None
     """Write the scene to this HTML file instead of opening a viewer."""
     exaggeration: float = 5.0
@@ -41,7 +44,7 @@ def run(args: Args) -> None:
     from anther import viewer  # needs the extra `view`
 
     check_range("exaggeration", args.exaggeration, 0, 1000)
-    results = skeleton_results(args.run) if args.run.is_file() else read_run(args.run)
+    results = skeleton_results(args.run, args.units) if args.run.is_file() else read_run(args.run)
     if args.html is None:
         viewer.serve(results, args.port or 8080, exaggeration=args.exaggeration)
     else:
@@ -49,9 +52,9 @@ def run(args: Args) -> None:
         print(f"scene: {args.html}")
 
 
-def skeleton_results(path: Path) -> RunResults:
+def skeleton_results(path: Path, units: Units | None = None) -> RunResults:
     """Return what can be shown of an imported skeleton: its lines and, if one is found, its main stem."""
-    source, skeleton = read_source(path)
+    source, skeleton = read_source(path, units=units)
     stem = None
     with suppress(StageFailure):
         stem = main_stem(skeleton)

@@ -154,9 +154,15 @@ def _stamp(kind: str, data: bytes, time: int, ros1: bool) -> float:
     return (seconds + nanoseconds * 1e-9) or time * 1e-9
 
 
-_WITH_HEADER = {"Image", "CompressedImage", "CameraInfo", "PoseStamped", "TransformStamped"}
+_WITH_HEADER = {
+    "Image", "CompressedImage", "CameraInfo", "PoseStamped", "TransformStamped", "PoseWithCovarianceStamped",
+    "Odometry",
+}  # fmt: skip
 _ALIGNED = ("aligned_depth", "depth_registered", "depth_to_rgb", "depth_to_color")
-_POSES = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped")
+_POSES = (
+    *(f"geometry_msgs/msg/{name}Stamped" for name in ("Pose", "Transform", "PoseWithCovariance")),
+    "nav_msgs/msg/Odometry",
+)
 _IMAGE, _COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 _TEXT = "std_msgs/msg/String"
 
@@ -176,7 +182,7 @@ class Topics(NamedTuple):
 
     Attributes:
         color, depth: of the cameras; aligned depth that has no CameraInfo of its own has the colour's.
-        poses: one of PoseStamped or TransformStamped, and those of tf.
+        poses: one of PoseStamped, TransformStamped, PoseWithCovarianceStamped or Odometry, and those of tf.
         unit: the depth unit [m], or "".
         by_sdk: whether librealsense's recorder wrote the images: its frame names mean nothing.
     """
@@ -195,7 +201,7 @@ class Topics(NamedTuple):
 def find_topics(bag: BagFile, color: str | None, depth: str | None, pose: str | None) -> Topics:
     """Return the topics to read; those that are given are only checked."""
     images = {t for t, kind in bag.topics.items() if kind in (_IMAGE, _COMPRESSED)}
-    deep = {t for t in images if bag.topics[t] == _IMAGE or t.endswith("/compressedDepth")}
+    deep = {t for t in images if bag.topics[t] == _IMAGE or "depth" in t.lower()}
     colourful = {t for t in images if "depth" not in t.lower() and ("color" in t.lower() or "rgb" in t.lower())}
     color = _one(bag, "colour", color, images, colourful, ("rect", "raw", "data"))
     depth = _one(bag, "depth", depth, deep, {t for t in deep if "depth" in t.lower()}, _ALIGNED)
@@ -231,6 +237,7 @@ def _one(
     for word in better:
         found = [t for t in found if word in t.lower()] or found
     found = [t for t in found if bag.topics[t] == _IMAGE] or found
+    found = [t for t in found if t.endswith("/compressedDepth")] or found
     if len(found) != 1:
         told = f"{len(found)} topics with {what} images" + (f" ({', '.join(found)})" if found else "")
         raise _missing(bag, told, f"one of {', '.join(sorted(among)) or 'sensor_msgs/Image'}", f"Name it: {option}.")

@@ -13,6 +13,7 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import cv2
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,7 +32,6 @@ _COLORS: dict[str, tuple[int, int | None]] = {
     "YUYV": (2, cv2.COLOR_YUV2RGB_YUY2), "yuv422": (2, cv2.COLOR_YUV2RGB_UYVY), "UYVY": (2, cv2.COLOR_YUV2RGB_UYVY),
 }  # fmt: skip
 _MILLIMETRES = {"16UC1", "mono16"}
-_COMPRESSED_DEPTH = "16UC1; compressedDepth"
 _PNG = b"\x89PNG"
 _ZSTD_FORMAT = re.compile(r"(\w+); zstd; (\d+)x(\d+) step=(\d+)")
 
@@ -44,10 +44,16 @@ class BagCamera(NamedTuple):
     maps: Maps | None
 
 
-def camera_of(topic: str, info: Any) -> BagCamera:
-    """Return the camera of a sensor_msgs/CameraInfo (ROS 1 or 2)."""
+def camera_of(topic: str, info: Any, *, rectified: bool = False) -> BagCamera:
+    """Return the camera of a sensor_msgs/CameraInfo (ROS 1 or 2).
+
+    Of images that are already `rectified` the projection P tells the camera, and the lens is out of them.
+    """
     K = np.array(check_array(f"{topic} K", info.K if hasattr(info, "K") else info.k, (9,)))
     D = np.array(check_array(f"{topic} D", info.D if hasattr(info, "D") else info.d, (None,)))
+    P = np.asarray(getattr(info, "P", getattr(info, "p", np.zeros(12))), dtype=np.float64)
+    if rectified and P.shape == (12,) and P[0] > 0:
+        K, D = P.reshape(3, 4)[:, :3].ravel(), np.zeros(0)
     intrinsics = Intrinsics(int(info.width), int(info.height), K[0], K[4], K[2], K[5])
     maps = straightening(topic, intrinsics, D, str(info.distortion_model))
     return BagCamera(intrinsics, str(info.header.frame_id), maps)
@@ -72,29 +78,89 @@ def colour_image(topic: str, message: Any) -> NDArray[np.uint8]:
 
 
 def depth_image(topic: str, message: Any, unit: float) -> NDArray[np.float32]:
-    """Return (H, W) z-depth [m], 0 where there is none: 16UC1, mono16 or a compressedDepth PNG in steps of `unit` [m],
-    or 32FC1 in metres (REP 118)."""
-    encoding = getattr(message, "encoding", getattr(message, "format", "?"))
-    if encoding.startswith(_COMPRESSED_DEPTH):
-        return _depth_png(topic, message).astype(np.float32) * np.float32(unit)
-    if encoding in _MILLIMETRES:
-        return _pixels(topic, message, np.dtype(np.uint16), 1).astype(np.float32) * np.float32(unit)
+    """Return (H, W) z-depth [m], 0 where there is none.
+
+    It is of 16 bits in steps of `unit` [m], or 32FC1 in metres (REP 118); raw, as a PNG, or as
+    compressed_depth_image_transport packs it (PNG or RVL).
+    """
+    raw = message if hasattr(message, "encoding") else None
+    encoding = str(message.format).partition(";")[0].strip() if raw is None else str(raw.encoding)
+    if encoding in _MILLIMETRES or (encoding == "png" and raw is None):
+        steps = _depth_steps(topic, message) if raw is None else _pixels(topic, raw, np.dtype(np.uint16), 1)
+        return steps.astype(np.float32) * np.float32(unit)
     if encoding == "32FC1":
-        depth = _pixels(topic, message, np.dtype(np.float32), 1)
-        return np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0))
-    allowed = f"16UC1, mono16, 32FC1 or {_COMPRESSED_DEPTH} png"
-    raise bad_input(topic, given=f"encoding {encoding}", allowed=allowed, do="Name another depth topic.")
+        depth = _depth_of_inverse(topic, message) if raw is None else _pixels(topic, raw, np.dtype(np.float32), 1)
+        return np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0)).astype(np.float32)
+    allowed = "16UC1, mono16 or 32FC1, raw, png or compressedDepth"
+    given = f"encoding {getattr(message, 'format', encoding)}"
+    raise bad_input(topic, given=given, allowed=allowed, do="Name another depth topic.")
 
 
-def _depth_png(topic: str, message: Any) -> NDArray[np.uint16]:
-    """Return (H, W) of a compressedDepth image: a PNG behind a header that 16-bit depth does not need."""
+_HEADER = 12
+"""compressed_depth_image_transport's: an int32, and two float32 by which it packs metres."""
+
+
+def _depth_of_inverse(topic: str, message: Any) -> NDArray[np.float32]:
+    """Return (H, W) depth [m] that was packed as steps v of its inverse: depth = a / (v - b); v = 0 is no reading."""
+    steps, data = _depth_steps(topic, message), bytes(message.data)
+    a, b = np.frombuffer(data[4:_HEADER], "<f4")
+    if data.startswith(_PNG) or not np.isfinite([a, b]).all() or a <= 0:
+        given, do = f"{message.format} without the numbers that it is packed by", "Record compressedDepth."
+        raise bad_input(topic, given=given, allowed="compressedDepth of 32FC1", do=do)
+    with np.errstate(divide="ignore"):
+        return np.where(steps > 0, np.float32(a) / (steps.astype(np.float32) - np.float32(b)), np.float32(0))
+
+
+def _depth_steps(topic: str, message: Any) -> NDArray[np.uint16]:
+    """Return (H, W) of a packed depth image: a PNG of 16 bits, perhaps behind a header, or RVL."""
     data = bytes(message.data)
+    if "rvl" in message.format.lower():
+        return _unpacked_rvl(topic, data[_HEADER:])
     at = data.find(_PNG, 0, 64)
     whole = at >= 0 and is_intact(data[at:])
     image = cv2.imdecode(np.frombuffer(data[at:], np.uint8), cv2.IMREAD_UNCHANGED) if whole else None
     if image is None or image.dtype != np.uint16 or image.ndim != 2:
         raise bad_input(topic, given=f"damaged {message.format}", allowed="a 16-bit PNG", do="Record it anew.")
     return np.asarray(image, dtype=np.uint16)
+
+
+def _unpacked_rvl(topic: str, data: bytes) -> NDArray[np.uint16]:
+    """Return (H, W) of width, height (uint32) and RVL (A. Wilson 2017): runs of zeros, and steps between others."""
+    width, height = (int(n) for n in np.frombuffer(data[:8].ljust(8, b"\0"), "<u4"))
+    words = np.frombuffer(data[8 : 8 + (len(data) - 8) // 4 * 4], "<u4")
+    flat = _rvl(words, width * height) if 0 < width * height <= 32 * len(data) else np.zeros(0, np.uint16)
+    if not len(flat):
+        raise bad_input(topic, given="damaged RVL", allowed="a whole depth image", do="Record it anew.")
+    return flat.reshape(height, width)
+
+
+@numba.njit(cache=True)
+def _rvl(words: Any, count: int) -> Any:
+    """Return (count,) depths; empty if the (n,) words of eight nibbles end before."""
+    out = np.zeros(count, np.uint16)
+    at, nibble, last, zeros, run = 0, 0, 0, True, 0
+    while at < count or run:
+        value, shift = 0, 0
+        while True:
+            if nibble >= 8 * len(words):
+                return out[:0]
+            four = (int(words[nibble // 8]) >> (28 - 4 * (nibble % 8))) & 15
+            nibble += 1
+            value |= (four & 7) << shift
+            shift += 3
+            if four < 8:
+                break
+        if run:
+            last += -((value + 1) >> 1) if value & 1 else value >> 1
+            out[at] = last & 0xFFFF
+            at, run = at + 1, run - 1
+        elif zeros:
+            at, zeros = at + value, False
+        else:
+            run, zeros = value, True
+        if at + run > count:
+            return out[:0]
+    return out
 
 
 def _raw(topic: str, message: Any) -> SimpleNamespace:
@@ -162,6 +228,11 @@ class FrameTree:
                 self.static[child] = T
             else:
                 self.moving.setdefault(child, []).append((stamp_of(one.header), T))
+
+    def moves(self, frame: str) -> bool:
+        """Return whether a link above a frame moves."""
+        frame = frame.lstrip("/")
+        return frame in self.parent and any(name in self.moving for name in self._chain(frame, None))
 
     def lookup(self, frame: str, world: str | None) -> Where:
         """Return what tells a frame's pose in `world`, an ancestor of it (None: the root of its tree), and how far off

@@ -42,7 +42,9 @@ class BagOptions:
 
     Attributes:
         color_topic, depth_topic: images; None: found by name.
-        pose_topic: geometry_msgs/PoseStamped or TransformStamped; None: the only one there is, else tf.
+        pose_topic: PoseStamped, TransformStamped, PoseWithCovarianceStamped or Odometry; None: tf where it moves the
+            camera, else the only one there is.
+        pose_frame: the frame in tf whose poses that topic tells; None: the one it names, else the camera's.
         poses: a trajectory file (time x y z qx qy qz qw) instead: RealSense's own bags hold no poses.
         camera_frame: the camera's optical frame in tf; None: the one its camera info names.
         world_frame: the world's frame in tf; None: the root of the camera's tree.
@@ -55,6 +57,7 @@ class BagOptions:
     color_topic: str | None = None
     depth_topic: str | None = None
     pose_topic: str | None = None
+    pose_frame: str | None = None
     poses: Path | None = None
     camera_frame: str | None = None
     world_frame: str | None = None
@@ -89,6 +92,7 @@ class _Contents:
 
     infos: dict[str, BagCamera] = field(default_factory=dict)
     poses: list[tuple[float, Array]] = field(default_factory=list)
+    posed: str = ""
     times: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
     frames: FrameTree = field(default_factory=FrameTree)
     extrinsics: dict[str, Array] = field(default_factory=dict)
@@ -119,9 +123,8 @@ def read_bag(path: Path | str, options: BagOptions | None = None) -> BagViews:
         topics = find_topics(bag, options.color_topic, options.depth_topic, options.pose_topic)
         held = _first_pass(bag, topics)
         camera, depth_camera, T_color_depth = _cameras(str(path), topics, held)
-        views, notes = _matched(
-            str(path), topics, held, _where(str(path), topics, held, options, camera.frame), options
-        )
+        where, told = _where(str(path), topics, held, options, camera.frame)
+        views, notes = _matched(str(path), topics, held, where, options)
         images = _images(bag, topics, held.unit, views)
     depth = [straightened(image, depth_camera.maps, nearest=True) for image, _ in images]
     if T_color_depth is not None:
@@ -132,7 +135,7 @@ def read_bag(path: Path | str, options: BagOptions | None = None) -> BagViews:
         T_world_cam=np.stack([view.T_world_cam for view in views]),
         rgb=np.stack([straightened(image, camera.maps, nearest=False) for _, image in images]),
     )
-    return BagViews(capture, np.array([view.time for view in views]), notes)
+    return BagViews(capture, np.array([view.time for view in views]), (*notes, *told))
 
 
 def _first_pass(bag: BagFile, topics: Topics) -> _Contents:
@@ -156,10 +159,16 @@ def _keep(held: _Contents, message: Recorded, bag: BagFile, topics: Topics) -> N
     value: Any = bag.decode(message)
     match message.kind.rpartition("/")[2]:
         case "CameraInfo":
-            held.infos.setdefault(message.topic, camera_of(message.topic, value))
+            stream = topics.color if message.topic == topics.color.info else topics.depth
+            rectified = "rect" in stream.images.lower()
+            held.infos.setdefault(message.topic, camera_of(message.topic, value, rectified=rectified))
         case "PoseStamped":
             held.poses.append((message.stamp, pose_matrix(value.pose.position, value.pose.orientation)))
+        case "PoseWithCovarianceStamped" | "Odometry":
+            pose, held.posed = value.pose.pose, str(getattr(value, "child_frame_id", ""))
+            held.poses.append((message.stamp, pose_matrix(pose.position, pose.orientation)))
         case "TransformStamped":
+            held.posed = str(value.child_frame_id)
             held.poses.append((message.stamp, pose_matrix(value.transform.translation, value.transform.rotation)))
         case "Transform":
             held.extrinsics[message.topic] = pose_matrix(value.translation, value.rotation)
@@ -215,25 +224,59 @@ def _cameras(path: str, topics: Topics, held: _Contents) -> tuple[BagCamera, Bag
     return color, depth, None if same and np.allclose(T_color_depth, np.eye(4), atol=1e-5) else T_color_depth
 
 
-def _where(path: str, topics: Topics, held: _Contents, options: BagOptions, frame: str) -> Where:
-    """Return what tells the camera's pose at a time."""
-    camera = np.eye(4) if options.camera_in_pose is None else transform_from_pose7(options.camera_in_pose)
-    told = sorted_series(held.poses) if held.poses else None
-    series = told if options.poses is None else read_trajectory(options.poses)
-    if series is None and not held.frames.parent:
+def _where(
+    path: str, topics: Topics, held: _Contents, options: BagOptions, frame: str
+) -> tuple[Where, tuple[str, ...]]:
+    """Return what tells the camera's pose at a time, and notes."""
+    frame = (options.camera_frame or frame).lstrip("/")
+    explicit = any(o is not None for o in (options.pose_topic, options.pose_frame, options.camera_in_pose))
+    by_tf = held.frames.moves(frame) and not explicit
+    camera, notes = np.eye(4), ()
+    if options.camera_in_pose is not None:
+        camera = transform_from_pose7(options.camera_in_pose)
+    if options.poses is not None:
+        where = read_trajectory(options.poses).at
+    elif held.poses and not by_tf:
+        where = sorted_series(held.poses).at
+        if options.camera_in_pose is None:
+            camera, notes = _in_pose(topics.poses[0], held, options.pose_frame, frame)
+    elif held.frames.parent:
+        where = held.frames.lookup(frame, options.world_frame)
+        notes = (f"poses are those of tf; {topics.poses[0]} is not used (--pose-topic)",) if held.poses else ()
+    else:
         raise bad_input(
             path,
             given="no poses",
-            allowed="a topic of geometry_msgs/PoseStamped or TransformStamped, /tf, or a trajectory file",
+            allowed="a topic of PoseStamped, TransformStamped or Odometry, /tf, or a trajectory file",
             do="Record one, or give --poses FILE with rows: time x y z qx qy qz qw (camera in world).",
         )
-    where = held.frames.lookup(options.camera_frame or frame, options.world_frame) if series is None else series.at
 
     def camera_at(time: float) -> tuple[Array, float]:
         T, off = where(time)
         return T @ camera, off
 
-    return camera_at
+    return camera_at, notes
+
+
+def _in_pose(topic: str, held: _Contents, given: str | None, frame: str) -> tuple[Array, tuple[str, ...]]:
+    """Return the camera's pose in the frame whose poses a topic tells, and notes.
+
+    Raises:
+        InputError: it is another frame than the camera's, or that is not said, and nothing joins them.
+    """
+    own, above = (given or held.posed).lstrip("/"), held.frames.parent.get(frame)
+    if own:
+        T = np.eye(4) if own == frame else held.frames.between(own, frame)
+        if T is None:
+            fault, allowed = f"poses of '{own}', a camera in '{frame}'", "fixed transforms between them in /tf_static"
+            do = "Record them, or give --camera-in-pose x y z qx qy qz qw, or --pose-frame if it is another frame's."
+            raise bad_input(topic, given=fault, allowed=allowed, do=do)
+        return T, (f"{topic} tells the poses of '{own}'; the camera is '{frame}' on it",) if own != frame else ()
+    if above is not None:
+        fault = f"poses that do not say whose they are: the camera's '{frame}' or of what carries it, as '{above}'"
+        do = f"Say it: --pose-frame {frame}, or another of {', '.join(sorted({*held.frames.parent.values()}))}."
+        raise bad_input(topic, given=fault, allowed="the frame's name", do=do)
+    return np.eye(4), (f"{topic} is taken for the poses of the camera's optical frame; else see --camera-in-pose",)
 
 
 def _matched(

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, get_args
 
 import numpy as np
 from numpy.lib.recfunctions import structured_to_unstructured
@@ -17,22 +17,25 @@ from small_gicp import voxelgrid_sampling
 from anther.checks import check_array
 from anther.cloud import Cloud, ply
 from anther.errors import AntherError, bad_input
-from anther.files import existing, load_npz, read_lines, understood, whole_file
+from anther.files import existing, load_npz, understood, whole_file
+from anther.formats._cloud_text import read_text
+from anther.formats._raw_points import (
+    LARGEST,
+    LIKELY,
+    METRES,
+    SMALLEST,
+    Axis,
+    RawPoints,
+    Units,
+    other_units,
+    unused_note,
+)  # fmt: skip
 from anther.geometry import Array
 from anther.skeleton import skeletonize
 from anther.stem import find_stem
 
-Units = Literal["m", "cm", "mm", "0.01mm"]
-Axis = Literal["x", "y", "z"]
-
-_METRES: dict[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "0.01mm": 1e-5}
 _FEWEST = 50
 _MOST_BROKEN = 0.05
-_SMALLEST, _LARGEST = 0.005, 20.0
-"""What is smaller or larger is no plant [m]: a 0.6 m plant in mm, read as metres, measures 600 m."""
-_LIKELY = (0.03, 5.0)
-"""From a seedling to a vine in a greenhouse [m]. Two units can both be likely: then it is for the person to say."""
-
 TO_Z_UP: dict[Axis, list[int]] = {"x": [1, 2, 0], "y": [2, 0, 1], "z": [0, 1, 2]}
 """Axis that is up -> in which order a file's axes are x, y, z with z up."""
 DOUBT = 2.0
@@ -47,22 +50,13 @@ MOST_POINTS = 20_000_000
 """Most points of a cloud that is read: with colours and copies some 2 GB. A guess."""
 
 
-class RawPoints(NamedTuple):
-    """What a file holds: points (N, 3), NaN allowed, colours (N, 3) uint8, and the units and the up axis it states."""
-
-    points: Array
-    colors: NDArray[Any] | None = None
-    units: Units | None = None
-    up: Axis | None = None
-
-
 def read_cloud(
     path: Path | str, units: Units | None = None, up: Axis | None = None, *, plant: int | None = None
 ) -> Cloud:
     """Return the cloud in a file, in metres with z up.
 
     Args:
-        path: .ply, .pcd, .xyz, .txt, .csv, .asc or .npz.
+        path: .ply, .pcd, .xyz, .txt, .csv, .asc, .pts or .npz.
         units: of the file; None takes what the file states, else metres, with a note.
         up: axis that points up in the file; None takes what the file states, else z, with a note, which names another
             axis where its stem is the better one (`axis_notes`, 0.2 s).
@@ -74,12 +68,14 @@ def read_cloud(
     """
     path = existing(path)
     raw = _read(path, plant)
+    other = f"it states {raw.units} and is read in {units}" if units and raw.units and units != raw.units else ""
     units, up = units or raw.units, up or raw.up
     taken = [] if units else ["in metres (--units)"]
     taken += [] if up else ["with z up (--up)"]
-    upright = np.ascontiguousarray(raw.points[:, TO_Z_UP[up or "z"]]) * _METRES[units or "m"]
+    upright = np.ascontiguousarray(raw.points[:, TO_Z_UP[up or "z"]]) * METRES[units or "m"]
     cloud = checked_cloud(path, RawPoints(upright, raw.colors), units or "m")
     notes = (f"the file does not say all: it is read {' and '.join(taken)}",) if taken else ()
+    notes = (*raw.notes, *([f"{path.name}: {other}"] if other else []), *notes)
     axis = () if up else axis_notes(cloud.points)
     return replace(cloud, notes=(*cloud.notes, *axis, *notes))
 
@@ -99,9 +95,9 @@ def checked_cloud(path: Path, raw: RawPoints, units: str) -> Cloud:
     _check_enough(path, finite)
     points = raw.points[finite]
     unlikely = _check_size(path, points, units)
-    near = np.abs(points - np.median(points, axis=0)).max(axis=1) <= _LARGEST
+    near = np.abs(points - np.median(points, axis=0)).max(axis=1) <= LARGEST
     kept = np.flatnonzero(finite)[near]
-    broken, why = len(finite) - len(kept), f"NaN, infinite or more than {_LARGEST:g} m away"
+    broken, why = len(finite) - len(kept), f"NaN, infinite or more than {LARGEST:g} m away"
     notes = (f"{path.name}: {broken} of {len(finite)} points were {why} and dropped",) if broken else ()
     notes += unlikely
     return Cloud(points[near], colors=None if raw.colors is None else raw.colors[kept], notes=notes)
@@ -113,11 +109,11 @@ def _read(path: Path, plant: int | None) -> RawPoints:
             return read_ply(path)
         case ".pcd":
             return read_pcd(path)
-        case ".xyz" | ".txt" | ".csv" | ".asc":
+        case ".xyz" | ".txt" | ".csv" | ".asc" | ".pts":
             return read_text(path)
         case ".npz":
             return read_npz_points(path, plant)
-    allowed, do = ".ply, .pcd, .xyz, .txt, .csv, .asc, .npz", "Export it to one of these."
+    allowed, do = ".ply, .pcd, .xyz, .txt, .csv, .asc, .pts, .npz", "Export it to one of these."
     raise bad_input(str(path), given=f"suffix '{path.suffix}'", allowed=allowed, do=do)
 
 
@@ -134,20 +130,10 @@ def _check_size(path: Path, points: np.ndarray, units: str) -> tuple[str, ...]:
     """Return a note if the plant has an unlikely size [m]; refuse what has none of a plant."""
     size = float(np.linalg.norm(np.subtract(*np.quantile(points, [0.995, 0.005], axis=0))))
     given = f"a plant of {size:.3g} m (read in {units})"
-    do = _other_units(size, units)
-    if not _SMALLEST <= size <= _LARGEST:
-        raise bad_input(str(path), given=given, allowed=f"{_SMALLEST:g} <= size <= {_LARGEST:g} m", do=do)
-    return () if _LIKELY[0] <= size <= _LIKELY[1] else (f"{path.name}: {given}. {do}",)
-
-
-def _other_units(size: float, units: str) -> str:
-    """Return which units would make a plant of what measures `size` [m] in these."""
-    if units not in _METRES:
-        return "Wrong scale?"
-    sizes = {other: size / _METRES[units] * metres for other, metres in _METRES.items() if other != units}
-    likely = [f"--units {other} ({s:.2g} m)" for other, s in sizes.items() if _LIKELY[0] <= s <= _LIKELY[1]]
-    none = f"In none of {', '.join(_METRES)} is it one: are the units others?"
-    return f"Wrong units? Try {' or '.join(likely)}." if likely else none
+    do = other_units(size, units)
+    if not SMALLEST <= size <= LARGEST:
+        raise bad_input(str(path), given=given, allowed=f"{SMALLEST:g} <= size <= {LARGEST:g} m", do=do)
+    return () if LIKELY[0] <= size <= LIKELY[1] else (f"{path.name}: {given}. {do}",)
 
 
 def axis_notes(points: Array) -> tuple[str, ...]:
@@ -186,24 +172,7 @@ def stem_worth(points: Array) -> float:
 def read_ply(path: Path) -> RawPoints:
     """Read a PLY, ASCII or binary; of a mesh, its vertices."""
     stored = ply.read_ply(path)
-    return RawPoints(stored["points"], stored["colors"])
-
-
-def read_text(path: Path) -> RawPoints:
-    """Read rows of x y z, further columns (r g b as 0-255) optional, separated by blanks, commas or semicolons."""
-    with understood(path, "rows of at least three numbers: x y z", _CUT):
-        lines = [line.replace(",", " ").replace(";", " ") for line in read_lines(path)]
-        lines = [line for line in lines if _is_row(line)]
-        if not lines:
-            raise ValueError("no row of numbers")
-        rows = np.loadtxt(lines, dtype=np.float64, ndmin=2)
-    if rows.shape[1] < 3:
-        raise bad_input(str(path), given=f"{rows.shape[1]} columns", allowed="x y z [r g b]", do="Export x, y and z.")
-    colors = rows[:, 3:6]
-    is_colour = (
-        colors.shape[1] == 3 and np.all((colors >= 0) & (colors <= 255)) and float(np.max(colors, initial=0)) > 1
-    )
-    return RawPoints(rows[:, :3], colors.astype(np.uint8) if is_colour else None)
+    return RawPoints(stored["points"], stored["colors"], notes=unused_note(stored["unused"]))
 
 
 def read_npz_points(path: Path, plant: int | None) -> RawPoints:
@@ -221,10 +190,10 @@ def read_npz_points(path: Path, plant: int | None) -> RawPoints:
     with understood(path, "numbers in points, colors, offsets and up", "Write the arrays anew."):
         part = _plant_part(path, held.get("offsets"), len(stored), plant)
         points = check_array(f"{path}: points", stored[part], (None, 3), finite=False) / per_unit
-        colors = held.get("colors")
+        colors = next((held[name] for name in _NPZ_COLORS if name in held), None)
         if colors is not None and (colors.ndim != 2 or colors.shape[1] < 3 or len(colors) != len(stored)):
             colors = None
-        seen = None if colors is None else _bytes(colors[part, :3])
+        seen = None if colors is None else ply.color_bytes(colors[part, :3])
         return RawPoints(points, seen, _units(path, held), _up(held))
 
 
@@ -240,10 +209,16 @@ def read_pcd(path: Path) -> RawPoints:
     if missing:
         raise bad_input(str(path), given=f"no field {sorted(missing)}", allowed="fields x y z", do="Export x, y, z.")
     points = structured_to_unstructured(rows[["x", "y", "z"]], dtype=np.float64)
-    return RawPoints(points, _packed_rgb(rows["rgb"]) if "rgb" in (record.names or ()) else None)
+    names = [name for name in record.names or () if not record[name].shape]
+    colors, taken = ply.find_colors(names, lambda name: rows[name])
+    unused = [name for name in record.names or () if name not in {*"xyz", *taken} and not name.startswith("_")]
+    posed = [float(n) for n in header.get("VIEWPOINT", [])] not in ([], [0, 0, 0, 1, 0, 0, 0])
+    notes = (f"its VIEWPOINT {' '.join(header['VIEWPOINT'])} is not applied",) if posed else ()
+    return RawPoints(points, colors, notes=(*unused_note(unused), *notes))
 
 
-_NPZ_KEYS = {"points", "points_x100", "offsets", "colors", "units", "up"}
+_NPZ_COLORS = ("colors", "colours", "rgb", "color")
+_NPZ_KEYS = {"points", "points_x100", "offsets", "units", "up", *_NPZ_COLORS}
 
 
 def _plant_part(path: Path, offsets: NDArray[Any] | None, count: int, plant: int | None) -> slice:
@@ -275,11 +250,6 @@ def _units(path: Path, held: dict[str, NDArray[Any]]) -> Units | None:
 def _up(held: dict[str, NDArray[Any]]) -> Axis | None:
     up = np.asarray(held.get("up", (0, 0, 0)), dtype=np.float64)
     return ("x", "y", "z")[int(np.argmax(up))] if up.shape == (3,) and up.max() > 0.9 else None
-
-
-def _bytes(colors: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return colours 0-255; what lies outside, or is no number, goes to the nearest that does not."""
-    return np.clip(np.nan_to_num(colors.astype(np.float64)), 0, 255).astype(np.uint8)
 
 
 def _pcd_header(path: Path, content: bytes) -> tuple[dict[str, list[str]], bytes]:
@@ -376,15 +346,3 @@ def _pcd_binary(body: bytes, record: np.dtype[Any], count: int) -> NDArray[Any]:
 
 
 _PCD_BODIES = {"ascii": _pcd_ascii, "binary": _pcd_binary, "binary_compressed": _pcd_compressed}
-
-
-def _packed_rgb(values: NDArray[Any]) -> NDArray[Any]:
-    """Return (N, 3) colours from PCL's packed field: 0x00RRGGBB, often stored in the bits of a float."""
-    bits = np.ascontiguousarray(values).view(np.uint32) if values.dtype.itemsize == 4 else values.astype(np.uint32)
-    return np.stack([(bits >> shift) & 255 for shift in (16, 8, 0)], axis=1).astype(np.uint8)
-
-
-def _is_row(line: str) -> bool:
-    """Tell rows of numbers from headers, comments and a leading count."""
-    words = line.split()
-    return (len(words) > 1 and words[0].lstrip("+-.")[:1].isdigit()) or (bool(words) and words[0].lower() == "nan")

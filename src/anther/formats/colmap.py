@@ -23,7 +23,7 @@ from anther.capture import PIXEL_CENTRE, Capture
 from anther.checks import check_range
 from anther.cloud import Cloud
 from anther.errors import bad_input
-from anther.files import existing, read_lines, understood, whole_file
+from anther.files import existing, named_file, read_lines, understood, whole_file
 from anther.formats.clouds import RawPoints, checked_cloud, read_ply
 from anther.geometry import Array, Intrinsics, inverse, transform
 from anther.images import read_image
@@ -105,12 +105,19 @@ def read_colmap_capture(folder: Path | str, scale: float | None = None, up: str 
         raise bad_input(str(folder / "stereo/depth_maps"), given=given, allowed=allowed, do=do)
     intrinsics = _intrinsics(read_cameras(model), images)
     depth = np.stack([_depth(maps[image.name], intrinsics, scale) for image in images])
-    rgb = [_colour(folder / "images" / image.name, intrinsics) for image in images]
+    rgb = [_colour(named_file(folder / "images", image.name), intrinsics) for image in images]
     return Capture(
         depth=depth,
         intrinsics=intrinsics,
         T_world_cam=_upright(np.stack([image.T_world_cam for image in images]), scale, R_world_model),
         rgb=np.stack(rgb),
+    )
+
+
+def without_depth(folder: Path | str) -> tuple[str, ...]:
+    """Return the names of the workspace's images that have no depth map, which `read_colmap_capture` leaves out."""
+    return tuple(
+        i.name for i in read_images(_model_folder(existing(folder))) if _depth_path(Path(folder), i.name) is None
     )
 
 
@@ -144,7 +151,7 @@ def _model_folder(folder: Path) -> Path:
 
 
 def _depth_path(folder: Path, name: str) -> Path | None:
-    paths = (folder / "stereo/depth_maps" / f"{name}.{kind}.bin" for kind in DEPTH_MAPS)
+    paths = (named_file(folder / "stereo/depth_maps", f"{name}.{kind}.bin") for kind in DEPTH_MAPS)
     return next((path for path in paths if path.exists()), None)
 
 
@@ -205,6 +212,7 @@ MODELS = {
 
 _SAME_FOCAL = {"SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"}
 _LONGEST_NAME = 4096
+_SAID = re.compile(r"# Number of (?:cameras|images|points): (\d+)")
 _CUT = "Is it truncated?"
 
 T = TypeVar("T")
@@ -280,7 +288,12 @@ def _rows(
     with understood(path, f"COLMAP's {name}", _CUT):
         if path.suffix == ".bin":
             return list(binary(path.read_bytes()))
-        return list(text([line for line in read_lines(path) if not line.startswith("#")]))
+        lines = read_lines(path)
+        found = list(text([line for line in lines if not line.startswith("#")]))
+        said = [m for line in lines if (m := _SAID.match(line))]
+        if said and int(said[0][1]) != len(found):
+            raise ValueError(f"{len(found)} {name}, where its head says {said[0][1]}")
+        return found
 
 
 def _cameras_binary(data: bytes) -> Iterator[tuple[int, ColmapCamera]]:
@@ -316,11 +329,24 @@ def _images_binary(data: bytes) -> Iterator[ColmapImage]:
 
 
 def _images_text(lines: list[str]) -> Iterator[ColmapImage]:
-    """Two lines an image; the second (its points) may be empty."""
-    for line in lines[::2]:
-        if line.strip():
+    """Two lines an image; the second, its points (three numbers each), may be empty or left out."""
+    behind_image = False
+    for line in lines:
+        words = line.split()
+        if behind_image and (not words or (len(words) % 3 == 0 and all(map(_is_number, words)))):
+            behind_image = False
+        elif words:
             _, *pose, camera, name = line.split(maxsplit=9)
+            behind_image = True
             yield ColmapImage(name.strip(), int(camera), _pose([float(word) for word in pose]))
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def _pose(numbers: list[float]) -> Array:

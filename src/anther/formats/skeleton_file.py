@@ -7,7 +7,7 @@ file's own node numbers, so that a node is called the same outside and inside.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from anther.checks import check_array
 from anther.errors import bad_input
+from anther.formats._raw_points import LIKELY, METRES, SMALLEST, Units, other_units
 from anther.geometry import Array
 from anther.skeleton import Skeleton
 
@@ -31,6 +32,9 @@ class SkeletonFile:
         radius: (J,) [m], or None where the file has none.
         numbers: (J,) int, the number each node has in the file (zero-based for most, the id for SWC and MTG).
         labels: the J organ names ("stem", "branch", ...), or None where the file has none.
+        units: of the file, where it states them.
+        merged: numbers of nodes of the file that repeat another's point -> the other's number.
+        notes: what the user should know.
     """
 
     nodes: Array
@@ -38,6 +42,9 @@ class SkeletonFile:
     radius: Array | None
     numbers: NDArray[Any]
     labels: tuple[str, ...] | None = None
+    units: Units | None = None
+    merged: dict[int, int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         n = len(self.nodes)
@@ -48,10 +55,33 @@ class SkeletonFile:
             object.__setattr__(self, "radius", check_array("skeleton radius", self.radius, (n,)))
         if self.labels is not None and len(self.labels) != n:
             raise bad_input("skeleton labels", given=len(self.labels), allowed=f"{n}, one a node", do="Label all.")
-        extent = float(np.ptp(self.nodes, axis=0).max(initial=0))
-        if extent > LARGEST_PLANT:
-            allowed = f"<= {LARGEST_PLANT:g} m"
-            raise bad_input("skeleton", given=f"{extent:g} m across", allowed=allowed, do="Give metres, not mm.")
+
+    @property
+    def _tips(self) -> NDArray[np.bool_]:
+        return ~np.isin(np.arange(len(self.nodes)), self.parent)
+
+    def in_metres(self, units: Units | None) -> SkeletonFile:
+        """Return the same tree in metres: its numbers are in `units`, else in what the file states, else in metres.
+
+        Raises:
+            InputError: a size no plant has; or an unlikely one where nobody stated the units.
+        """
+        told = units or self.units
+        metres = METRES[told or "m"]
+        size = float(np.linalg.norm(np.ptp(self.nodes, axis=0))) * metres
+        lower, upper = SMALLEST, LARGEST_PLANT if told else LIKELY[1]
+        if not lower <= size <= upper:
+            given = f"a plant of {size:.3g} m (read in {told or 'metres'})"
+            allowed = f"{lower:g} <= size <= {upper:g} m"
+            right = " If it is right: --units m." if LIKELY[1] < size <= LARGEST_PLANT else ""
+            do = other_units(size, told or "m") + right
+            raise bad_input("skeleton", given=given, allowed=allowed, do=do)
+        other = bool(units and self.units and units != self.units)
+        notes = (f"the file states {self.units} and is read in {units}",) if other else ()
+        radius = None if self.radius is None else self.radius * metres
+        pointed = 0 if radius is None or not np.any(radius > 0) else int(np.sum(self._tips & (radius <= 0)))
+        notes += (f"{pointed} tips of radius 0 are taken for {1e3 * THINNEST:g} mm thin",) if pointed else ()
+        return replace(self, nodes=self.nodes * metres, radius=radius, notes=(*self.notes, *notes))
 
     def node(self, number: int) -> int:
         """Return the index of the node that the file calls `number`.
@@ -59,7 +89,7 @@ class SkeletonFile:
         Raises:
             InputError: the file has no such node.
         """
-        found = np.flatnonzero(self.numbers == number)
+        found = np.flatnonzero(self.numbers == self.merged.get(number, number))
         if not found.size:
             allowed = f"{self.numbers.min()} .. {self.numbers.max()}"
             raise bad_input("node number", given=number, allowed=allowed, do="Use the file's own node numbers.")
@@ -77,7 +107,8 @@ class SkeletonFile:
         edges = np.stack([self.parent[1:], np.arange(1, len(self.nodes))], axis=1)
         labels = None if self.labels is None else list(self.labels)
         root = _base(self.nodes, edges) if number is None else self.node(number)
-        return rooted(self.nodes, edges, radius=self.radius, numbers=self.numbers, root=root, labels=labels)
+        turned = rooted(self.nodes, edges, radius=self.radius, numbers=self.numbers, root=root, labels=labels)
+        return replace(turned, units=self.units, merged=self.merged, notes=self.notes)
 
     def without_scraps(self) -> SkeletonFile:
         """Return the tree without what leaves the root and stays low: soil in the scan. What goes up stays."""
@@ -92,18 +123,31 @@ class SkeletonFile:
         parent = np.searchsorted(kept, self.parent[kept], side="right") - 1
         labels = None if self.labels is None else tuple(self.labels[j] for j in kept)
         radius = None if self.radius is None else self.radius[kept]
-        return SkeletonFile(self.nodes[kept], parent, radius, self.numbers[kept], labels)
+        return replace(
+            self, nodes=self.nodes[kept], parent=parent, radius=radius, numbers=self.numbers[kept], labels=labels
+        )
 
-    def skeleton(self, radius: float | Array | None = None) -> Skeleton:
-        """Return the `Skeleton`; `radius` [m], one or (J,), replaces the file's radii.
+    def skeleton(self, radius: float | Array | None = None, least: float = 0.0) -> Skeleton:
+        """Return the `Skeleton`; `radius` [m], one or (J,), replaces the file's radii. None is less than `least` [m].
+
+        A tip that tapers to 0 is as thin as anything is supposed to be (`THINNEST`).
 
         Raises:
-            InputError: neither the file nor the caller gives a radius.
+            InputError: neither the file nor the caller gives a radius, or some node's is not above 0.
         """
         if radius is None and self.radius is None:
             raise bad_input("radius", given="none", allowed="a radius [m]", do="This file has no radii: give one.")
         radii = self.radius if radius is None else np.broadcast_to(np.asarray(radius, dtype=float), len(self.nodes))
-        return Skeleton(self.nodes, self.parent, np.asarray(radii))
+        radii = np.maximum(np.asarray(radii), least)
+        hollow = radii <= 0
+        tips = hollow & self._tips
+        if np.any(hollow & ~tips):
+            node, count = int(self.numbers[np.flatnonzero(hollow & ~tips)[0]]), int((hollow & ~tips).sum())
+            given = f"radius 0 at node {node}" + (f" and {count - 1} more" if count > 1 else "")
+            do = "Give --radius, one for all, or --least-radius, or correct the file."
+            raise bad_input("skeleton radius", given=given, allowed="> 0 m, but for tips", do=do)
+        radii = np.where(tips, np.minimum(radii[self.parent], THINNEST), radii)
+        return Skeleton(self.nodes, self.parent, radii)
 
 
 def rooted(
@@ -130,6 +174,10 @@ def rooted(
     """
     n = len(nodes)
     numbers = np.arange(n) if numbers is None else numbers
+    if len(edges) == n - 1 and n > 2 and edges.min() >= 0 and edges.max() < n:
+        same = np.linalg.norm(nodes[edges[:, 0]] - nodes[edges[:, 1]], axis=1) <= ALIKE * np.ptp(nodes, axis=0).max()
+        if same.any() and not same.all():
+            return _merged(nodes, edges, same, radius, numbers, root, labels)
     if n < 2 or len(edges) != n - 1 or edges.min() < 0 or edges.max() >= n:
         allowed = "J >= 2 nodes and J - 1 edges between them: one tree"
         do = "Check for loops, loose parts and edge numbers outside the node list."
@@ -143,6 +191,43 @@ def rooted(
     above = np.where(parent[order] < 0, -1, place[parent[order]])
     named = None if labels is None else tuple(labels[j] for j in order)
     return SkeletonFile(nodes[order], above, None if radius is None else radius[order], numbers[order], named)
+
+
+ALIKE = 1e-6
+"""Nodes nearer to each other than this share of the plant's size are one point twice."""
+
+
+def _merged(
+    nodes: Array,
+    edges: NDArray[Any],
+    same: NDArray[np.bool_],
+    radius: Array | None,
+    numbers: NDArray[Any],
+    root: int | None,
+    labels: list[str] | None,
+) -> SkeletonFile:
+    """Return the tree whose edges without length, the `same`, are taken out: of such nodes the first stays.
+
+    Programs begin a branch with a copy of the point it leaves.
+    """
+    first = np.arange(len(nodes))
+    for a, b in edges[same]:
+        low, high = sorted((int(first[a]), int(first[b])))
+        first[first == high] = low
+    kept = np.unique(first)
+    place = np.searchsorted(kept, first)
+    merged = {int(numbers[j]): int(numbers[first[j]]) for j in np.flatnonzero(first != np.arange(len(nodes)))}
+    tree = rooted(
+        nodes[kept],
+        place[edges[~same]],
+        radius=None if radius is None else radius[kept],
+        numbers=numbers[kept],
+        root=None if root is None else int(place[root]),
+        labels=None if labels is None else [labels[j] for j in kept],
+    )
+    few = ", ".join(str(number) for number in list(merged)[:5]) + (" ..." if len(merged) > 5 else "")
+    note = f"nodes that repeat the point of the one they hang on were left out: {few}"
+    return replace(tree, merged=merged, notes=(note,))
 
 
 THINNEST = 0.5e-3

@@ -6,8 +6,10 @@ MTG and glTF have modules of their own (docs/formats.md).
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -19,6 +21,7 @@ from anther.cloud.ply import read_elements
 from anther.errors import bad_input
 from anther.files import LARGEST_TEXT, read_lines, replacing, understood, whole_file, write_text
 from anther.formats._mtg import read_mtg, write_mtg
+from anther.formats._raw_points import Units
 from anther.formats.skeleton_file import LARGEST_PLANT, SkeletonFile, rooted
 from anther.geometry import Array
 from anther.skeleton import Skeleton
@@ -139,27 +142,34 @@ def read_graphml(path: Path | str) -> SkeletonFile:
     )
 
 
-__all__ = ["LARGEST_PLANT", "READS", "WRITES", "SkeletonFile", "read_skeleton", "write_skeleton"]
+__all__ = ["LARGEST_PLANT", "READS", "WRITES", "SkeletonFile", "Units", "read_skeleton", "write_skeleton"]
 
 SWC_CUSTOM = 7
 """SWC leaves types from here on to the user (http://www.neuronland.org/NLMorphologyConverter/MorphologyFormats/SWC)."""
 
 
-def read_skeleton(path: Path | str) -> SkeletonFile:
-    """Read a skeleton: .npz (Anther), .swc, .ply (with edges), .graphml, .mtg or the paper's authors' .txt.
+def read_skeleton(path: Path | str, units: Units | None = None) -> SkeletonFile:
+    """Read a skeleton: .npz (Anther), .swc, .ply (with edges), .graphml, .mtg or the paper's authors' .txt; in metres.
 
-    A .txt (`*Nodes` x, y, z [m], then `*Edges`, 1-based pairs) and a .ply are rooted at their lowest node unless they
+    A .txt (`*Nodes` x, y, z, then `*Edges`, 1-based pairs) and a .ply are rooted at their lowest node unless they
     state a parent, the others at the file's own root.
 
+    Args:
+        path: the file.
+        units: of its lengths; None: those that it states, else metres if that makes a plant.
+
     Raises:
-        InputError: missing, unreadable, not one tree, not finite, or not in metres.
+        InputError: missing, unreadable, not one tree, not finite, or in units that make no plant.
     """
     path = whole_file(path, LARGEST_TEXT)
     suffix = path.suffix.lower()
     if suffix not in READS:
         raise bad_input(str(path), given=f"a {suffix} file", allowed=" ".join(READS), do="Convert it.")
     with understood(path, f"a {suffix} skeleton file", "See docs/formats.md."):
-        return READS[suffix](path)
+        found = READS[suffix](path).in_metres(units)
+        if found.radius is not None and not np.any(found.radius > 0):
+            found = replace(found, radius=None, notes=(*found.notes, "the file's radii are all 0: they are not known"))
+        return found
 
 
 def write_skeleton(path: Path | str, skeleton: Skeleton, labels: Sequence[str] | None = None) -> None:
@@ -212,7 +222,7 @@ def _write_txt(path: Path, skeleton: Skeleton, labels: Sequence[str] | None) -> 
 
 def _read_npz(path: Path) -> SkeletonFile:
     stored = Skeleton.load(path)
-    return SkeletonFile(stored.nodes, stored.parent, stored.radius, np.arange(len(stored.nodes)))
+    return SkeletonFile(stored.nodes, stored.parent, stored.radius, np.arange(len(stored.nodes)), units="m")
 
 
 def _read_txt(path: Path) -> SkeletonFile:
@@ -234,15 +244,31 @@ def _read_swc(path: Path) -> SkeletonFile:
     if len(index) < len(numbers):
         raise bad_input("SWC", given="an id twice", allowed="distinct ids", do="Number the samples anew.")
     above = table[:, 6].astype(np.int64)
-    lost = [int(p) for p in above if p != -1 and int(p) not in index]
+    root = (above == -1) | (above == numbers) | ((above == 0) & (0 not in index))  # as different programs mark it
+    lost = [int(p) for p in above[~root] if int(p) not in index]
     if lost:
         raise bad_input("SWC", given=f"unknown parent {lost[0]}", allowed="an id of the file, or -1", do="Repair it.")
-    roots = np.flatnonzero(above == -1)
+    roots = np.flatnonzero(root)
     if len(roots) != 1:
-        raise bad_input("SWC", given=f"{len(roots)} roots", allowed="one parent -1", do="Keep one tree.")
-    edges = np.array([(index[int(p)], i) for i, p in enumerate(above) if p != -1]).reshape(-1, 2)
+        raise bad_input("SWC", given=f"{len(roots)} roots", allowed="one parent -1 (or 0)", do="Keep one tree.")
+    edges = np.array([(index[int(p)], i) for i, p in enumerate(above) if not root[i]]).reshape(-1, 2)
     labels = _swc_labels(lines, table[:, 1].astype(np.int64).tolist())
-    return rooted(table[:, 2:5], edges, radius=table[:, 5], numbers=numbers, root=int(roots[0]), labels=labels)
+    tree = rooted(table[:, 2:5], edges, radius=table[:, 5], numbers=numbers, root=int(roots[0]), labels=labels)
+    return replace(tree, units=_swc_units(lines))
+
+
+_WRITTEN_UNITS = re.compile(
+    r"\b(?:(m|met(?:re|er)s?)|(cm|centimet(?:re|er)s?)|(mm|millimet(?:re|er)s?))\b", re.IGNORECASE
+)
+
+
+def _swc_units(lines: list[str]) -> Units | None:
+    """Return the units that a comment states, such as "# anther skeleton; metres; ..." or "# units: mm"."""
+    for line in (line for line in lines if line.lstrip().startswith("#")):
+        found = _WRITTEN_UNITS.findall(line) if re.search(r"unit|anther skeleton", line, re.IGNORECASE) else []
+        if len(found) == 1:
+            return "m" if found[0][0] else "cm" if found[0][1] else "mm"
+    return None
 
 
 def _swc_labels(lines: list[str], kinds: list[int]) -> list[str] | None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from anther.errors import InputError, bad_input
-from anther.files import existing, read_lines
+from anther.files import existing, number, read_rows
 from anther.geometry import Array
 
 UNITS = {
@@ -75,45 +73,29 @@ DEFLECTION = (Column("mass", "mass", 1e-6, 5.0), Column("deflection", "length", 
 def read_measurements(path: Path | str, columns: Sequence[Column]) -> dict[str, Array]:
     """Return a table's columns in SI, by their names without unit; each is (n,), n >= 1.
 
-    The first line that is neither empty nor a comment (#) holds the column names, in any order. Columns are separated
-    by commas, or by semicolons or tabs; then a decimal comma is understood.
+    The first line that is neither empty nor a comment (#) holds the column names, in any order (`files.read_rows`).
 
     Raises:
         InputError: no such file, not text, a column unknown, missing or given twice, or a cell that is empty, not a
             number, out of range or out of order. The message names file, line and column and what is allowed.
     """
     path = existing(path)
-    rows = _rows(path)
+    rows = read_rows(path)
     if not rows:
         raise bad_input(str(path), given="no line", allowed=_wanted(columns), do="Name the columns in the first line.")
-    separator = next((mark for mark in ("\t", ";") if mark in rows[0][1]), ",")
-    (number, header), *table = [(line, _cells(path, line, row, separator)) for line, row in rows]
-    places = _places(path, number, header, columns)
+    (first, header), *table = rows
+    places = _places(path, first, header, columns)
     if not table:
         raise bad_input(str(path), given="no row below the column names", allowed="one or more", do="Add the numbers.")
     for line, row in table:
         if len(row) != len(header):
-            given, allowed = f"{len(row)} cells", f"{len(header)}, as in line {number}"
+            given, allowed = f"{len(row)} cells", f"{len(header)}, as in line {first}"
             raise bad_input(f"{path}, line {line}", given=given, allowed=allowed, do="Mend it.")
     values: dict[str, Array] = {}
     for column in columns:
         title, place = places[column.name]
-        cells = [(line, row[place] if separator == "," else row[place].replace(",", ".")) for line, row in table]
-        values[column.name] = _values(path, title, column, cells)
+        values[column.name] = _values(path, title, column, [(line, row[place]) for line, row in table])
     return values
-
-
-def _cells(path: Path, line: int, row: str, separator: str) -> list[str]:
-    try:
-        return [cell.strip() for cell in next(csv.reader([row], delimiter=separator, skipinitialspace=True))]
-    except csv.Error as error:
-        raise bad_input(f"{path}, line {line}", given=f"{error}", allowed="a row of cells", do="Mend it.") from error
-
-
-def _rows(path: Path) -> list[tuple[int, str]]:
-    """Return the lines that hold something, with their numbers from 1."""
-    numbered = [(number, line.strip(" \r")) for number, line in enumerate(read_lines(path), start=1)]
-    return [(number, line) for number, line in numbered if line.strip() and not line.lstrip().startswith("#")]
 
 
 def _places(path: Path, line: int, header: list[str], columns: Sequence[Column]) -> dict[str, tuple[str, int]]:
@@ -152,7 +134,7 @@ def _values(path: Path, title: str, column: Column, cells: list[tuple[int, str]]
     allowed = f"{column.lower / scale:g} <= {title} <= {column.upper / scale:g}"
     values: list[float] = []
     for line, cell in cells:
-        value = _number(cell)
+        value = number(cell)
         if value is None or not column.lower <= value * scale <= column.upper:
             raise _bad_cell(
                 path, line, title, cell, f"a number, {allowed}", "Check the value and the unit in the name."
@@ -161,14 +143,6 @@ def _values(path: Path, title: str, column: Column, cells: list[tuple[int, str]]
             raise _bad_cell(path, line, title, cell, "more than in the row before", "Sort the rows; merge equal ones.")
         values.append(value * scale)
     return np.array(values)
-
-
-def _number(cell: str) -> float | None:
-    try:
-        value = float(cell)
-    except ValueError:
-        return None
-    return value if math.isfinite(value) and "_" not in cell else None
 
 
 def _bad_cell(path: Path, line: int, title: str, cell: str, allowed: str, do: str) -> InputError:

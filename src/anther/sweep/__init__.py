@@ -6,7 +6,6 @@ rows of a CSV file, `export` writes results as Parquet. docs/sweep.md says what 
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
@@ -19,7 +18,7 @@ from uuid import uuid4
 
 from anther.checks import check_range
 from anther.errors import InputError, MissingExtra, bad_input
-from anther.files import json_text, read_lines, understood
+from anther.files import json_text, read_rows, understood
 from anther.history import Job, add_jobs, note_jobs, read_jobs
 from anther.sweep._running import carry_out, counted
 from anther.sweep._working import INSTALL, Function, Order, Place, forget_tries, place, versions
@@ -151,28 +150,21 @@ def _absolute(folder: Path | str) -> str:
 
 
 def read_table(path: Path | str) -> list[dict[str, str]]:
-    """Return a line as names and texts; an empty cell is left out.
+    """Return a line as names and texts; an empty cell is left out. Any spreadsheet's table will do (`files.read_rows`).
 
     Raises:
         InputError: no such file, no text, names that are missing or alike, or a line with too many cells.
     """
-    lines = csv.reader(read_lines(path), strict=True)
-    try:
-        names = [name.strip() for name in next(lines, [])]
-        if not names or len(set(names)) < len(names) or "" in names:
-            given = f"first line {', '.join(names) or 'without names'}"
-            raise bad_input(str(path), given=given, allowed="a name for every column, no two alike", do="Name them.")
-        rows = []
-        for cells in lines:
-            if len(cells) > len(names):
-                at, given = f"{path}, line {lines.line_num}", f"{len(cells)} cells"
-                raise bad_input(at, given=given, allowed=f"{len(names)}, one a name", do="Is there a comma too many?")
-            row = {name: cell.strip() for name, cell in zip(names, cells, strict=False) if cell.strip()}
-            if row:
-                rows.append(row)
-    except csv.Error as error:
-        at, do = f"{path}, line {lines.line_num}", "Export it again."
-        raise bad_input(at, given=str(error), allowed="a CSV file", do=do) from error
+    (_, names), *table = read_rows(path, comment=None) or [(0, [])]
+    if not names or len(set(names)) < len(names) or "" in names:
+        given = f"first line {', '.join(names) or 'without names'}"
+        raise bad_input(str(path), given=given, allowed="a name for every column, no two alike", do="Name them.")
+    rows = []
+    for line, cells in table:
+        if len(cells) > len(names):
+            at, given = f"{path}, line {line}", f"{len(cells)} cells"
+            raise bad_input(at, given=given, allowed=f"{len(names)}, one a name", do="Is there a comma too many?")
+        rows.append({name: cell for name, cell in zip(names, cells, strict=False) if cell})
     if not rows:
         raise bad_input(str(path), given="no rows", allowed="a line for every run", do="Add some.")
     return rows
