@@ -29,7 +29,7 @@ from anther.devices import JointTrajectory
 from anther.errors import StageFailure
 from anther.files import write_json
 from anther.geometry import Array, transform
-from anther.shake import Crop
+from anther.plant.limits import Crop
 from anther.sim.cell import Cell
 from anther.sim.judge import judge
 from anther.sim.robot import SimArm, SimGripper

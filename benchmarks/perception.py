@@ -34,7 +34,7 @@ from anther.capture import Capture
 from anther.commands.simulated_cell import USUAL_DISTANCE, grow, layout, photograph, views_at
 from anther.files import replacing, write_json
 from anther.geometry import Array, Box, transform_points
-from anther.shake import Crop
+from anther.plant.limits import Crop
 from anther.sim.plant import Organ
 
 VIEWS = 30

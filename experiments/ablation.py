@@ -38,7 +38,7 @@ from vibration_plant import DIRECTION, FAST_FREQUENCIES, PAPER_FREQUENCIES, TWIS
 from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, grow, layout, photograph, views_at
 from anther.files import replacing, write_json
 from anther.geometry import Array
-from anther.shake import Crop
+from anther.plant.limits import Crop
 from anther.shake.observables import semi_major
 from anther.sim.plant import SimPlant
 from anther.sim.render import Scene

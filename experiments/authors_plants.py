@@ -22,8 +22,8 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from anther.commands.skeletonize import main_stem, read_source
 from anther.files import read_object, write_json
+from anther.plant.imported import main_stem, read_source
 
 DATA = Path(os.environ.get("ANTHER_DATA", Path(__file__).parents[2] / "shared" / "data"))
 HEADS = (

@@ -29,7 +29,7 @@ from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, grow, layout
 from anther.devices import JointTrajectory
 from anther.files import write_json
 from anther.geometry import Array, Box
-from anther.shake import Crop
+from anther.plant.limits import Crop
 from anther.sim.cell import Cell
 from anther.sim.plant import POT_HEIGHT
 from anther.sim.robot import SimArm

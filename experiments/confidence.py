@@ -47,7 +47,7 @@ from anther.files import write_json
 from anther.flowers import flower_centres
 from anther.geometry import Array
 from anther.grasp import plan_grasps
-from anther.shake import Crop
+from anther.plant.limits import Crop
 from anther.sim.plant import Organ, SimPlant
 from anther.skeleton import Skeleton, skeletonize
 from anther.skeleton.support import node_support, probability

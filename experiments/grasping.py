@@ -28,7 +28,7 @@ from swept import FOLDER, swept
 from trial_tables import report, say
 
 from anther.files import write_json
-from anther.shake import Crop
+from anther.plant.limits import Crop
 
 VIEWPOINTS = (0, 90, 180, 270)  # degrees
 PRESETS = ("full", "fast")

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from anther.arm import sawyer
+from anther.arm.gripper_shape import GripperShape
 from anther.capture import Capture
 from anther.files import replacing
 from anther.geometry import Array, inverse, transform_points
 from anther.grasp import Grasp
-from anther.grasp.clearance import GripperShape
 
 TILE = 150  # px
 AROUND = 0.13  # m shown to either side of the grasp

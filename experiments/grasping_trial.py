@@ -22,10 +22,12 @@ from anther.commands.simulated_cell import PRESETS, SimulatedCell, build
 from anther.commands.trial_summary import summarise
 from anther.errors import StageFailure
 from anther.execution import EARLY, execute
-from anther.pipeline import Done, MotionPlanner, Params, Seen, model_plant, pollinate
+from anther.pipeline import Done, Params, Seen, model_plant, pollinate
 from anther.plant import PEPPER, TOMATO, Material
+from anther.plant.limits import Crop
+from anther.robot.cell import MotionPlanner
 from anther.runs import Advance, Run
-from anther.shake import Crop, ShakePlan, arm_shaker, plan_shake
+from anther.shake import ShakePlan, arm_shaker, plan_shake
 from anther.sim.judge import judge
 from anther.sim.truth import NOMINAL, Truth, draw
 

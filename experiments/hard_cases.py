@@ -44,9 +44,9 @@ from anther.files import write_json
 from anther.geometry import Array
 from anther.pipeline import Params, pollinate
 from anther.plant import PEPPER, TOMATO
+from anther.plant.limits import Crop
 from anther.runs import Advance
 from anther.safety import guard
-from anther.shake import Crop
 from anther.sim import cell as world
 from anther.sim.capture import capture_views, perturbed_hand_eye
 from anther.sim.pepper import grow_pepper

@@ -41,8 +41,8 @@ from anther.escalation._foresight import narrowed
 from anther.escalation._knowledge import Answer, known, seen_error
 from anther.files import write_json
 from anther.geometry import Array
+from anther.plant.limits import Crop
 from anther.response.points import Sight, sight
-from anther.shake import Crop
 from anther.shake.choice import margined
 from anther.shake.observables import ComplexArray, semi_major
 from anther.shake.params import FAST, RINGING, load_error

@@ -40,7 +40,7 @@ from anther.commands.simulated_cell import USUAL_DISTANCE, grow, layout, photogr
 from anther.files import read_json, write_json
 from anther.geometry import Box
 from anther.masks import FLOWER, Masks
-from anther.shake import Crop
+from anther.plant.limits import Crop
 from anther.sim import _greenhouse
 from anther.sim._greenhouse import Setting
 from anther.sim.capture import CaptureTruth

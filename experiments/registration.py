@@ -41,7 +41,7 @@ from anther.cloud._registration import Params, register
 from anther.commands.simulated_cell import USUAL_DISTANCE, layout
 from anther.files import replacing, write_json
 from anther.geometry import Array, inverse, small_transform, transform_points
-from anther.shake import Crop
+from anther.plant.limits import Crop
 from anther.sim.capture import CaptureTruth, perturbed_hand_eye
 from anther.sim.plant import Organ
 

@@ -41,8 +41,8 @@ from anther.files import replacing, write_json
 from anther.flowers import Flowers
 from anther.geometry import Array, inverse, transform_points
 from anther.oscillation import choose_rate, fit_swing
+from anther.plant.limits import Crop
 from anther.response import measure_response
-from anther.shake import Crop
 from anther.sim.plant import SimPlant
 from anther.sim.render import Scene
 from anther.sim.robot import RATES, SIDE

@@ -35,9 +35,11 @@ from anther.execution import execute
 from anther.files import write_json
 from anther.pipeline import Done, Params, Seen, perceive, pollinate
 from anther.plant import PEPPER, TOMATO, Material
+from anther.plant.belief import EarlierShake
+from anther.plant.limits import Crop
 from anther.runs import Advance
 from anther.safety import GuardedArm
-from anther.shake import Crop, EarlierShake, ShakePlan
+from anther.shake import ShakePlan
 from anther.sim.truth import WIDE
 
 SPECIES: tuple[Crop, ...] = ("tomato", "pepper")

@@ -10,7 +10,7 @@ from grasping_table import interval
 from rich.console import RenderableType
 from trial_tables import table_of
 
-from anther.response import MOVED
+from anther.plant.limits import MOVED
 
 Row = dict[str, Any]
 

@@ -12,7 +12,7 @@ from skeleton_truth import AXIS
 from anther.cloud import Cloud
 from anther.commands.simulated_cell import USUAL_DISTANCE, grow
 from anther.pictures.plant import draw_side
-from anther.shake import Crop
+from anther.plant.limits import Crop
 from anther.sim.plant import SimPlant
 from anther.skeleton import Skeleton
 from anther.stem import Stem

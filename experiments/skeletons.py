@@ -31,7 +31,7 @@ from anther.capture import Capture
 from anther.commands.simulated_cell import USUAL_DISTANCE, grow, layout, photograph, views_at
 from anther.errors import AntherError
 from anther.files import write_json
-from anther.shake import Crop
+from anther.plant.limits import Crop
 from anther.sim.capture import CaptureTruth
 from anther.sim.plant import SimPlant
 

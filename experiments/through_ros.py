@@ -49,7 +49,7 @@ from anther.drivers.sawyer_ros1 import Sawyer
 from anther.files import write_json
 from anther.geometry import Array
 from anther.log import Log
-from anther.response import moved
+from anther.plant.limits import moved
 
 FIRST = 9800
 """The first of the plants, tomatoes and peppers in turn; in no other table."""

@@ -26,7 +26,7 @@ from vibration_plant import FAST_FREQUENCIES, PAPER_FREQUENCIES, Case, one_plant
 from vibration_table import metrics, report
 
 from anther.files import write_json
-from anther.shake import Crop
+from anther.plant.limits import Crop
 
 FIRST_RANDOM = 2000
 

@@ -28,8 +28,9 @@ from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.identification import Felt, ObservedShake, Refinement, refine
 from anther.plant import Material, PlantModel
+from anther.plant.limits import Crop
 from anther.response import measure_response
-from anther.shake import Crop, ShakePlan, sawyer_limit
+from anther.shake import ShakePlan, sawyer_limit
 from anther.shake._verification import steadily_shaken
 from anther.shake.observables import semi_major
 from anther.shake.pads import Pads, grip_rows, pad_nodes

@@ -37,7 +37,7 @@ from anther.commands.simulated_cell import PRESETS, USUAL_DISTANCE, grow, layout
 from anther.errors import AntherError
 from anther.files import read_json, write_json
 from anther.flowers import Flowers
-from anther.shake import Crop
+from anther.plant.limits import Crop
 from anther.sim.plant import SimPlant
 from anther.skeleton import Skeleton
 from anther.stem import Stem

@@ -11,7 +11,7 @@ from grasping_trial import Case
 from rich.console import RenderableType
 from trial_tables import EFFECTS, effect_cells, table_of
 
-from anther.shake import Crop
+from anther.plant.limits import Crop
 
 SPECIES: tuple[Crop, ...] = ("tomato", "pepper")
 VIEWPOINTS = (0, 90, 180, 270)  # degrees

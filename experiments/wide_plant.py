@@ -33,8 +33,9 @@ from anther.errors import StageFailure
 from anther.geometry import Array
 from anther.identification import Felt, ObservedShake, Refinement, refine
 from anther.plant import PlantModel
+from anther.plant.limits import Crop
 from anther.response import measure_response, stem_near
-from anther.shake import Crop, ShakePlan
+from anther.shake import ShakePlan
 from anther.shake.observables import semi_major
 from anther.shake.pads import PADS, grip_rows, pad_nodes
 from anther.shake.search import Version, flower_motion

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from anther.elastic_rod import Clamp, equilibrium, simulate, with_gravity_equilibrium
-from anther.identification import ClampedStem, first_frequency, tip_deflections
+from anther.plant.bench import ClampedStem, first_frequency, tip_deflections
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ from anther.arm.arms import in_simulated_cell
 from anther.arm.model import ArmModel
 from anther.arm.sawyer import ACCELERATION, SAWYER, VELOCITY
 from anther.commands.simulated_cell import grow, layout, usual_distance
-from anther.shake import Crop
+from anther.plant.limits import Crop
 from anther.sim import cell
 from anther.sim._motor import sensed_force
 from anther.sim.capture import camera_errors, perturbed_hand_eye

@@ -18,7 +18,6 @@ from made_rods import cantilever
 from scipy.sparse import csr_array
 from test_history import full
 
-import anther
 from anther import cli, files
 from anther.capture import Capture, check_views, viewed_box
 from anther.cloud import ply
@@ -33,6 +32,7 @@ from anther.formats.skeletons import read_skeleton, write_skeleton
 from anther.geometry import Box, Intrinsics, look_at
 from anther.history import TrialRecord, read_outcomes, read_trials, record_trial
 from anther.images import read_image
+from anther.libraries import MOST_PIXELS, compiled_code
 from anther.runs import FILES
 from anther.skeleton import Skeleton
 from anther.stem import Stem
@@ -201,7 +201,7 @@ def test_images_that_state_a_gigantic_size_are_refused(tmp_path: Path) -> None:
         read_image(tmp_path / "a.png", cv2.IMREAD_UNCHANGED, (64, 48))
     with pytest.raises(InputError, match=r"a\.png: got"):
         read_image(tmp_path / "a.png", cv2.IMREAD_UNCHANGED)
-    assert int(os.environ["OPENCV_IO_MAX_IMAGE_PIXELS"]) == anther.MOST_PIXELS
+    assert int(os.environ["OPENCV_IO_MAX_IMAGE_PIXELS"]) == MOST_PIXELS
     with pytest.raises(InputError, match="million pixels"):
         check_views(100, Intrinsics(20_000, 20_000, 1e3, 1e3, 1e4, 1e4))
 
@@ -388,12 +388,12 @@ def test_a_visit_that_is_no_object(tmp_path: Path, capsys) -> None:
 
 def test_compiled_code_has_a_place_where_nothing_may_be_written(tmp_path: Path, monkeypatch) -> None:
     nowhere = (Path("/proc/nowhere"), Path("/proc/nowhere/deep"))
-    monkeypatch.setattr("anther.tempfile.gettempdir", lambda: str(tmp_path))
-    monkeypatch.setattr("anther.tempfile.tempdir", str(tmp_path))
-    assert anther._compiled_code((*nowhere, tmp_path / "cache")) is None
-    own = anther._compiled_code(nowhere)
+    monkeypatch.setattr("anther.libraries.tempfile.gettempdir", lambda: str(tmp_path))
+    monkeypatch.setattr("anther.libraries.tempfile.tempdir", str(tmp_path))
+    assert compiled_code((*nowhere, tmp_path / "cache")) is None
+    own = compiled_code(nowhere)
     assert own == str(tmp_path / f"anther-numba-{os.getuid()}")
     assert Path(own).stat().st_mode & 0o077 == 0
-    assert anther._compiled_code(nowhere) == own
+    assert compiled_code(nowhere) == own
     Path(own).chmod(0o777)  # code that others may have put there is not loaded
-    assert anther._compiled_code(nowhere) != own
+    assert compiled_code(nowhere) != own

@@ -10,8 +10,8 @@ from sample_plants import branched, grasps_on
 
 from anther.errors import InputError
 from anther.plant import TOMATO, build_plant
-from anther.shake import PRESETS, Crop, Params, like_breeze, plan_shake
-from anther.shake.params import BREEZE, PEAKS, WIND, breeze
+from anther.plant.limits import BREEZE, PEAKS, PRESETS, WIND, Crop, breeze, like_breeze
+from anther.shake import Params, plan_shake
 
 CROPS: tuple[Crop, Crop] = ("tomato", "pepper")
 ROWS = [(name, crop) for name in BREEZE for crop in CROPS]

@@ -15,10 +15,10 @@ from anther.commands.trial import Args, _record
 from anther.commands.trial_summary import _true, _verdict, summarise
 from anther.errors import StageFailure
 from anther.geometry import Array
+from anther.plant.limits import PRESETS
 from anther.report import write_report
 from anther.response import Response
 from anther.results import RunResults
-from anther.shake import PRESETS
 from anther.sim.judge import Harm, Verdict, pollen_freed
 from anther.sim.truth import HALF_DOSE, TOLERANCE, tolerances
 

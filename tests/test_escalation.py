@@ -30,9 +30,9 @@ from anther.escalation._knowledge import (
     settled,
 )
 from anther.escalation._option import SLOW, limits_of, risk
+from anther.plant.limits import PlantLimits
 from anther.response.points import Swings, likeness
 from anther.shake import Params as Limits
-from anther.shake import PlantLimits
 from anther.shake import params as shake_params
 from anther.shake.observables import semi_major
 from anther.shake.params import FLOWER_SPREAD

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from anther.devices import Frame
 from anther.geometry import Array, Intrinsics
+from anther.plant.limits import MOVED, moved
 from anther.response import (
     DEPTHLESS,
     LEAST_PIXELS,
     MEMBER_SPREAD,
-    MOVED,
     PHASE_ERROR,
     SIGNIFICANCE,
     _Motion,
@@ -22,7 +22,6 @@ from anther.response import (
     _named,
     _notes,
     _without_noisy_depth,
-    moved,
 )
 from anther.response._following import (
     CROWD,

@@ -13,12 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from anther.cli import main
-from anther.commands.skeletonize import main_stem, read_source
 from anther.errors import InputError
 from anther.formats import _gltf as gltf
 from anther.formats._mtg import successors
 from anther.formats.skeleton_file import rooted, supposed_radius
 from anther.formats.skeletons import READS, WRITES, read_skeleton, write_skeleton
+from anther.plant.imported import main_stem, read_source
 from anther.runs import FILES
 from anther.skeleton import Skeleton
 from anther.stem import find_stem

@@ -12,6 +12,7 @@ from paper_grasp import branch_directions, paper_approach, paper_grasp
 from scipy.spatial.transform import Rotation
 
 from anther import grasp
+from anther.arm.gripper_shape import GripperShape
 from anther.cloud import Cloud
 from anther.errors import InputError, StageFailure
 from anther.grasp import (
@@ -24,7 +25,6 @@ from anther.grasp import (
     STROKE_MARGIN,
     TOWARD_TIPS,
     Grasp,
-    GripperShape,
     Params,
     _costs,
     _rank,
@@ -33,8 +33,8 @@ from anther.grasp import (
     save_grasps,
 )
 from anther.grasp._candidates import candidates_along, directions_across, flange_pose
-from anther.grasp.clearance import BRANCH as PETIOLE
-from anther.grasp.clearance import (
+from anther.grasp._clearance import BRANCH as PETIOLE
+from anther.grasp._clearance import (
     FAR,
     KINDS,
     LEAF,
@@ -45,7 +45,7 @@ from anther.grasp.clearance import (
     surroundings_of,
     thin_out,
 )
-from anther.grasp.clearance import STEM as STEM_BALL
+from anther.grasp._clearance import STEM as STEM_BALL
 from anther.masks import FLOWER, PLANT
 from anther.skeleton import Skeleton
 from anther.stem import BRANCH, STEM, Stem

@@ -11,16 +11,14 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "anther"
 MODULES = sorted(SOURCE.rglob("*.py"))
 
-BASE = {"errors", "checks", "files", "geometry", "images", "style", "transforms", "__init__"}
+BASE = {"errors", "checks", "files", "geometry", "images", "libraries", "style", "transforms", "__init__"}
 ORDER = [
-    "capture", "calibration", "masks", "cloud", "skeleton", "stem", "flowers", "grasp", "elastic_rod",
-    "plant", "pressing", "shake", "swing", "devices", "safety",
-    "oscillation", "execution",
-    "response", "escalation", "identification", "runs", "pipeline",
+    "runs", "capture", "masks", "cloud", "skeleton", "stem", "flowers", "elastic_rod", "formats", "plant",
+    "pressing", "swing", "devices", "safety", "oscillation", "calibration", "arm", "robot", "grasp", "shake", "execution",
+    "response", "escalation", "identification", "pipeline",
 ]  # fmt: skip
 STAGES = set(ORDER)
 AROUND = [
-    "formats",
     "history",
     "fruit_set",
     "results",
@@ -28,7 +26,6 @@ AROUND = [
     "report",
     "traits",
     "log",
-    "arm",
     "drivers",
     "cells",
     "viewer",

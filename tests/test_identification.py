@@ -13,17 +13,10 @@ from hypothesis import strategies as st
 from sample_plants import branched, grasps_on
 
 from anther.errors import InputError
-from anther.identification import (
-    ObservedShake,
-    Params,
-    Refinement,
-    _refinement,
-    density_from_samples,
-    fit_free_vibration,
-    refine,
-)
+from anther.identification import ObservedShake, Params, Refinement, _refinement, refine
 from anther.identification._refinement import told
 from anther.plant import TOMATO, PlantModel, build_plant
+from anther.plant.bench import density_from_samples, fit_free_vibration
 from anther.shake import Params as ShakeParams
 from anther.shake import ShakePlan, plan_shake
 from anther.shake.observables import branch_of, semi_major

@@ -16,8 +16,8 @@ from matplotlib.image import imread
 
 from anther.cli import main
 from anther.errors import InputError
-from anther.identification import read_material
-from anther.identification.measurements import LEAVES, SAMPLES, TRACE, read_measurements
+from anther.plant.bench import read_material
+from anther.plant.bench.measurements import LEAVES, SAMPLES, TRACE, read_measurements
 
 AUTHORS = ("--length", 0.292, "--radius", 0.003, "--frequency", 1.38, "--density", 1100)
 

@@ -15,9 +15,9 @@ from anther.cli import main
 from anther.cloud import Cloud
 from anther.commands import respond
 from anther.commands.rod_plant import read_plant
-from anther.commands.skeletonize import STEM, main_stem, place, read_source
 from anther.errors import InputError
 from anther.formats.skeletons import write_skeleton
+from anther.plant.imported import STEM, main_stem, place, read_source
 from anther.skeleton import Params, Skeleton, skeletonize
 from anther.stem import Params as StemParams
 from anther.stem import find_stem

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from made_stem import Truth, sine_trace
 
 from anther.errors import InputError
-from anther.identification import (
+from anther.plant import TOMATO
+from anther.plant.bench import (
     ClampedStem,
     FreeVibration,
     Identification,
@@ -33,8 +34,7 @@ from anther.identification import (
     youngs_from_deflection,
     youngs_from_first_mode,
 )
-from anther.identification._clamped_stem import tip_compliance
-from anther.plant import TOMATO
+from anther.plant.bench._clamped_stem import tip_compliance
 
 NONE = np.zeros(0)
 EXACT = InstrumentErrors(radius=0, length=0, leaf_mass=0, tip_mass=0, deflection=1e-6)

@@ -9,10 +9,10 @@ import pytest
 
 from anther.cli import main
 from anther.commands.rod_plant import PlantOptions, hanging, read_plant
-from anther.commands.skeletonize import read_source
 from anther.commands.traits import clouds_in
 from anther.errors import InputError, StageFailure
 from anther.formats.skeletons import read_skeleton
+from anther.plant.imported import read_source
 
 HEIGHT = np.linspace(0, 0.3, 16)
 

@@ -21,8 +21,8 @@ from anther.formats.clouds import read_cloud
 from anther.formats.skeletons import read_skeleton, write_skeleton
 from anther.geometry import Intrinsics, look_at
 from anther.grasp import load_grasps
-from anther.identification import read_material
-from anther.identification.measurements import PROFILE, read_measurements
+from anther.plant.bench import read_material
+from anther.plant.bench.measurements import PROFILE, read_measurements
 from anther.skeleton import Skeleton
 
 TREE = Skeleton(

@@ -20,6 +20,7 @@ from anther.errors import StageFailure
 from anther.geometry import Array, Box
 from anther.grasp import Grasp
 from anther.plant import TOMATO
+from anther.robot.cell import Cell
 
 HEIGHTS = (-0.08, -0.05, -0.02)
 GRASPS = [horizontal_grasp(np.array([0.72, 0.0, z]), np.zeros(7)) for z in HEIGHTS]
@@ -114,7 +115,7 @@ def _pollinated(
     planner: Any = SmallPlanner()
     planner.reach = None
     workspace = Box(-np.ones(3), np.ones(3))
-    cell = pipeline.RobotSide(lambda _: None, lambda _: planner, robot, workspace, LIMITS)  # type: ignore[arg-type,return-value]
+    cell = Cell(lambda _: None, lambda _: planner, robot, workspace, LIMITS)  # type: ignore[arg-type,return-value]
     return pipeline.pollinate(cell, TOMATO, NoFiles(), pipeline.Params()), robot  # type: ignore[arg-type]
 
 

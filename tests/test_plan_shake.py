@@ -19,17 +19,9 @@ from anther.flowers import Flowers
 from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.plant import TOMATO, Material, PlantModel, build_plant
-from anther.shake import (
-    SAWYER,
-    VIBRATING_GRIPPER,
-    EarlierShake,
-    Params,
-    PlantLimits,
-    ShakePlan,
-    arm_shaker,
-    plan_shake,
-    sawyer_limit,
-)
+from anther.plant.belief import EarlierShake
+from anther.plant.limits import PlantLimits
+from anther.shake import SAWYER, VIBRATING_GRIPPER, Params, ShakePlan, arm_shaker, plan_shake, sawyer_limit
 from anther.shake._verification import steadily_shaken
 from anther.shake.choice import DIRECTIONS
 from anther.shake.observables import observables, semi_major

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from anther.arm import sawyer
-from anther.grasp import GripperShape
+from anther.arm.gripper_shape import GripperShape
 
 PI = np.pi
 # Standard DH: offset of theta, d, a, alpha; then Rz(-100 deg) (facts: sawyer 2).

@@ -19,14 +19,13 @@ from anther.flowers import Flowers
 from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.plant import TOMATO, PlantModel, build_plant
+from anther.plant.limits import GUSTS, PEAKS, PRESETS, PlantLimits
 from anther.pressing import PRESSING, Pressing
 from anther.shake import (
     PADS,
-    PRESETS,
     VIBRATING_GRIPPER,
     Pads,
     Params,
-    PlantLimits,
     ShakePlan,
     _verification,
     arm_shaker,
@@ -40,16 +39,7 @@ from anther.shake._verification import Checked, Shaken, check, steadily_shaken, 
 from anther.shake.choice import APART, DIRECTIONS, LEAST_PRESS, PRESS, Grips, Search, _directions, search, tones_at
 from anther.shake.choice import QUICK as SLOWEST
 from anther.shake.pads import friction_force, grip_rows, pad_nodes
-from anther.shake.params import (
-    FAST,
-    FAST_LOAD_ERROR,
-    FLOWER_SPREAD,
-    GUSTS,
-    LOAD_ERROR,
-    PEAKS,
-    RINGING,
-    load_error,
-)
+from anther.shake.params import FAST, FAST_LOAD_ERROR, FLOWER_SPREAD, LOAD_ERROR, RINGING, load_error
 from anther.shake.search import Gains, Version, drawn_material, gains, scenarios
 
 QUICK = Params(frequencies=12)

@@ -20,8 +20,9 @@ from anther.identification import ObservedShake, refine
 from anther.pipeline import Params, Seen, model_plant
 from anther.plant import TOMATO, Material, build_plant
 from anther.plant import Params as PlantParams
+from anther.plant.limits import PlantLimits
 from anther.shake import Params as ShakeParams
-from anther.shake import PlantLimits, plan_shake
+from anther.shake import plan_shake
 
 QUICK = ShakeParams(frequencies=6, lowest=3, highest=6)
 

@@ -18,12 +18,12 @@ from sample_plants import branched
 
 from anther.arm import sawyer
 from anther.cloud import Cloud
-from anther.commands.skeletonize import node_named, read_source
 from anther.commands.view import skeleton_results
 from anther.execution import Trial
 from anther.formats.skeletons import write_skeleton
 from anther.geometry import look_at
 from anther.plant import TOMATO, build_plant
+from anther.plant.imported import node_named, read_source
 from anther.response import Response
 from anther.results import RunResults
 from anther.shake import Pads

@@ -13,8 +13,8 @@ from PIL import Image
 from anther.commands.simulated_cell import PRESETS, build
 from anther.pipeline import Params, pollinate
 from anther.plant import PEPPER, TOMATO
+from anther.plant.limits import Crop
 from anther.runs import Run
-from anther.shake import Crop
 from anther.sim.render import Scene
 from anther.sim.robot import SIDE
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.elastic_rod import Clamp, Drive, Rods, frequency_response, natural_frequencies, simulate
-from anther.identification import fit_free_vibration
+from anther.plant.bench import fit_free_vibration
 from rod_cases.beam_theory import cone_frequencies, rayleigh_roots, uniform_roots
 from rod_cases.beams import CLAMPED, NO_GRAVITY, X_AXIS, Beam, network
 from rod_cases.table import Array, Convergence, Findings, Row

@@ -10,16 +10,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-import anther
 from anther.errors import bad_input
 from anther.files import LARGEST_TEXT, whole_file
+from anther.libraries import MOST_PIXELS
 
 
 def read_image(path: Path | str, flags: int, size: tuple[int, int] | None = None) -> NDArray[Any]:
     """Return an image as OpenCV reads it: (H, W) or (H, W, 3) blue, green, red.
 
     Args:
-        path: a PNG, a JPEG or what else OpenCV reads, of no more pixels than `anther.MOST_PIXELS`.
+        path: a PNG, a JPEG or what else OpenCV reads, of no more pixels than `libraries.MOST_PIXELS`.
         flags: `cv2.IMREAD_COLOR` or another.
         size: (width, height) that it must have [px].
 
@@ -35,7 +35,7 @@ def read_image(path: Path | str, flags: int, size: tuple[int, int] | None = None
     except cv2.error as error:
         given, allowed = (
             " ".join(f"what OpenCV refuses ({error})".split()),
-            f"at most {anther.MOST_PIXELS / 1e6:.0f} million px",
+            f"at most {MOST_PIXELS / 1e6:.0f} million px",
         )
         raise bad_input(str(path), given=given, allowed=allowed, do="Is it the right file?") from error
     if image is None:

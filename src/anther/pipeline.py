@@ -7,14 +7,13 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
 from anther import cloud, escalation, execution, flowers, grasp, masks, plant, shake, skeleton, stem
 from anther.capture import Capture
 from anther.cloud import Cloud, likely_cause
-from anther.devices import Robot, SafetyLimits
 from anther.errors import FailureKind, InputError, StageFailure
 from anther.escalation import SHORTEST, Escalation, foresee, watch_points
 from anther.execution import Arrive, Trial, early_reach
@@ -24,11 +23,13 @@ from anther.grasp import Grasp
 from anther.identification import ObservedShake, feel, refine
 from anther.masks import Masks, by_words, without_ground
 from anther.plant import Material, PlantModel
+from anther.plant.belief import EarlierShake
 from anther.response import Response, measure_response, stem_near
 from anther.response.thresholds import FEWEST_FRAMES
+from anther.robot.cell import ActuatorName, Cell, MotionPlanner
 from anther.runs import Advance, Run
 from anther.safety import shake_amplitude
-from anther.shake import ActuatorName, EarlierShake, Pads, ShakePlan
+from anther.shake import Pads, ShakePlan
 from anther.skeleton import Skeleton
 from anther.stem import Stem
 
@@ -80,37 +81,6 @@ def mask_finder(source: MaskSource, models: Path, params: Params, cache: Path | 
         return without_ground(seen, capture, workspace, params.masks)
 
     return find
-
-
-class MotionPlanner(execution.TrajectoryPlanner, Protocol):
-    """What a trial asks of an arm's planner, beyond the motions that execution asks for."""
-
-    def reach(self, T_world_pregrasp: Array, T_world_grasp: Array) -> Array | None:
-        """See `grasp.Reach`."""
-        ...
-
-    def shake_limit(self, q: Array, direction: Array, frequencies: Array) -> Array:
-        """Return the largest amplitude (Q,) [m] the arm manages about joints (J,) [rad]."""
-        ...
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RobotSide:
-    """One robot before one plant, simulated or real.
-
-    Attributes:
-        take_views: moves the wrist camera around the plant and returns the views.
-        plan_around: Cloud -> a motion planner that keeps clear of what the cloud shows.
-        robot: arm, gripper and cameras.
-        workspace: box the plant stands in, world [m].
-        limits: what no command may exceed.
-    """
-
-    take_views: Callable[[Advance], Capture]
-    plan_around: Callable[[Cloud], MotionPlanner]
-    robot: Robot
-    workspace: Box
-    limits: SafetyLimits
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -206,7 +176,7 @@ def model_plant(seen: Seen, material: Material, params: Params) -> PlantModel:
 
 
 def pollinate(
-    cell: RobotSide,
+    cell: Cell,
     material: Material,
     run: Run,
     params: Params,
@@ -239,7 +209,7 @@ def pollinate(
     return Done(shake, trial, answer, learned.material, rods.material, learned.pads, alone)
 
 
-def _watched(cell: RobotSide, trial: Trial, plan: ShakePlan, seen: Seen, run: Run) -> Response | None:
+def _watched(cell: Cell, trial: Trial, plan: ShakePlan, seen: Seen, run: Run) -> Response | None:
     """Measure the motion of flowers and stem in the side camera's frames; None when there are too few."""
     camera, pose = cell.robot.side_camera, cell.robot.T_world_side_camera
     if camera is None or pose is None or not trial.frames or not len(seen.flowers.positions):
@@ -259,7 +229,7 @@ def _watched(cell: RobotSide, trial: Trial, plan: ShakePlan, seen: Seen, run: Ru
 
 
 def _shaken(
-    cell: RobotSide,
+    cell: Cell,
     planner: MotionPlanner,
     rods: PlantModel,
     grasps: list[Grasp],
@@ -324,7 +294,7 @@ def _shaken(
             return plan, trial, alone
 
 
-def _watching(cell: RobotSide, rods: PlantModel, plan: ShakePlan, seen: Seen, params: Params) -> Escalation | str:
+def _watching(cell: Cell, rods: PlantModel, plan: ShakePlan, seen: Seen, params: Params) -> Escalation | str:
     """Return what raises the shake by what the side camera sees; where it cannot, why not."""
     camera, pose = cell.robot.side_camera, cell.robot.T_world_side_camera
     seconds = min(params.escalation.most_seconds, cell.limits.shake_duration)

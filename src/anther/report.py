@@ -18,9 +18,9 @@ from anther.geometry import Array
 from anther.pictures.plant import draw_plant
 from anther.pictures.report import draw_motion, draw_response_map, draw_steps, draw_views
 from anther.plant import LEARNED, Material
+from anther.plant.limits import like_breeze
 from anther.response import Response
 from anther.results import FILM, RunResults, watched_words
-from anther.shake import like_breeze
 from anther.style import STYLE
 
 SPREADS = {"youngs": "youngs_spread"} | {name: spread for name, spread in LEARNED.items() if name != "scanned_youngs"}

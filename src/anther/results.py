@@ -20,9 +20,10 @@ from anther.grasp import Grasp, load_grasps
 from anther.history import Result, TrialRecord, read_record, result_of, result_words
 from anther.masks import Masks
 from anther.plant import PlantModel
+from anther.plant.limits import Crop
 from anther.response import Response
 from anther.runs import FILES
-from anther.shake import Crop, ShakePlan
+from anther.shake import ShakePlan
 from anther.skeleton import Skeleton
 from anther.stem import Stem
 from anther.stem.confidence import doubt

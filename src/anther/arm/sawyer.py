@@ -16,9 +16,9 @@ from math import pi
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from anther.arm.gripper_shape import GripperShape
 from anther.arm.model import CAMERA, GRIPPER, ArmModel, Capsule, Link, Solid, Tool
 from anther.geometry import transform
-from anther.grasp.clearance import GripperShape
 
 TOOL = Tool(
     # Rethink electric parallel gripper, standard narrow fingers, soft tips (facts: sawyer 3)

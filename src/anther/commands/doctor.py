@@ -139,14 +139,14 @@ def _gpu() -> Examined:
 
 def _compiled() -> Examined:
     """Compiled code is kept in numba's folder: without one every first command of a process takes a minute."""
-    import anther
+    from anther import libraries
 
     named = os.environ.get("NUMBA_CACHE_DIR")
-    folder = Path(named) if named else Path(anther.__file__).parent / "__pycache__"
+    folder = Path(named) if named else Path(libraries.__file__).parent / "__pycache__"
     if named and Path(tempfile.gettempdir()) in folder.parents:
         do = "Set NUMBA_CACHE_DIR to a folder of your own that stays."
         return Examined("compiled code", "absent", f"kept in {folder}, which may not last", do)
-    if not named and not anther._may_write(folder):
+    if not named and not libraries.may_write(folder):
         return Examined("compiled code", "ok", "kept in your cache folder")
     return Examined("compiled code", "ok", f"kept in {folder}")
 

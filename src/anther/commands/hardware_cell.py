@@ -1,4 +1,4 @@
-"""The machines of a cell file as `pipeline.RobotSide`: connected, owned by this process, behind the guard."""
+"""The machines of a cell file as `robot.Cell`: connected, owned by this process, behind the guard."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from anther import pipeline
 from anther.arm.model import ArmModel
 from anther.arm.planner import Params as MotionParams
 from anther.arm.planner import Planner
@@ -23,6 +22,7 @@ from anther.cells import CellFile, Part, kept_open
 from anther.cloud import Cloud
 from anther.devices import JointTrajectory, Robot, Tap, untapped
 from anther.geometry import Array
+from anther.robot.cell import Cell
 from anther.runs import Advance
 from anther.safety import guard
 
@@ -34,7 +34,7 @@ CALM = 0.5
 class HardwareCell:
     """Attributes: `robot_side`, what the pipeline is given. There is no simulated world in it."""
 
-    robot_side: pipeline.RobotSide
+    robot_side: Cell
     world: None = None
     capture_seconds: None = None
 
@@ -109,7 +109,7 @@ def hardware_cell(file: CellFile, views: ViewParams, tap: Tap = untapped) -> Ite
                 ratio, cloud.points, cloud.obstacles, boxes, space=file.arm_space, params=params, arm=arm
             )
 
-        yield HardwareCell(pipeline.RobotSide(take_views, plan_around, robot, file.workspace, limits))
+        yield HardwareCell(Cell(take_views, plan_around, robot, file.workspace, limits))
 
 
 def look_around(robot: Robot, views: Views, T_flange_cam: Array, advance: Advance, model: ArmModel = SAWYER) -> Capture:

@@ -12,7 +12,9 @@ from anther.checks import check_range
 from anther.errors import InputError, bad_input
 from anther.files import json_text, write_json
 from anther.geometry import Array
-from anther.identification import (
+from anther.pictures import save_figure
+from anther.pictures.estimates import Pluck, draw_material_test
+from anther.plant.bench import (
     ClampedStem,
     FreeVibration,
     Identification,
@@ -24,9 +26,7 @@ from anther.identification import (
     identify,
     write_material,
 )  # fmt: skip
-from anther.identification.measurements import DEFLECTION, LEAVES, PROFILE, SAMPLES, TRACE, read_measurements
-from anther.pictures import save_figure
-from anther.pictures.estimates import Pluck, draw_material_test
+from anther.plant.bench.measurements import DEFLECTION, LEAVES, PROFILE, SAMPLES, TRACE, read_measurements
 
 GIVEN_ERROR, GIVEN_DENSITY_ERROR = 0.01, 0.05
 """Relative standard error of a frequency and of a density (the prior's spread) that are given without one [-]."""

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from anther.cloud import Cloud
-from anther.commands.skeletonize import best_grasps, main_stem, node_named, read_source
+from anther.commands.skeletonize import best_grasps
 from anther.errors import bad_input
 from anther.files import read_object
 from anther.flowers import Flowers
@@ -21,26 +21,25 @@ from anther.formats.skeletons import Units
 from anther.fruit_set import worth
 from anther.geometry import Array
 from anther.grasp import Grasp, load_grasps
-from anther.identification import read_material
 from anther.pictures import save_figure
 from anther.pictures.report import draw_plan
 from anther.plant import PEPPER, TOMATO, Material, PlantModel, plant_with_flowers
+from anther.plant.bench import read_material
+from anther.plant.imported import main_stem, node_named, read_source
+from anther.plant.limits import Crop, Preset, like_breeze  # fmt: skip
 from anther.results import PARAMS
+from anther.robot.cell import ActuatorName
 from anther.runs import FILES, kept
 from anther.shake import (
     VIBRATING_GRIPPER,
     Actuator,
-    ActuatorName,
-    Crop,
     Params,
-    Preset,
     ShakePlan,
     arm_shaker,
-    like_breeze,
     plan_shake,
     sawyer_limit,
     with_preset,
-)  # fmt: skip
+)
 from anther.skeleton import Skeleton
 from anther.stem import Stem
 

@@ -11,9 +11,9 @@ import tyro
 
 from anther.capture import Capture
 from anther.commands.run_folder import finish, open_run
-from anther.commands.skeletonize import known_better
 from anther.geometry import Box
 from anther.pipeline import MaskSource, Params, cause_named, mask_finder, perceive, rank_grasps
+from anther.plant.imported import known_better
 
 
 @dataclass(frozen=True)

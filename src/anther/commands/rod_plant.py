@@ -11,15 +11,15 @@ import tyro
 from numpy.typing import NDArray
 
 from anther.checks import check_range
-from anther.commands.skeletonize import main_stem, node_named, read_source
 from anther.elastic_rod import Clamp, Discretisation, Rods, least_stiffness, stands, with_gravity_equilibrium
 from anther.errors import StageFailure, bad_input
 from anther.formats.skeletons import SkeletonFile, Units
 from anther.geometry import Array
-from anther.identification import read_material
 from anther.plant import MARGIN, PlantModel
+from anther.plant.bench import read_material
+from anther.plant.imported import main_stem, node_named, read_source
+from anther.plant.limits import Crop
 from anther.runs import kept
-from anther.shake import Crop
 from anther.skeleton import Skeleton
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}

@@ -1,4 +1,4 @@
-"""The simulated cell: what the robot may know goes into `pipeline.RobotSide`; the truth stays with the judge."""
+"""The simulated cell: what the robot may know goes into `robot.Cell`; the truth stays with the judge."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from anther.capture import Capture
 from anther.cloud import Cloud
 from anther.devices import SafetyLimits, Tap, untapped
 from anther.geometry import Array, Box, look_at
-from anther.pipeline import RobotSide
+from anther.plant.limits import Crop
+from anther.robot.cell import ActuatorName, Cell
 from anther.runs import Advance
 from anther.safety import guard
-from anther.shake import ActuatorName, Crop
 from anther.sim import arm_model
 from anther.sim import cell as world
 from anther.sim.capture import CaptureTruth, Sight, camera_errors, capture_views, perturbed_hand_eye
@@ -118,7 +118,7 @@ class SimulatedCell:
     plant: SimPlant
     world: world.Cell
     views: Views
-    robot_side: RobotSide
+    robot_side: Cell
 
     @property
     def capture_seconds(self) -> float:
@@ -191,7 +191,7 @@ def build(
         return Planner(cloud.points, cloud.obstacles, place.solids, space=space, params=params, arm=arm)
 
     robot = guard(tap(robot, limits, arm.tool.T_flange_cam, lambda: mujoco.time), limits)
-    return SimulatedCell(plant, mujoco, planned, RobotSide(take_views, plan_around, robot, place.workspace, limits))
+    return SimulatedCell(plant, mujoco, planned, Cell(take_views, plan_around, robot, place.workspace, limits))
 
 
 def photograph(

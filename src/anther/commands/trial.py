@@ -30,9 +30,11 @@ from anther.history import (
     starting_material,
 )
 from anther.pipeline import Done, MaskSource, Params, mask_finder, pollinate
+from anther.plant.limits import Crop, Preset
 from anther.results import EXECUTED, FILM, SUMMARY, held_unharmed
+from anther.robot.cell import ActuatorName
 from anther.runs import WHERE_IT_STOPPED, stage_under_way
-from anther.shake import ActuatorName, Crop, Preset, with_preset
+from anther.shake import with_preset
 
 if TYPE_CHECKING:
     from anther.arm.views import Params as ViewParams

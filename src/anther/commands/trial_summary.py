@@ -12,7 +12,7 @@ from rich.table import Table
 from anther.devices import GripperState
 from anther.execution import Step, Trial, lost_grip
 from anther.geometry import Array
-from anther.response import MOVED, moved
+from anther.plant.limits import MOVED, moved
 from anther.results import watched_words
 from anther.safety import stem_stress
 

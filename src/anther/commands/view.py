@@ -11,9 +11,9 @@ import tyro
 
 from anther.checks import check_range
 from anther.commands.run_folder import LOG
-from anther.commands.skeletonize import main_stem, read_source
 from anther.errors import StageFailure, bad_input
 from anther.formats.skeletons import Units
+from anther.plant.imported import main_stem, read_source
 from anther.results import RunResults, read_run
 
 

@@ -28,7 +28,6 @@ from anther.execution._beside import (
     Arrive,
     Deciding,
     Line,
-    TrajectoryPlanner,
     Watched,
     early_reach,
 )
@@ -36,6 +35,7 @@ from anther.execution._closing import close, lost_grip
 from anther.execution._trial import EARLY, PHASES, Step, Trial
 from anther.grasp import STAND_OFF, Grasp
 from anther.oscillation import choose_rate
+from anther.robot.cell import TrajectoryPlanner
 from anther.safety import check_idle, check_pieces, check_shake, guard
 from anther.swing import Swing, whole_shake
 
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from anther.shake import ShakePlan
 
 __all__ = [
-    "APPROACH_SPEED", "EARLY", "PHASES", "Arrive", "Line", "Progress", "Step", "TrajectoryPlanner", "Trial", "Watched",
+    "APPROACH_SPEED", "EARLY", "PHASES", "Arrive", "Line", "Progress", "Step", "Trial", "Watched",
     "early_reach", "execute", "lost_grip",
 ]  # fmt: skip
 

@@ -1,6 +1,6 @@
 """What goes on beside a moving arm: what follows a piece of a shake is decided, or the shake itself still chosen.
 
-What execution asks for that stands here too: a planner, and who watches.
+What execution asks for that stands here too: who watches.
 """
 
 from __future__ import annotations
@@ -15,11 +15,12 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.devices import ArmRecord, ArmSample, DeviceError, Frame, JointTrajectory, Robot, SafetyLimits
+from anther.devices import ArmRecord, ArmSample, DeviceError, Frame, Robot, SafetyLimits
 from anther.errors import StageFailure
 from anther.execution._trial import Step
 from anther.geometry import Array
 from anther.grasp import STAND_OFF, Grasp
+from anther.robot.cell import TrajectoryPlanner
 from anther.safety import guard
 from anther.swing import Swing
 
@@ -28,22 +29,6 @@ APPROACH_SPEED = 0.12
 PATIENCE = 0.12
 """How long a decision is waited for [s]; of the `LEAD` that a machine gives, the rest is for checking what follows."""
 LONGER = 0.5  # s: a piece goes on so much longer while what follows it is not decided
-
-
-class TrajectoryPlanner(Protocol):
-    """What execution asks of an arm's motion planner. Every trajectory keeps the arm's own limits."""
-
-    def move(self, q_from: Array, q_to: Array) -> JointTrajectory:
-        """Return a collision-free path between joint angles (J,) [rad]."""
-        ...
-
-    def line(self, q_from: Array, T_world_to: Array, speed: float) -> JointTrajectory:
-        """Return a straight flange line to a pose (4, 4) at `speed` [m/s], starting at joints (J,) [rad]."""
-        ...
-
-    def swing(self, q: Array, direction: Array, pieces: Sequence[Swing], reach: float) -> JointTrajectory:
-        """Return joined pieces of a flange shake about joints (J,) that all keep within `reach` [m]."""
-        ...
 
 
 class Line(NamedTuple):

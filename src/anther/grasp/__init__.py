@@ -13,29 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from anther.arm.gripper_shape import GripperShape
 from anther.checks import check_array, check_range, check_transform
 from anther.cloud import Cloud
 from anther.errors import StageFailure, bad_input
 from anther.files import read_object, understood, write_json
 from anther.geometry import Array, inverse, pose7, transform, transform_from_pose7
 from anther.grasp._candidates import Candidates, candidates_along, place_confidence
-from anther.grasp.clearance import (
-    BRANCH,
-    FLOWER_POINT,
-    LEAF,
-    OBSTACLE,
-    STEM,
-    Clearance,
-    GripperShape,
-    clearance,
-    surroundings_of,
-)
+from anther.grasp._clearance import BRANCH, FLOWER_POINT, LEAF, OBSTACLE, STEM, Clearance, clearance, surroundings_of
 from anther.masks import FLOWER
 from anther.skeleton import Skeleton
 from anther.stem import Stem
 
 __all__ = [
-    "STAND_OFF", "Grasp", "GripperShape", "Params", "Reach", "grasp_of", "grasp_row", "load_grasps", "plan_grasps",
+    "STAND_OFF", "Grasp", "Params", "Reach", "grasp_of", "grasp_row", "load_grasps", "plan_grasps",
     "save_grasps",
 ]  # fmt: skip
 

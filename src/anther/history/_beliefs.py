@@ -14,7 +14,7 @@ from anther.history._database import DEFAULT, reading
 from anther.history._records import material_of
 from anther.history._tables import GraspRow, Plant, ResponseRow, ShakeRow, Visit
 from anther.plant import PEPPER, TOMATO, Material
-from anther.shake import EarlierShake
+from anther.plant.belief import EarlierShake
 
 CROPS = {"tomato": TOMATO, "pepper": PEPPER}
 """What is believed of a crop before any plant of it was measured; each says its sources."""

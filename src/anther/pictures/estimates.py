@@ -12,7 +12,7 @@ from scipy.stats import beta
 from anther.calibration import CELLS, BoardViews, HandEye, flange_motions, image_coverage
 from anther.fruit_set import Count, FruitSet
 from anther.geometry import Array, transform_points
-from anther.identification import FreeVibration, Identification, MaterialTest, fitted_motion, tip_deflections
+from anther.plant.bench import FreeVibration, Identification, MaterialTest, fitted_motion, tip_deflections
 
 USED, OUTLIER, LEFT_OUT = "tab:blue", "tab:red", "tab:orange"
 ARROW = 0.03

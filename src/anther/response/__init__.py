@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from anther.checks import check_array, check_range, check_transform
 from anther.devices import Frame
@@ -31,12 +31,9 @@ from anther.response.thresholds import (
     overtones,
 )
 
-__all__ = ["Response", "StemMotion", "StemNear", "measure_response", "moved", "stem_near"]
+__all__ = ["Response", "StemMotion", "StemNear", "measure_response", "stem_near"]
 
 SCHEMA = 4
-MOVED = 5.0
-"""Median peak acceleration from which on flowers count as moved [m/s2]: an ordinary breeze of 2-4 m/s, which lets open
-fields set fruit, gives them 4-24 (facts: pollination 6)."""
 BLURRED = 0.5
 """A shutter open for a larger share of the period shows less than 0.64 of the swing: too little to make up for."""
 
@@ -116,14 +113,6 @@ class Response:
             arrays: dict[str, Any] = read_npz(path, "response", SCHEMA)
             stem = StemMotion(**{f.name: arrays.pop(f"stem_{f.name}") for f in fields(StemMotion)})
             return cls(notes=tuple(json.loads(str(arrays.pop("notes")))), stem=stem, **arrays)
-
-
-def moved(felt: ArrayLike) -> bool | None:
-    """Return whether half of the flowers or more felt `MOVED` or more, by what is known of them (F,) [m/s2]; None if
-    nothing is."""
-    felt = np.asarray(felt, dtype=float)
-    felt = felt[np.isfinite(felt)]
-    return bool(np.median(felt) >= MOVED) if len(felt) else None
 
 
 def measure_response(

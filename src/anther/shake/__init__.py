@@ -13,9 +13,10 @@ from anther.errors import StageFailure, bad_input
 from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.plant import PlantModel
+from anther.plant.belief import EarlierShake
 from anther.pressing import PRESSING, Pressing
-from anther.shake._actuators import VIBRATING_GRIPPER, Actuator, ActuatorName, arm_shaker, sawyer_limit
-from anther.shake._plan import EarlierShake, ResponseMap, RunnerUp, ShakePlan
+from anther.shake._actuators import VIBRATING_GRIPPER, Actuator, arm_shaker, sawyer_limit
+from anther.shake._plan import ResponseMap, RunnerUp, ShakePlan
 from anther.shake._verification import Checked, best_that_holds
 from anther.shake.choice import (
     Place,
@@ -30,13 +31,12 @@ from anther.shake.choice import (
     tones_at,
 )
 from anther.shake.pads import PADS, Pads
-from anther.shake.params import PRESETS, Crop, Params, PlantLimits, Preset, like_breeze, with_preset
+from anther.shake.params import Params, with_preset
 from anther.shake.search import gains, scenarios
 
 __all__ = [
-    "PADS", "PRESETS", "VIBRATING_GRIPPER", "Actuator", "ActuatorName", "Crop", "EarlierShake", "Pads", "Params",
-    "PlantLimits", "Preset", "ResponseMap", "RunnerUp", "ShakePlan", "arm_shaker", "like_breeze", "plan_shake",
-    "sawyer_limit", "with_preset",
+    "PADS", "VIBRATING_GRIPPER", "Actuator", "Pads", "Params", "ResponseMap", "RunnerUp", "ShakePlan", "arm_shaker",
+    "plan_shake", "sawyer_limit", "with_preset",
 ]  # fmt: skip
 
 

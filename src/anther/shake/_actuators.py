@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from anther.elastic_rod import Array
 from anther.grasp import Grasp
-
-ActuatorName = Literal["arm", "gripper"]
 
 Limit = Callable[[Grasp, Array, Array], Array]
 """(grasp, unit direction (3,), frequencies (Q,) [Hz]) -> largest amplitudes (Q,) [m]."""

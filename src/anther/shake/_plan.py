@@ -90,22 +90,6 @@ class Tones:
 
 
 @dataclass(frozen=True, slots=True)
-class EarlierShake:
-    """What an earlier visit to the same plant, watched, ended with.
-
-    Attributes:
-        arc_length: of the grip along the stem [m].
-        direction: (3,) of the shake, world.
-        frequency, amplitude: [Hz], [m].
-    """
-
-    arc_length: float
-    direction: Array
-    frequency: float
-    amplitude: float
-
-
-@dataclass(frozen=True, slots=True)
 class RunnerUp:
     """The best shake at another grasp or another frequency (a fifth away or more).
 

@@ -24,10 +24,11 @@ from anther.elastic_rod import (
 )
 from anther.errors import StageFailure
 from anther.plant import PlantModel
+from anther.plant.limits import PEAKS
 from anther.shake._plan import LimitRow
 from anther.shake.choice import Place, Search, best, closest, limit_rows
 from anther.shake.observables import Observables, observables, semi_major
-from anther.shake.params import FLOWER_SPREAD, MOST_DURATION, PEAKS, Params
+from anther.shake.params import FLOWER_SPREAD, MOST_DURATION, Params
 
 CHECKED, NEAR = 4, 0.1
 """So many shakes are simulated until the best holds the limits; those within 10 % of a cut one's frequency count as

@@ -15,11 +15,13 @@ from scipy.stats import norm
 from anther.geometry import Array
 from anther.grasp import Grasp
 from anther.plant import PlantModel
+from anther.plant.belief import EarlierShake
+from anther.plant.limits import FLOWERS, PEAKS
 from anther.pressing import Pressing
 from anther.shake._actuators import Actuator
-from anther.shake._plan import EarlierShake, LimitRow, Tones
+from anther.shake._plan import LimitRow, Tones
 from anther.shake.pads import grip_rows, pad_nodes
-from anther.shake.params import FLOWERS, PEAKS, Params, load_error
+from anther.shake.params import Params, load_error
 from anther.shake.search import Gains
 
 Place = tuple[int, int, int]

@@ -17,9 +17,10 @@ from scipy.stats import qmc
 from anther.elastic_rod import Array, Observed, displacements, observed_response
 from anther.errors import StageFailure
 from anther.plant import Material, PlantModel
+from anther.plant.limits import PEAKS
 from anther.shake.observables import ComplexArray, branch_of, observables
 from anther.shake.pads import PADS, Pads, friction_force
-from anther.shake.params import LOADS, PEAKS
+from anther.shake.params import LOADS
 
 NO_POINTS = np.zeros(0, dtype=np.int64)
 

@@ -17,7 +17,7 @@ from scipy.stats import norm
 from anther.errors import FailureKind
 from anther.geometry import Array, inverse
 from anther.oscillation import fit_swing
-from anther.response import moved
+from anther.plant.limits import moved
 from anther.sim.cell import Cell, CellLog
 from anther.sim.plant import Organ
 from anther.sim.truth import DOSE_EXPONENT, HALF_DOSE, TOLERANCE, tolerances
@@ -149,7 +149,7 @@ class Verdict:
 
     @property
     def flowers_moved(self) -> bool:
-        """Whether half of the flowers or more felt what a breeze gives them, `response.MOVED`, or more."""
+        """Whether half of the flowers or more felt what a breeze gives them, `plant.limits.MOVED`, or more."""
         return bool(moved(self.flower_acceleration_peak))
 
     @property

@@ -18,15 +18,15 @@ from anther.checks import check_array, check_range
 from anther.errors import InputError, bad_input
 from anther.files import read_json, write_json
 from anther.geometry import Array
-from anther.identification._clamped_stem import (
+from anther.plant import TOMATO, Material
+from anther.plant.bench._clamped_stem import (
     ClampedStem,
     Orientation,
     droop,
     youngs_from_deflection,
     youngs_from_first_mode,
 )
-from anther.identification._free_vibration import FreeVibration, mean_vibration
-from anther.plant import TOMATO, Material
+from anther.plant.bench._free_vibration import FreeVibration, mean_vibration
 
 SCHEMA = 1
 DISAGREEMENT = 2.0

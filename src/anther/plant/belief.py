@@ -1,0 +1,23 @@
+"""What is kept of an earlier visit to a plant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from anther.geometry import Array
+
+
+@dataclass(frozen=True, slots=True)
+class EarlierShake:
+    """What an earlier visit to the same plant, watched, ended with.
+
+    Attributes:
+        arc_length: of the grip along the stem [m].
+        direction: (3,) of the shake, world.
+        frequency, amplitude: [Hz], [m].
+    """
+
+    arc_length: float
+    direction: Array
+    frequency: float
+    amplitude: float

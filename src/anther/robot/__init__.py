@@ -1,0 +1,1 @@
+"""A robot before a plant, simulated or real."""

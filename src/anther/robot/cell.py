@@ -1,0 +1,63 @@
+"""The robot's side of a cell: what a trial is given, and what it asks of the planner of an arm's motions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+from anther.capture import Capture
+from anther.cloud import Cloud
+from anther.devices import JointTrajectory, Robot, SafetyLimits
+from anther.geometry import Array, Box
+from anther.runs import Advance
+from anther.swing import Swing
+
+ActuatorName = Literal["arm", "gripper"]
+
+
+class TrajectoryPlanner(Protocol):
+    """What execution asks of an arm's motion planner. Every trajectory keeps the arm's own limits."""
+
+    def move(self, q_from: Array, q_to: Array) -> JointTrajectory:
+        """Return a collision-free path between joint angles (J,) [rad]."""
+        ...
+
+    def line(self, q_from: Array, T_world_to: Array, speed: float) -> JointTrajectory:
+        """Return a straight flange line to a pose (4, 4) at `speed` [m/s], starting at joints (J,) [rad]."""
+        ...
+
+    def swing(self, q: Array, direction: Array, pieces: Sequence[Swing], reach: float) -> JointTrajectory:
+        """Return joined pieces of a flange shake about joints (J,) that all keep within `reach` [m]."""
+        ...
+
+
+class MotionPlanner(TrajectoryPlanner, Protocol):
+    """What a trial asks of an arm's planner, beyond the motions that execution asks for."""
+
+    def reach(self, T_world_pregrasp: Array, T_world_grasp: Array) -> Array | None:
+        """See `grasp.Reach`."""
+        ...
+
+    def shake_limit(self, q: Array, direction: Array, frequencies: Array) -> Array:
+        """Return the largest amplitude (Q,) [m] the arm manages about joints (J,) [rad]."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cell:
+    """One robot before one plant, simulated or real.
+
+    Attributes:
+        take_views: moves the wrist camera around the plant and returns the views.
+        plan_around: Cloud -> a motion planner that keeps clear of what the cloud shows.
+        robot: arm, gripper and cameras.
+        workspace: box the plant stands in, world [m].
+        limits: what no command may exceed.
+    """
+
+    take_views: Callable[[Advance], Capture]
+    plan_around: Callable[[Cloud], MotionPlanner]
+    robot: Robot
+    workspace: Box
+    limits: SafetyLimits
