@@ -14,7 +14,8 @@ MODULES = sorted(SOURCE.rglob("*.py"))
 BASE = {"errors", "checks", "files", "geometry", "images", "libraries", "style", "transforms", "__init__"}
 ORDER = [
     "runs", "capture", "masks", "cloud", "skeleton", "stem", "flowers", "elastic_rod", "formats", "plant",
-    "pressing", "swing", "devices", "safety", "oscillation", "calibration", "arm", "robot", "grasp", "shake", "execution",
+    "pressing", "swing", "devices", "safety", "oscillation", "calibration", "arm", "robot", "grasp", "shake",
+    "execution",
     "response", "escalation", "identification", "pipeline",
 ]  # fmt: skip
 STAGES = set(ORDER)
