@@ -24,7 +24,6 @@ def folder() -> Iterator[Path]:
 KINDS = [
     pytest.param(name, marks=[pytest.mark.slow] if name in reports.SLOW else [])
     for name in reports.KINDS
-    if not name.startswith("16")
 ]
 
 

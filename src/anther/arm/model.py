@@ -189,8 +189,8 @@ class ArmModel:
         for name in (*per_joint, "neutral", "ready", "waiting"):
             object.__setattr__(self, name, check_array(f"{self.name}'s {name}", getattr(self, name), (count,)))
         for i, joint in enumerate(self.joints):
-            joint_limits = self.lower[i], self.upper[i], self.velocity[i], self.effort[i]
-            check_joint(f"{self.name}'s joint {joint}", *map(float, joint_limits))
+            lower, upper, velocity, effort = (float(x[i]) for x in (self.lower, self.upper, self.velocity, self.effort))
+            check_joint(f"{self.name}'s joint {joint}", lower, upper, velocity, effort)
             check_acceleration(f"{self.name}'s joint {joint}", float(self.acceleration[i]))
         for name in ("neutral", "ready", "waiting"):
             q = getattr(self, name)

@@ -34,6 +34,20 @@ from anther.geometry import Array
 from anther.skeleton import skeletonize
 from anther.stem import find_stem
 
+__all__ = [
+    "Axis",
+    "RawPoints",
+    "Units",
+    "axis_notes",
+    "checked_cloud",
+    "lzf_decompress",
+    "read_cloud",
+    "read_npz_points",
+    "read_pcd",
+    "read_ply",
+    "stem_worth",
+]
+
 _FEWEST = 50
 _MOST_BROKEN = 0.05
 TO_Z_UP: dict[Axis, list[int]] = {"x": [1, 2, 0], "y": [2, 0, 1], "z": [0, 1, 2]}
