@@ -355,6 +355,16 @@ def test_a_scrap_of_soil_is_not_the_root() -> None:
     assert rooted(nodes[:31], edges[:30]).rooted_at().numbers[0] == 0  # without a scrap: the lowest node
 
 
+@given(turned=st.lists(st.booleans(), min_size=36, max_size=36))
+def test_an_edge_has_no_direction(turned: list[bool]) -> None:
+    """So a file may name the parent first or last: the root alone says which way is up the tree."""
+    nodes, edges = scrap_of_soil()
+    either = np.where(np.array(turned)[:, None], edges[:, ::-1], edges)
+    for root in (0, 20, 36):
+        one, other = rooted(nodes, edges, root=root), rooted(nodes, either, root=root)
+        assert (one.numbers.tolist(), one.parent.tolist()) == (other.numbers.tolist(), other.parent.tolist())
+
+
 def test_scraps_of_soil_at_the_root_are_left_out() -> None:
     nodes, edges = scrap_of_soil()
     bare = rooted(nodes, edges).rooted_at().without_scraps()

@@ -28,6 +28,7 @@ from anther.grasp import (
     Params,
     _costs,
     _rank,
+    _refusals,
     load_grasps,
     plan_grasps,
     save_grasps,
@@ -497,6 +498,23 @@ def test_the_reason_tells_thickness_and_clearance_in_millimetres():
     assert f"{1e3 * best.stem_diameter:.1f} mm thick, clearance {1e3 * best.clearance:.0f} mm" in best.reason
 
 
+LEAVES_COST = ("brushes leaves", "leaves between the fingers")
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "least"),
+    [(OBSTACLE, "would hit pot or bench", 0.015), (STEM_BALL, "would hit the stem", 0.003)],
+)
+def test_open_fingers_keep_as_far_off_as_docs_grasp_says(kind, name, least):
+    stem, skeleton, cloud = make_plant(branches=())
+    ranking = _rank(stem, skeleton, cloud, Params(), toward_base=False)
+    for distance, refused in ((0.9 * least, True), (1.1 * least, False)):
+        near = ranking.met.distance.copy()
+        near[:, kind] = distance
+        said = _refusals(ranking.candidates, replace(ranking.met, distance=near), None, Params())[name]
+        assert np.all(said == refused)
+
+
 def test_above_a_fork_every_place_costs_more_than_well_below_it():
     stem, skeleton, cloud = make_plant(branches=())
     stem = replace(stem, fork=25)
@@ -505,6 +523,22 @@ def test_above_a_fork_every_place_costs_more_than_well_below_it():
     arc, cost = ranking.candidates.arc_length, ranking.costs["near or above a fork"]
     assert cost[arc > fork].min() > cost[arc < fork - 0.05].max()
     assert plan_grasps(stem, skeleton, cloud)[0].arc_length < fork
+
+
+def test_however_crowded_it_is_below_the_fork_the_main_stem_is_held_there():
+    """Leaves all around, which the open fingers brush and the pads close on, up to the fork; well above it none."""
+    stem, skeleton, cloud = make_plant(branches=())
+    stem = replace(stem, fork=25)
+    fork = stem.arc_length[stem.fork]
+    around, height = np.random.default_rng(0).uniform([0, 0], [2 * np.pi, fork + 0.02], (20000, 2)).T
+    off = np.random.default_rng(1).uniform(0.008, 0.05, len(around))
+    leaves = np.stack([0.72 + off * np.cos(around), off * np.sin(around), height - 0.3], axis=1)
+    crowded = add_points(cloud, leaves)
+    ranking = _rank(stem, skeleton, crowded, Params(), toward_base=False)
+    arc, cost = ranking.candidates.arc_length, np.sum([ranking.costs[n] for n in LEAVES_COST], axis=0)
+    assert cost[arc <= fork].min() > 2
+    assert cost[arc > fork].min() == 0
+    assert plan_grasps(stem, skeleton, crowded)[0].arc_length < fork
 
 
 def test_toward_the_base_every_place_below_the_fork_is_tried_and_few_above_it():

@@ -20,6 +20,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from postgresql_server import Server
+from sqlalchemy import text
 
 from anther.errors import InputError, MissingExtra
 from anther.history import (
@@ -42,7 +43,7 @@ from anther.history import (
     record_trial,
     shown,
 )
-from anther.history._database import _engine
+from anther.history._database import _engine, writing
 from anther.plant import Material
 
 KILLS = int(os.environ.get("ANTHER_KILLS", "4"))
@@ -267,6 +268,26 @@ def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
             use()
     with pytest.raises(InputError, match="trial history"):
         record_trial(full(), path / "inside" / "a" / "file.sqlite")
+
+
+def test_who_reads_cannot_write(where: str) -> None:
+    record_trial(full(), where)
+
+    def spoil() -> None:
+        with reading(where) as session:
+            assert session is not None
+            session.execute(text("UPDATE plants SET species = 'spoilt'"))
+            session.commit()
+
+    with pytest.raises(InputError, match=r"Nothing was changed|read-only"):
+        spoil()
+    assert [trial.species for trial in read_trials(where)] == ["tomato"]
+
+
+def test_a_commit_is_on_the_disk_when_it_returns(tmp_path: Path) -> None:
+    """SQLite flushes the write-ahead log at every commit (2, FULL); else a power cut takes the last visits."""
+    with writing(tmp_path / "h.sqlite") as session:
+        assert session.execute(text("PRAGMA synchronous")).scalar() == 2
 
 
 def test_locked_and_full_are_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -342,6 +342,29 @@ def test_the_samples_are_what_they_say(folder: Path) -> None:
     assert abs(youngs["value"] - 90e6) < 2 * youngs["standard_error"]
 
 
+TEST = re.compile(r"`tests/(\w+\.py) -k (\w+)`")
+
+
+def test_every_test_that_a_page_names_is_there() -> None:
+    named = {(page.name, *found) for page in PAGES for found in TEST.findall(page.read_text())}
+    assert any(page == "hazards.md" for page, _, _ in named)
+    sources = {path.name: path.read_text() for path in (ROOT / "tests").rglob("test_*.py")}
+    lost = [row for row in sorted(named) if not re.search(rf"^ *def {row[2]}\(", sources.get(row[1], ""), re.MULTILINE)]
+    assert not lost
+
+
+def test_every_hazard_has_its_evidence_or_says_that_it_has_none() -> None:
+    text = (ROOT / "docs/hazards.md").read_text()
+    rows = [
+        [cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if line.startswith("| ")
+    ]
+    hazards = [row for row in rows if len(row) == 5 and row[0] != "hazard"]
+    assert len(hazards) > 20
+    for hazard, *_, evidence, remains in hazards:
+        assert evidence == "none" or TEST.sub("", evidence).replace(";", "").strip() == "", hazard
+        assert remains, hazard
+
+
 MEASURED = re.compile(r"<!-- measured: ([^\n]+) -->\n(.*?)<!-- end -->", re.DOTALL)
 
 

@@ -24,6 +24,7 @@ from anther.pressing import PRESSING, Pressing
 from anther.shake import (
     PADS,
     VIBRATING_GRIPPER,
+    EarlierShake,
     Pads,
     Params,
     ShakePlan,
@@ -36,7 +37,20 @@ from anther.shake import (
 )
 from anther.shake._actuators import RAMPS
 from anther.shake._verification import Checked, Shaken, check, steadily_shaken, verified
-from anther.shake.choice import APART, DIRECTIONS, LEAST_PRESS, PRESS, Grips, Search, _directions, search, tones_at
+from anther.shake.choice import (
+    APART,
+    DIRECTIONS,
+    LEAST_PRESS,
+    OF_THE_MACHINE,
+    PRESS,
+    Bound,
+    Grips,
+    Search,
+    _directions,
+    as_earlier,
+    search,
+    tones_at,
+)
 from anther.shake.choice import QUICK as SLOWEST
 from anther.shake.pads import friction_force, grip_rows, pad_nodes
 from anther.shake.params import FAST, FAST_LOAD_ERROR, FLOWER_SPREAD, LOAD_ERROR, RINGING, load_error
@@ -267,6 +281,43 @@ def test_tones_are_those_that_move_flowers_most_each_apart_from_the_others(most:
         apart = np.abs(np.log(hertz / hertz[first])) >= np.log(APART)
         assert tones.frequencies[1] == hertz[int(np.argmax(np.where(apart, felt, 0)))]
     assert tones.directions == pytest.approx(np.eye(3)[[1, 0]]), "and the plan's line"
+
+
+@pytest.mark.parametrize("tightest", ["motor", "grip amplitude", "grip speed"])
+def test_a_tone_reaches_as_far_as_the_machine_allows_in_every_way_and_the_plant_has_no_part(tightest: str) -> None:
+    hertz = np.array([3.0, 9.0])
+    machine = {name: Bound(*np.ones((3, 2, 1, 1))) for name in ("motor", "grip amplitude", "grip speed")}
+    assert len(machine) == OF_THE_MACHINE
+    machine[tightest] = Bound(100 * hertz[:, None, None], np.ones((1, 1)), np.ones((2, 1, 1)))
+    plant = {"stem strain": Bound(np.full((2, 1, 1), 1e9), np.ones((1, 1)), np.ones((2, 1, 1)))}
+    grips = Grips([], np.zeros(1), np.zeros(1, dtype=int), np.array([[[1.0, 0, 0]]]), np.ones((1, 1)))
+    found = Search(
+        grips, np.ones((4, 2, 1, 1, 3)), hertz, np.full((2, 1, 1), 1e-3), np.ones((2, 1, 1)), {**machine, **plant}, 1e-4
+    )
+    tones = tones_at(found, (0, 0, 0), 2, None)
+    assert tones.reach[:, 0] == pytest.approx(0.01 / tones.frequencies)
+
+
+def test_an_earlier_shake_is_done_again_only_where_the_same_pads_would_hold() -> None:
+    """Up to 20 mm along the stem (docs/escalation.md), nowhere else, and with no other frequency."""
+    arc, hertz = np.array([0.15, 0.179, 0.181, 0.2, 0.219, 0.221, 0.3]), np.array([5.0, 9.0])
+    grips = Grips([], arc, np.arange(7), np.tile(np.eye(3)[:2], (7, 1, 1)), np.ones((7, 1)))
+    shape = (2, 7, 2)
+    found = Search(grips, np.ones((1, *shape, 1)), hertz, np.ones(shape), np.ones(shape), {}, 1e-4)
+    again = as_earlier(found, EarlierShake(0.2, np.array([0, -1.0, 0]), 9.1, 1e-3))
+    assert again is not None
+    assert np.argwhere(again.score >= 0).tolist() == [[1, g, 1] for g in (2, 3, 4)]
+    for height, frequency in ((0.25, 9.1), (0.2, 7.0)):
+        assert as_earlier(found, EarlierShake(height, np.array([0, -1.0, 0]), frequency, 1e-3)) is None
+
+
+@pytest.mark.parametrize("risk", [0.005, 0.02, 0.2])
+def test_a_load_passes_what_is_counted_with_as_often_as_the_risk_says(risk: float) -> None:
+    rng = np.random.default_rng(0)
+    median, spread, plants = 1.3, 0.25, np.exp(rng.normal(0.5, 0.4, 100_000))
+    loads = median * plants * np.exp(rng.normal(0, spread, len(plants)))
+    counted = choice.margined(plants[:, None], (median, spread), risk)
+    assert np.mean(loads > counted) == pytest.approx(risk, abs=4 * np.sqrt(risk / len(plants)))
 
 
 def test_a_shake_that_is_cut_takes_its_neighbours_in_frequency_with_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -163,7 +163,7 @@ def rooted(
 
     Args:
         nodes: (J, 3) positions [m].
-        edges: (J - 1, 2) pairs of node indices, in any order.
+        edges: (J - 1, 2) pairs of node indices, in any order, either end first.
         radius: (J,) [m], or None.
         numbers: (J,) the file's own numbers; None: 0, 1, ...
         root: index of the root; None: the lowest node.
