@@ -26,7 +26,8 @@ LIMB = "/robot/limb/right/"
 
 
 class FakeSawyer:
-    """Attributes: `q` where it is; `log` of (time, joints); `heard` of the times of commands [s], on its `clock`."""
+    """Attributes: `q` where it is; `log` of (time, joints); `heard` of the times of commands [s], on its `clock`;
+    `commands` of (time, mode, joints, rates)."""
 
     def __init__(
         self,
@@ -49,6 +50,7 @@ class FakeSawyer:
         self.frozen = np.full(7, np.nan)  # rad, where it says that a joint is for good, but for the noise of encoders
         self.log: list[tuple[float, Array]] = []
         self.heard: list[float] = []
+        self.commands: list[tuple[float, int, Array, Array]] = []
         self._target: tuple[float, int, Array, Array] | None = None
         self._rate, self._over, self._held = rate, False, list[tuple[float, Any]]()
         self.node = Node(master, "/fake_sawyer", types())
@@ -82,6 +84,7 @@ class FakeSawyer:
         rate = message.velocity[order] if message.mode == 4 else np.zeros(7)
         self._target = (self.clock(), message.mode, message.position[order], rate)
         self.heard.append(self._target[0])
+        self.commands.append(self._target)
 
     def _enable(self, message: Any) -> None:
         if not self.stopped:
