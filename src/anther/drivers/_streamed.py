@@ -296,7 +296,8 @@ class StreamedArm(ABC):
             with quick_turns(), served_first():
                 self._stream(reference, watch, samples)
         except BaseException:
-            self.hold()
+            with quick_turns(), served_first():
+                self.hold()
             raise
         finally:
             reference.close()
