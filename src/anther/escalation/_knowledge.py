@@ -193,7 +193,7 @@ def _repeats(foresight: Foresight, look: Look, late: float, before: Sequence[Loo
         for i, j in alike:
             hertz = float(foresight.tones[look.tones[i]])
             raised = float(np.linalg.norm(look.gripper[i]) / np.linalg.norm(last.gripper[j]))
-            changing = float(np.hypot(*(unsettled(one.swings, hertz) for one in (look, last))))
+            changing = float(np.hypot(unsettled(look.swings, hertz), unsettled(last.swings, hertz)))
             if repeated(moved(look, i), moved(last, j), raised, changing):
                 return True
     return False
