@@ -5,7 +5,8 @@
 The plan is made once (tomato 10, from views to shake plan, in OUT/base) and read back for every fault. A fault then
 hits the early reach or the execution in a MuJoCo cell, where the shake is one of three pieces that are streamed to the
 arm as a watched one is (`fault_machines.Pieces`), or, one in twenty, the camera while the views are taken; one in
-fifty kills the process with SIGKILL. Nine in ten cells hold the plant's main stem alone, which takes an eighth of the
+fifty kills the process with SIGKILL. A process that is paused is left to `protocol_faults.py`: here time stands still
+meanwhile. Nine in ten cells hold the plant's main stem alone, which takes an eighth of the
 time, the others the whole plant.
 
 Faults go through a sweep in OUT/faults, each in a process of its own: what is done is not done again. Table and metrics
@@ -30,7 +31,7 @@ from typing import Any, cast, get_args
 import numpy as np
 from fault_machines import ClockCamera, Kept, Pieces, left_behind
 from fault_truth import peak, true_grip, true_stress
-from faulty_machines import Fault, FaultyCamera, Kind, with_faults
+from faulty_machines import STALE, Fault, FaultyCamera, Kind, with_faults
 from replay_camera import ReplayCamera
 from rich.box import MARKDOWN
 from rich.console import Console
@@ -64,7 +65,7 @@ EXPECTED = {"pushed": "collision", "ctrl-c": "interrupted", "kill -9": "interrup
 LIES = ("gripper force stuck", "gripper force missing", "gripper holds nothing")  # of pads that move as they should
 STRIKES: dict[str, tuple[int, ...]] = {
     **dict.fromkeys(("frames lost", "frozen picture"), (0,)),
-    "stale joints": (0, 1, 3, 4),
+    **dict.fromkeys(STALE, (0, 1, 3, 4)),
     **dict.fromkeys(("gripper jam", *LIES), (0, 2, 3)),
 }
 """In which commands a kind strikes that does not in all `MOTIONS`: an arm that stands still cannot be stale; a gripper
@@ -192,9 +193,7 @@ def unsafe(cell: Cell, limits: SafetyLimits, plan: ShakePlan, case: Case) -> str
     away = float(np.linalg.norm(cell.flange_pose()[:3, 3] - plan.grasp.T_world_flange[:3, 3]))
     went_in = float(np.linalg.norm(flange - plan.grasp.T_world_flange[:3, 3], axis=1).min()) < 0.1
     is_open = cell.opening > 0.04
-    arm_obeys = case.fault.kind not in {"kill -9", "stale joints"} and (
-        not case.fault.lasting or case.fault.kind in LIES
-    )
+    arm_obeys = case.fault.kind not in {"kill -9", *STALE} and (not case.fault.lasting or case.fault.kind in LIES)
     jammed = case.fault.kind == "gripper jam" and case.fault.lasting
     found = {
         "joint range": bool(np.any((log.joints < limits.joint_lower) | (log.joints > limits.joint_upper))),

@@ -29,6 +29,8 @@ Kind = Literal[
     "command rejected",
     "arm stops",
     "stale joints",
+    "stale with noise",
+    "one joint stale",
     "pushed",
     "gripper jam",
     "gripper force stuck",
@@ -40,12 +42,16 @@ Kind = Literal[
     "ctrl-c",
     "kill -9",
 ]
-"""What can go wrong. "pushed" is a hand, or anything else the arm runs into. A gripper's force is stuck at 0 or at
-`STUCK`; one that holds nothing says that it holds something with `STUCK`. An arm's is lost as NaN, a negative number or
-the last one felt; which of them the fault's share tells."""
+"""What can go wrong. "pushed" is a hand, or anything else the arm runs into. Joints freeze to the bit, with
+the noise of their encoders, or only that one which moves most. A gripper's force is stuck at 0 or at `STUCK`; one that
+holds nothing says that it holds something with `STUCK`. An arm's is lost as NaN, a negative number or the last one
+felt; which of them the fault's share tells."""
 
 PUSH = 60.0  # N, a firm push by hand, our choice
 STUCK = 8.0  # N, about what a stem is held with
+NOISE = 1e-6  # rad, of encoders: 22 bits a turn
+STALE = ("stale joints", "stale with noise", "one joint stale")
+"""Kinds of joint readings that freeze while the arm moves on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,11 +99,12 @@ class FaultyArm:
         self._arm, self._fault = arm, fault
         self._count = 0
         self._frozen: Array | None = None
+        self._moves_most, self._rng = np.zeros(0, bool), np.random.default_rng(0)
         self._felt: float | None = None
 
     def joints(self) -> Array:
         """Return the measured joints (J,) [rad]; stale ones are those of the moment they froze."""
-        return self._arm.joints() if self._frozen is None else self._frozen
+        return self._read(self._arm.joints())
 
     def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:
         """Follow, unless the fault says otherwise."""
@@ -110,6 +117,8 @@ class FaultyArm:
             raise DeviceError("the arm rejected the command: it is not enabled.")
         if count > fault.at and fault.kind == "arm stops":
             raise DeviceError("the arm rejected the command: it stopped and was not reset.")
+        most = int(np.ptp(trajectory.positions, axis=0).argmax())
+        self._moves_most = np.arange(trajectory.positions.shape[1]) == most
         begun: list[float] = []
         lengths = [trajectory.duration]
 
@@ -150,10 +159,18 @@ class FaultyArm:
                 self._felt = sample.force if self._felt is None else self._felt
                 lost = (np.nan, -sample.force, self._felt)[int(4 * self._fault.share) % 3]
                 return replace(sample, force=lost)
-            case "stale joints":
+            case kind if kind in STALE:
                 self._frozen = sample.measured if self._frozen is None else self._frozen
-                return replace(sample, measured=self._frozen)
+                return replace(sample, measured=self._read(sample.measured))
         return sample
+
+    def _read(self, joints: Array) -> Array:
+        """Return what is told of joints (J,) [rad]."""
+        if self._frozen is None:
+            return joints
+        noise = 0.0 if self._fault.kind == "stale joints" else NOISE
+        told = self._frozen + noise * self._rng.standard_normal(len(joints))
+        return np.where(self._moves_most, told, joints) if self._fault.kind == "one joint stale" else told
 
 
 class FaultyGripper:

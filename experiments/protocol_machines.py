@@ -35,6 +35,7 @@ PUSH = 60.0  # N, a firm push by hand, our choice
 LOSS = 0.05  # of the messages
 LATE = 0.2  # s
 FRAMES = 30.0  # Hz
+MOVES, WAITS = 0.05, 3.0  # rad/s of a joint that moves; s that are waited for one
 
 
 class Lossy(FakeSawyer):
@@ -105,6 +106,8 @@ class Machines:
             "a joint missing": lambda: setattr(robot, "names", ["head_pan", *sawyer.JOINTS[:-1], "torso_t0"]),
             "joints in another order": lambda: setattr(robot, "names", sorted(robot.names, reverse=True)),
             "joints silent": lambda: setattr(robot, "mute", True),
+            "stale with noise": lambda: setattr(robot, "frozen", robot.q.copy()),
+            "one joint stale": self._freeze_one,
             "gripper silent": lambda: setattr(gripper, "mute", True),
             "gripper jams": lambda: setattr(gripper, "stuck", True),
             "gripper says that it holds": lambda: setattr(gripper, "met", 2),
@@ -125,6 +128,13 @@ class Machines:
         }
         acts[kind]()
 
+    def _freeze_one(self) -> None:
+        """Freeze what is told of the joint that moves most, once one moves."""
+        robot, until = self.robot, time.monotonic() + WAITS
+        while np.abs(robot.v).max() < MOVES and time.monotonic() < until:
+            time.sleep(0.005)
+        robot.frozen = np.where(np.arange(7) == np.abs(robot.v).argmax(), robot.q, np.nan)
+
     def repair(self) -> None:
         """Put everything right, as a person would; a robot that was stopped must still be enabled."""
         robot = self.robot
@@ -137,6 +147,7 @@ class Machines:
             self.robot = robot = Lossy(self._master.uri, robot.q.copy())
             self._write()
         robot.lag = robot.lost = 0.0
+        robot.frozen = np.full(7, np.nan)
         robot.offset, robot.names = np.zeros(7), ["head_pan", *reversed(sawyer.JOINTS), "torso_t0"]
         robot.pressed = robot.cuff = robot.collided = robot.mute = False
         robot.dead = robot.numb = False

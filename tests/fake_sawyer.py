@@ -21,11 +21,13 @@ from anther.drivers.ros1 import Node
 from anther.geometry import Array
 
 CLOCK = 3.7  # s by which the robot's clock is ahead
+ENCODERS = 1e-6  # rad, of their noise
 LIMB = "/robot/limb/right/"
 
 
 class FakeSawyer:
-    """Attributes: `q` where it is; `log` of (time, joints); `heard` of the times of commands [s], on its `clock`."""
+    """Attributes: `q` where it is; `log` of (time, joints); `heard` of the times of commands [s], on its `clock`;
+    `commands` of (time, mode, joints, rates)."""
 
     def __init__(
         self,
@@ -45,8 +47,10 @@ class FakeSawyer:
         self.noise = np.random.default_rng(0)  # of its force: none where its sensor is `dead`; `numb`: none is told
         self.dead = self.numb = False
         self.offset = np.zeros(7)  # rad, between what it does and what it says
+        self.frozen = np.full(7, np.nan)  # rad, where it says that a joint is for good, but for the noise of encoders
         self.log: list[tuple[float, Array]] = []
         self.heard: list[float] = []
+        self.commands: list[tuple[float, int, Array, Array]] = []
         self._target: tuple[float, int, Array, Array] | None = None
         self._rate, self._over, self._held = rate, False, list[tuple[float, Any]]()
         self.node = Node(master, "/fake_sawyer", types())
@@ -80,6 +84,7 @@ class FakeSawyer:
         rate = message.velocity[order] if message.mode == 4 else np.zeros(7)
         self._target = (self.clock(), message.mode, message.position[order], rate)
         self.heard.append(self._target[0])
+        self.commands.append(self._target)
 
     def _enable(self, message: Any) -> None:
         if not self.stopped:
@@ -126,7 +131,9 @@ class FakeSawyer:
         make, now = self.node.types.types, self.clock() + self.ahead
         stamp = make["builtin_interfaces/msg/Time"](int(now), int(now % 1 * 1e9))
         header = make["std_msgs/msg/Header"](0, stamp, "base")
-        said = dict(zip(sawyer.JOINTS, self.q + self.offset, strict=True))
+        noisy = self.frozen + ENCODERS * self.noise.standard_normal(7)
+        told = np.where(np.isnan(self.frozen), self.q + self.offset, noisy)
+        said = dict(zip(sawyer.JOINTS, told, strict=True))
         angles, none = np.array([said.get(name, 0.1) for name in self.names]), np.zeros(0)
         self._held.append((self.clock(), make["sensor_msgs/msg/JointState"](header, self.names, angles, none, none)))
         while self._held and self._held[0][0] <= self.clock() - self.lag:

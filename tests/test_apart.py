@@ -135,7 +135,7 @@ def test_a_process_that_is_killed_is_told() -> None:
 
 
 MOVES = """
-import sys; sys.path[:0] = [{here!r}]
+import os, sys, time; sys.path[:0] = [{here!r}]
 from fake_robot import LIMITS
 from small_planner import SmallPlanner
 from slow_arms import slow_sawyer
@@ -143,16 +143,23 @@ from anther.drivers import apart
 from anther.drivers.apart import ArmApart
 if __name__ == "__main__":
     arm = ArmApart(slow_sawyer, {{"master": sys.argv[1]}}, LIMITS)
+    if "a child" in sys.argv and os.fork() == 0:  # it keeps the pipe open
+        time.sleep(4.0)
+        os._exit(0)
     print("ready", flush=True)
     arm.follow(SmallPlanner().move(arm.joints(), arm.joints() - 0.5))
 """
 
 
-def test_who_is_killed_leaves_an_arm_at_rest_within_100_ms(tmp_path: Path) -> None:
-    """kill -9 of the process that commands: the arm's own brakes it, before the arm's timeout need act."""
+@pytest.mark.parametrize("left", ["nobody", "a child"])
+def test_who_is_killed_leaves_an_arm_at_rest_within_100_ms(tmp_path: Path, left: str) -> None:
+    """kill -9 of the process that commands: the arm's own brakes it, before the arm's timeout need act.
+
+    So it does where a child of that process is left and holds the pipe's other end.
+    """
     master = FakeMaster()
     (tmp_path / "moves.py").write_text(MOVES.format(here=str(HERE)))
-    words = [sys.executable, str(tmp_path / "moves.py"), master.uri]
+    words = [sys.executable, str(tmp_path / "moves.py"), master.uri, left]
     with (
         closing(FakeSawyer(master.uri, joints=sawyer.NEUTRAL, clock=clock, sleep=sleep)) as robot,
         subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process,

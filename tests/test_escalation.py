@@ -685,6 +685,29 @@ def test_a_camera_that_goes_blind_on_the_way_takes_the_shake_back_to_what_it_saw
     check_pieces(world, watched)
 
 
+class Behind(World):
+    """A world whose camera shows the look before, where that was at as many tones."""
+
+    last: Any = None
+
+    def swings(self, _: Any, frames: Any, tones: Any, expected: Any = None) -> Any:
+        before, self.last = self.last, super().swings(_, frames, tones, expected)
+        return before if before and before.phasors.shape == self.last.phasors.shape else self.last
+
+
+@pytest.mark.parametrize(("seed", "member"), [(0, 3), (6, 9), (12, 15), (33, 16)])
+def test_a_camera_that_shows_the_look_before_harms_no_plant_that_is_softer_than_believed(
+    shaken: Shaken, monkeypatch: pytest.MonkeyPatch, seed: int, member: int
+) -> None:
+    monkeypatch.setattr(foresight_module, "MISFIT", 0.2)
+    foresight = made_foresight(seed)
+    world = Behind(foresight, 3 * foresight.vectors[member], plan=made_plan((0.002,) * 3, (0.03,) * 3), noise=3e-5)
+    for step in single(shaken(world)):
+        tone = int(np.abs(TONES - step.frequencies[0]).argmin())
+        borne = limits_of(world.limits, world.plan.press, step.frequencies[0])
+        assert all(step.amplitudes[0] * load < borne[kind] for kind, load in world.loads(tone).items())
+
+
 def test_a_camera_that_sees_again_raises_the_shake_as_if_it_had_seen_the_probe(shaken: Shaken) -> None:
     class Waking(Lying):
         def swings(self, _: Any, frames: Any, tones: Any, expected: Any = None) -> Any:

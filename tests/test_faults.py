@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fake_robot import LIMITS, FakeArm, FakeCamera, FakeGripper, fake_robot
-from faulty_machines import Fault, FaultyCamera, Kind, with_faults
+from faulty_machines import STALE, Fault, FaultyCamera, Kind, with_faults
 from small_planner import SmallPlanner, solve
 from straight_plant import straight_plant
 from test_execution import GRASP, PLANNER, Plan
@@ -39,6 +39,8 @@ STRIKES: list[tuple[Fault, FailureKind | None]] = [
     (Fault("arm stops", 1, 0.5, lasting=True), "device_fault"),
     (Fault("stale joints", 0, 0.3), "device_fault"),
     (Fault("stale joints", 3, 0.3, lasting=True), "device_fault"),
+    (Fault("stale with noise", 1, 0.3), "device_fault"),
+    (Fault("one joint stale", 3, 0.3), "device_fault"),
     (Fault("pushed", 1, 0.5), "collision"),
     (Fault("pushed", 2, 0.2, lasting=True), "collision"),
     (Fault("gripper jam", 1), "device_fault"),
@@ -66,7 +68,7 @@ def test_every_fault_ends_safely_on_record_and_the_next_trial_works(
     assert (gripper.opening == GRASP.opening) is not jammed
     away = np.linalg.norm(sawyer.forward(arm.joints())[:3, 3] - GRASP.T_world_flange[:3, 3])
     went_in = "approach" in trial.phases
-    obeys = not fault.lasting and fault.kind != "stale joints"
+    obeys = not fault.lasting and fault.kind not in STALE
     if jammed:
         assert away < 1e-3
     elif went_in and obeys:
@@ -132,7 +134,7 @@ def cell() -> Cell:
     return Cell(straight_plant())
 
 
-@pytest.mark.parametrize("kind", ["arm stops", "stale joints", "ctrl-c"])
+@pytest.mark.parametrize("kind", ["arm stops", *STALE, "ctrl-c"])
 def test_the_simulated_arm_stops_dead(cell: Cell, kind: Kind) -> None:
     robot = with_faults(robot_of(cell), Fault(kind, 0, 0.5))
     path = SmallPlanner().move(cell.joints, cell.joints + 0.3)

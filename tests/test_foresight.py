@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from scipy.stats import norm
 from anther.devices import ArmSample
 from anther.escalation import _foresight as foresight_module
 from anther.escalation import _knowledge as knowledge
-from anther.escalation._foresight import Foresight, evidence, foresee, misfit, narrowed, watch_points
+from anther.escalation._foresight import Foresight, evidence, foresee, misfit, narrowed, repeated, watch_points
 from anther.escalation._knowledge import (
     ARM_FOLLOWS,
     Answer,
@@ -154,6 +155,29 @@ def test_what_moves_as_the_members_say_is_evidence_and_what_stands_still_or_move
         assert evidence(members, 3 * motion, std, AXES) > 20, "a plant may be softer than believed"
         for lie in (0 * motion, 0.1 * motion, turned):
             assert evidence(members, lie, std, AXES) < -20
+
+
+@pytest.mark.parametrize("raised", [1.5, 2.0, 9.0])
+def test_a_look_that_shows_the_motion_before_a_raise_is_told_from_one_that_shows_the_raise(
+    raised: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(foresight_module, "MISFIT", 0.2)
+    rng = np.random.default_rng(2)
+    for noise, told in ((1e-5, True), (1e-2, False)):
+        std = deviation(np.full(len(ROWS), noise))
+        motion = 1e-3 * seen(of(made_foresight(3))[4])
+
+        def shown(times: float, spread: float = 0.1, *, std: np.ndarray = std, motion: np.ndarray = motion) -> Any:
+            """Each point is followed a bit wrongly, and with the noise of the tracker."""
+            error = rng.normal(size=(2, *motion.shape))
+            return times * motion * (1 + spread * error[0]) + np.nan_to_num(std) * (error[1] + 1j * error[0]), std
+
+        before = shown(1.0)
+        assert not repeated(shown(raised), before, raised, 0.0)
+        assert repeated(shown(1.0), before, raised, 0.0) == told
+        assert not repeated(shown(1.0), before, raised, np.log(raised)), "it may be that it still grows"
+        assert not repeated(shown(1.0), before, 1.05, 0.0), "too small a raise tells nothing"
+        assert not repeated(shown(1.0), before, 1 / raised, 0.0), "nor does what was taken back"
 
 
 def test_what_is_lost_in_noise_is_no_evidence() -> None:

@@ -19,12 +19,12 @@ class Leaping(StreamedArm):
     def __init__(self, pause: float, *, tells: bool = True) -> None:
         self.now, self.pause, self.tells, self.commands = 0.0, pause, tells, list[tuple[float, Array, Array]]()
         super().__init__(["j"], rate=100, stale=0.05, silence=0.03, clock=lambda: self.now, sleep=self.go)
-        self.q = np.zeros(1)
+        self.q, self.reads = np.zeros(1), float("inf")  # no further than this [rad]
         self.hear()
 
     def hear(self) -> None:
         if self.tells or self.now < 1:
-            self.readings.take(Reading(self.now, self.q.copy()))
+            self.readings.take(Reading(self.now, np.minimum(self.q, self.reads)))
 
     def go(self, seconds: float) -> None:
         leap = self.pause if self.now < 1 <= self.now + seconds else 0.0
@@ -62,8 +62,11 @@ def test_after_a_pause_only_what_stands_is_sent_or_nothing(tells: bool) -> None:
     assert all(q == pytest.approx(arm.q, abs=1e-9) and rate == 0 for q, rate in after)
 
 
-def test_a_stop_without_a_pause_goes_on_from_what_was_told() -> None:
+@pytest.mark.parametrize("reads", [np.inf, 0.1], ids=["well", "frozen"])
+def test_a_stop_without_a_pause_goes_on_from_what_was_told(reads: float) -> None:
+    """Also where readings froze: the arm shall not jump back to them."""
     arm = Leaping(0.0)
+    arm.reads = reads
 
     def enough(sample: object) -> None:
         if arm.now > 0.5:

@@ -42,12 +42,19 @@ def to_the_stem(back: float = 0.0, last: float = 1.0) -> Array:
     return STEM + np.concatenate(ways)[:, None] * np.ones(7)
 
 
+def jumping_back() -> Array:
+    """To the stem, and when it has stood there for a while, 15 mrad back at once."""
+    joints = to_the_stem(back=0.2)
+    return np.vstack([joints, joints[-100:] - 0.015])
+
+
 CASE = Case(0, "joints silent", "shake", 0.5)
 STRUCK = 1.0  # s
 
 
 def test_an_arm_that_stands_before_the_plant_with_open_pads_is_safe() -> None:
-    assert unsafe(machines(to_the_stem(back=0.2)), plan(), CASE, STRUCK) == ""
+    for kind in ("joints silent", "paused"):
+        assert unsafe(machines(to_the_stem(back=0.2)), plan(), replace(CASE, kind=kind), 2.5) == ""
 
 
 @pytest.mark.parametrize(
@@ -59,6 +66,8 @@ def test_an_arm_that_stands_before_the_plant_with_open_pads_is_safe() -> None:
         (to_the_stem(), 0.04, replace(CASE, kind="the master dies"), "not back"),
         (np.vstack([to_the_stem()[:200], to_the_stem()[:200]]), 0.04, CASE, "joint speed"),
         (to_the_stem() + np.eye(7)[0] * 4.0, 0.04, CASE, "joint range"),
+        (jumping_back(), 0.04, replace(CASE, kind="paused"), "jumped"),
+        (jumping_back(), 0.04, replace(CASE, kind="stale with noise"), "jumped"),
     ],
 )
 def test_what_is_not_safe_is_seen(joints: Array, opening: float, case: Case, why: str) -> None:
@@ -163,6 +172,8 @@ def test_a_trial_may_finish_only_where_what_failed_is_needed_no_more() -> None:
         ("joints silent", True, "joints are 51 ms old", "joints are 51 ms old", True),
         ("pushed", True, "contact force 60 N", "", False),
         ("Ctrl-C", True, "Let nothing else run", "", True),
+        ("paused", True, "Let nothing else run", "", False),
+        ("paused", True, "", "Let nothing else run", True),
     ],
 )
 def test_a_case_begins_again_where_joints_came_late_by_themselves(

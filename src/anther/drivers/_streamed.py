@@ -19,7 +19,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from anther.devices import LEAD, ArmRecord, ArmSample, DeviceError, JointTrajectory, More, Watch
-from anther.drivers._holding import Late, Told, stands_at, stop_from
+from anther.drivers._holding import Late, Told, stands_at
 from anther.drivers._readings import Readings
 from anther.geometry import Array
 
@@ -235,15 +235,15 @@ class StreamedArm(ABC):
 
     def _follows(self, told: Told, now: float) -> Told:
         """Return what the robot does now [s] of what it was told: on and on at the last rate."""
-        return told if told.rests else Told(told.time, told.joints + told.rate * (now - told.time), told.rate)
+        return Told(now, told.joints + told.rate * (now - told.time), told.rate)
 
     def hold(self) -> None:
         """Brake if it moves, and hold, by the rule of `_holding`. What must not be told anything is left alone."""
-        if self._told is None or self._deaf():
+        if self._told is None or self._told.rests or self._deaf():
             return
         begin = self._stop_from(self._told)
         if begin is None:
-            self._told = self._told if self._told.rests else None
+            self._told = None
             return
         q, rate = begin
         try:
@@ -256,7 +256,7 @@ class StreamedArm(ABC):
         """Return joints and rates (J,) from which to stop; None: nothing is to be sent."""
         now = self._clock()
         if now - told.time <= self._timeout:
-            return stop_from(self._follows(told, now), self.readings, now, self._stale)
+            return self._follows(told, now)[1:]
         while self._clock() - now < COMES_TO_REST and not self.readings.trouble:
             with suppress(DeviceError):  # too old yet
                 self.joints()
@@ -296,7 +296,8 @@ class StreamedArm(ABC):
             with quick_turns(), served_first():
                 self._stream(reference, watch, samples)
         except BaseException:
-            self.hold()
+            with quick_turns(), served_first():
+                self.hold()
             raise
         finally:
             reference.close()

@@ -19,7 +19,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from anther.checks import check_array, check_range
 from anther.devices import DeviceError
-from anther.drivers._holding import Told
+from anther.drivers._holding import NEAR, Told, stands_at
 from anther.drivers._readings import STALE
 from anther.drivers._streamed import Reference, StreamedArm, braking, served_first
 from anther.errors import MissingExtra, bad_input
@@ -249,6 +249,9 @@ class JointTrajectoryArm(StreamedArm):
         self._rests(q)
 
     def _stay(self, q: Array) -> None:
+        here = stands_at(self.readings, self._clock() - self._stale)
+        if here is not None and np.abs(here - q).max() > NEAR:  # it met something: it shall not press on
+            q = here
         self._commands.publish(self._message(still(q, GENTLE)))
         self._rests(q)
 
@@ -256,7 +259,7 @@ class JointTrajectoryArm(StreamedArm):
         return not self._listens()
 
     def _follows(self, told: Told, now: float) -> Told:
-        return told if told.rests else Told(told.time, *self._plan.at(now - told.time))
+        return Told(now, *self._plan.at(now - told.time))
 
     def _say(self, plan: Plan) -> None:
         message = self._message(plan)

@@ -129,6 +129,7 @@ class Escalation:
         self._options: list[Option] = []
         self._late, self._in_sight, self._last = 0.0, 0, False
         self._proofs: list[bool] = []  # by step, whether only the plant can have been seen
+        self._proven: list[Look] = []  # the looks of those steps
         self._sure = 0.0
         self._doubted = False
 
@@ -171,7 +172,9 @@ class Escalation:
             self._in_sight = look.followed
         if not any(self._proofs) and look.followed:
             self._late = lateness(self._foresight, look)
-        self._proofs.append(proven(self._foresight, look, self._late))
+        self._proofs.append(proven(self._foresight, look, self._late, self._proven))
+        if self._proofs[-1]:
+            self._proven.append(look)
         active = np.flatnonzero(piece.amplitudes).tolist()
         before = [self._options[n].told for n in active] if self._options else [None] * len(active)
         answers = [answered(self._foresight, look, i, self._late, last) for i, last in enumerate(before)]

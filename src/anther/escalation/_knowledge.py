@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.devices import ArmSample
-from anther.escalation._foresight import Foresight, evidence, misfit, narrowed
+from anther.escalation._foresight import SIGNIFICANCE, Foresight, evidence, misfit, narrowed, repeated, stand
 from anther.geometry import Array
 from anther.oscillation import peak
 from anther.response.points import Swings
@@ -45,8 +45,6 @@ hang on pedicels that may be softer. In 25 shakes of the whole cell with up to 4
 than was said, in 30 with more 1 did; with this factor 4 and 4 had. 53 other plants (MuJoCo's linear equations), with
 `WATCHED` 3 instead of 2: 7.2 instead of 7.6 m/s2 (geometric mean), harm 0.9 instead of 1.4 %."""
 
-SIGNIFICANCE = 3.0
-"""A flower's motion counts as measured from so many standard deviations on; below, it only narrows what is believed."""
 UNSEEN = 0.2
 """A flower that is not seen counts with this quantile of what the members say, and with no more than would have been
 seen: a tone is not taken for what it might do."""
@@ -58,10 +56,6 @@ PROOF = 3.0
 """ln of the odds, 20 to 1, from which on a look is taken for one at the plant (`evidence`). Of 36 looks at 4 simulated
 plants 34 had more, 7 to 290; the others were probes of 0.1 mm. Had nothing moved, with the tracker's noise or without,
 or a tenth, all would have had less than -5."""
-
-STAND_OUT = 2.0
-"""Of flowers that swing less than stem and leaves do, for what the members say of both, in standard deviations: from
-here on what is followed in their place stands still. The least in 47 looks at 5 simulated plants was -1.4."""
 
 JUMP = 4.0
 """Nor when it seems to swing, per metre, more than so many times as far as it could have, unseen or seen, by the look
@@ -145,14 +139,18 @@ class Answer(NamedTuple):
     peak: Array | float = 1.0
 
 
-def settled(swings: Swings, hertz: float) -> Swings:
-    """Return the swings of a tone [Hz] as they will be once they no longer grow; of what dies out, as they are.
+def unsettled(swings: Swings, hertz: float) -> float:
+    """Return by which share of itself a swing of a tone [Hz] will still grow, negative: die out.
 
     After a change of the shake a mode nears its new swing as exp(-`DAMPING` omega t): where it is, and how fast it
     changes, say where it ends.
     """
-    ends = 1 + swings.growing / (2 * np.pi * hertz * DAMPING)
-    times = float(np.clip(ends, 1.0, MOST_GROWTH))
+    return swings.growing / (2 * np.pi * hertz * DAMPING)
+
+
+def settled(swings: Swings, hertz: float) -> Swings:
+    """Return the swings of a tone [Hz] as they will be once they no longer grow; of what dies out, as they are."""
+    times = float(np.clip(1 + unsettled(swings, hertz), 1.0, MOST_GROWTH))
     return swings._replace(phasors=times * swings.phasors, std=times * swings.std, overtones=times * swings.overtones)
 
 
@@ -166,19 +164,39 @@ def lateness(foresight: Foresight, look: Look) -> float:
     return float(LATE[int(np.argmin(off))])
 
 
-def proven(foresight: Foresight, look: Look, late: float) -> bool:
+def proven(foresight: Foresight, look: Look, late: float, before: Sequence[Look] = ()) -> bool:
     """Return whether what was seen can only be a plant that the gripper moves, with the flowers that hang on it.
 
     Stem, branches and leaves alone give the `evidence`: flowers may move little. But not, in the middle of them, by
-    `STAND_OUT` standard deviations less than the others, beside what the members say of both.
+    `STAND_OUT` standard deviations less than the others, beside what the members say of both. Nor may what is seen be
+    `repeated` from a look before at a gentler shake.
     """
     points, count = foresight.where["points"], foresight.where["flowers"].stop
     odds, stands = 0.0, False
     for i in range(len(look.tones)):
         members, (motion, std), axes = _members(foresight, look, i), _turned(foresight, look, i, late), look.swings.axes
         odds += evidence(members[:, points], motion[points], std[points], axes[points])
-        stands |= _stand(members, motion, std, axes, count)
-    return odds > PROOF and not stands
+        stands |= stand(members, motion, std, axes, count)
+    return odds > PROOF and not stands and not _repeats(foresight, look, late, before)
+
+
+def _repeats(foresight: Foresight, look: Look, late: float, before: Sequence[Look]) -> bool:
+    """Return whether a look shows the motion of one before it at the same tone and line that was gentler."""
+    points = foresight.where["points"]
+
+    def moved(one: Look, i: int) -> tuple[ComplexArray, Array]:
+        motion, std = _turned(foresight, one, i, late)
+        return motion[points] * abs(one.commanded[i]), std[points] * abs(one.commanded[i])
+
+    for last in before:
+        alike = np.argwhere(look.tones[:, None] == last.tones) if np.allclose(last.direction, look.direction) else ()
+        for i, j in alike:
+            hertz = float(foresight.tones[look.tones[i]])
+            raised = float(np.linalg.norm(look.gripper[i]) / np.linalg.norm(last.gripper[j]))
+            changing = float(np.hypot(*(unsettled(one.swings, hertz) for one in (look, last))))
+            if repeated(moved(look, i), moved(last, j), raised, changing):
+                return True
+    return False
 
 
 def answered(foresight: Foresight, look: Look, i: int, late: float, before: Known | None = None) -> Answer:
@@ -266,24 +284,6 @@ def _like_the_others(members: ComplexArray, motion: ComplexArray, std: Array, ax
     others = [np.delete(more, k)[np.delete(seen, k)] for k in range(len(more))]
     usual = np.array([max(1.0, float(np.median(rest))) if len(rest) else 1.0 for rest in others])
     return ~seen | (more <= usual * np.exp(MISTAKEN * FLOWER_SPREAD))
-
-
-def _stand(members: ComplexArray, motion: ComplexArray, std: Array, axes: Array, count: int) -> bool:
-    """Return whether what is taken for flowers, the first `count` of F + P points, stands still while the others move.
-
-    By how much a point swings more than members (M, S, 3) say, ln, with what may be of it without being measured.
-    """
-    used = np.isfinite(std)
-    flowers, points = used[:count, 0], used[count:, 0]
-    if not flowers.any() or not points.any():
-        return False
-    said = np.where(used, np.abs(np.einsum("mpx,pxa->mpa", members[:, : len(motion)], axes)), 0.0)
-    said = np.log(np.maximum(np.linalg.norm(said, axis=2), 1e-12))
-    may = np.where(used, np.hypot(np.abs(motion), SIGNIFICANCE * std), 0.0)
-    more = np.log(np.maximum(np.linalg.norm(may, axis=1), 1e-12)) - said.mean(axis=0)
-    alike = float(said[:, :count][:, flowers].mean(axis=1).std())
-    spread = np.hypot(FLOWER_SPREAD, alike)  # flowers of one plant may all be off alike
-    return bool(np.median(more[:count][flowers]) - np.median(more[count:][points]) < -STAND_OUT * spread)
 
 
 def _away(members: ComplexArray, across: ComplexArray) -> ComplexArray:
