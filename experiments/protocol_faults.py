@@ -9,7 +9,9 @@ comes in pieces.
 On the way a fault strikes, each kind in every phase, at a moment drawn by its number. Then everything is put right, a
 robot that was stopped is enabled, and another process goes on with the run.
 
-What came of a fault is kept in OUT/protocol and is not done again (no sweep: its workers may have no children). It is
+What came of a fault is kept in OUT/protocol and is not done again (no sweep: its workers may have no children). Table
+and metrics count all that is there, so that kinds which are added (--kinds, --each) join a campaign that ran before
+them. It is
 real protocol on one machine's loopback, by the wall's clock: where the machine itself is too slow for the arm
 (`HELD_UP`), a case is begun again, TRIES times at most, and counted.
 """
@@ -87,6 +89,14 @@ EXPECTED: dict[str, str] = {
     "a second process": "",
 }
 """What the record must say of each; "" where it may finish, or is told otherwise."""
+FIRST = (
+    *("the robot's node dies", "the master dies", "readings 200 ms late", "5 % of messages lost"),
+    *("the robot's clock jumps", "joints not a number", "joints renamed", "a joint missing", "joints in another order"),
+    *("joints silent", "gripper silent", "gripper jams", "gripper reports a fault", "side camera unplugged"),
+    *("wrist camera unplugged", "stop button", "cuff held", "robot feels a collision", "robot reports an error"),
+    *("robot switched off", "pushed", "Ctrl-C", "kill -9", "the arm's process killed", "a second process"),
+)
+"""Kinds that strike in turn without --kinds. One more would make another fault of every number: choose it."""
 STALE_KINDS = ("stale with noise", "one joint stale")
 GOES_ON = ("the master dies", "5 % of messages lost", "joints in another order", "a second process")
 LIES = ("gripper says that it holds", "gripper feels nothing")
@@ -110,6 +120,7 @@ BRAKES = (
 """After these the arm stops at once, and the time until it stands is measured."""
 HELD_UP = ("Let nothing else run", "Look at what else runs here", "ms old")
 TRIES = 4
+OUTCOME, CRASHED = "outcome.json", "crashed"
 STILL, RESTS = 0.01, 0.1
 """An arm that is slower than this [rad/s] for so long [s] stands: in a shake it turns about in no time."""
 JUMP = 3e-3
@@ -129,9 +140,9 @@ class Case:
     share: float
 
 
-def draw(number: int, seed: int, kinds: Sequence[str] = tuple(EXPECTED)) -> Case:
-    """Return case `number` of a seed: every kind in every phase in turn, at a random moment."""
-    phases = list(PHASES)
+def draw(number: int, seed: int, chosen: str = "") -> Case:
+    """Return case `number` of a seed, every kind in every phase in turn: of the `FIRST` kinds, or of the chosen one."""
+    kinds, phases = (chosen,) if chosen else FIRST, list(PHASES)
     share = float(np.random.default_rng([seed, number]).uniform())
     return Case(number, kinds[number % len(kinds)], phases[number // len(kinds) % len(phases)], share)
 
@@ -298,11 +309,10 @@ def said_in(run: Path) -> str:
     return ""
 
 
-def one(number: int, *, seed: int, kinds: Sequence[str], base: Path, out: Path) -> dict[str, Any]:
-    """Return what came of one case, which begins again where the machine was too slow, and keep it."""
-    case = draw(number, seed, kinds)
-    folder = out / f"{seed}-{number:04d}{'' if len(kinds) == len(EXPECTED) else ' of ' + ', '.join(kinds)}"
-    kept = folder / "outcome.json"
+def one(case: Case, *, seed: int, base: Path, out: Path) -> dict[str, Any]:
+    """Return a case and what came of it; one for which the machine was too slow begins again. Keep it."""
+    folder = out / f"{seed}-{case.number:04d} {case.kind}, {case.phase}"
+    kept = folder / OUTCOME
     if kept.exists():
         return read_json(kept)
     found: dict[str, Any] = {}
@@ -311,25 +321,25 @@ def one(number: int, *, seed: int, kinds: Sequence[str], base: Path, out: Path) 
         try:
             found = struck(case, base, folder) | {"begun_again": begun_again}
         except Exception as error:  # of the experiment: one case's must not end a run of hours
-            return crashed(repr(error))
+            return {**asdict(case), **crashed(repr(error))}
         if not found["held_up"]:
             break
     write_json(kept, {**asdict(case), **found})
-    return found
+    return {**asdict(case), **found}
 
 
 def crashed(why: str) -> dict[str, Any]:
     """Return what stands for a case whose program crashed: none of the three is good."""
-    return {"unsafe": f"crashed: {why}", "record": "crashed", "continued": "crashed", "stop_s": None, "begun_again": 0}
+    return {"unsafe": f"crashed: {why}", "record": CRASHED, "continued": CRASHED, "stop_s": None, "begun_again": 0}
 
 
-def summary(cases: Sequence[Case], rows: Sequence[dict[str, Any]]) -> dict[str, float]:
+def summary(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
     """Print a table and return the metrics."""
     heads = ("struck", "safe ends", "records lost", "gone on with", "arm stands after: median, most (ms)")
     table = Table("fault", *heads, box=MARKDOWN)
     metrics: dict[str, float] = {}
     for kind in ["", *EXPECTED]:
-        some = [row for row, case in zip(rows, cases, strict=True) if kind in ("", case.kind)]
+        some = [row for row in rows if kind in ("", row["kind"])]
         if not some:
             continue
         stops = [1e3 * row["stop_s"] for row in some if row["stop_s"] is not None]
@@ -345,33 +355,35 @@ def summary(cases: Sequence[Case], rows: Sequence[dict[str, Any]]) -> dict[str, 
         prefix = re.sub(r"[^a-z0-9]+", "_", kind.lower()).strip("_")
         metrics |= {f"{prefix}_{key}".strip("_"): value for key, value in counts.items()}
     Console().print(table)
-    for row, case in zip(rows, cases, strict=True):
+    for row in rows:
         if row["unsafe"] or row["record"] or row["continued"]:
-            print(f"{case}: {json.dumps({name: row[name] for name in ('unsafe', 'record', 'continued')})}")
+            names = (*Case.__annotations__, "unsafe", "record", "continued")
+            print(json.dumps({name: row[name] for name in names}))
     metrics["begun_again"] = sum(row["begun_again"] for row in rows)
     print(f"Begun again, since the computer was too slow for the arm: {metrics['begun_again']:.0f}.")
     return metrics
 
 
 def main() -> None:
-    """Draw the faults, let them strike, and write a flat table of metrics."""
+    """Draw the faults, let them strike, and write a flat table of metrics of all that struck."""
     parser = options(__doc__, "one fault of every other kind, the phases in turn, instead of 1000")
     parser.add_argument("--out", type=Path, default=Path("runs/protocol_faults"))
     args = parser.parse_args()
     base = (args.base or args.out.parent / "faults" / "base").resolve()
     prepare(base)
-    kinds = len(EXPECTED)
-    quick = [kind + kinds * (place % len(PHASES)) for place, kind in enumerate(range(0, kinds, 2))]
-    chosen = tuple(args.kinds) or tuple(EXPECTED)
-    if unknown := set(chosen) - set(EXPECTED):
+    if unknown := set(args.kinds) - set(EXPECTED):
         parser.error(f"--kinds: got {', '.join(sorted(unknown))}; allowed: {', '.join(EXPECTED)}")
-    many = len(chosen) * args.each if args.kinds else args.faults
-    numbers = args.only or (quick if args.quick and not args.kinds else range(many))
+    if args.quick and not args.kinds:
+        cases = [draw(place % len(PHASES), args.seed, kind) for place, kind in enumerate(list(EXPECTED)[::2])]
+    else:
+        numbers = args.only or range(args.each if args.kinds else args.faults)
+        cases = [draw(number, args.seed, kind) for kind in args.kinds or [""] for number in numbers]
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [*PATHS, os.environ.get("PYTHONPATH")]))
-    case = partial(one, seed=args.seed, kinds=chosen, base=base, out=args.out.resolve() / "protocol")
+    kept = args.out.resolve() / "protocol"
     with ProcessPoolExecutor(args.jobs, mp_context=get_context("spawn")) as pool:
-        rows = list(track(pool.map(case, numbers), "faults", len(numbers)))
-    metrics = summary([draw(number, args.seed, chosen) for number in numbers], rows)
+        ran = pool.map(partial(one, seed=args.seed, base=base, out=kept), cases)
+        again = [row for row in track(ran, "faults", len(cases)) if row["record"] == CRASHED]
+    metrics = summary([*(read_json(path) for path in sorted(kept.glob(f"*/{OUTCOME}"))), *again])
     if args.json:
         write_json(args.json, metrics)
 

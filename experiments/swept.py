@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from anther import sweep
-from anther.sweep import Function
+from anther.sweep import Function, Job
 
 Row = dict[str, Any]
 FOLDER = "folder"
@@ -30,8 +30,17 @@ def swept(
     done = sweep.run(function, cases, out, workers=jobs, tries=1, again=True)
     for job in (job for job in done if job.result is None):
         print(f"crashed: {job.row}: {job.reason}")
-    told = [crashed(str(job.reason)) if job.result is None else job.result for job in done]
-    return [{**job.row, **row, FOLDER: str(out / "tasks" / job.key)} for job, row in zip(done, told, strict=True)]
+    return _rows(done, out, crashed)
+
+
+def kept(out: Path, crashed: Callable[[str], Row]) -> list[Row]:
+    """Return what became of every case that was ever done in a sweep's folder; `crashed` as above."""
+    return _rows([job for job in sweep.read(out) if job.state != "waiting"], out, crashed)
+
+
+def _rows(jobs: list[Job], out: Path, crashed: Callable[[str], Row]) -> list[Row]:
+    told = [crashed(str(job.reason)) if job.result is None else job.result for job in jobs]
+    return [{**job.row, **row, FOLDER: str(out / "tasks" / job.key)} for job, row in zip(jobs, told, strict=True)]
 
 
 def failed(reason: str) -> Row:

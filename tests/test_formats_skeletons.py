@@ -28,14 +28,17 @@ KEEP_LABELS = [".swc", ".ply", ".graphml", ".mtg"]
 
 
 def random_tree(seed: int, count: int = 40) -> Skeleton:
-    """A tree whose every order of branching, from a bare line to a star, may turn up; in a robot's frame, not at 0."""
+    """A tree whose every order of branching, from a bare line to a star, may turn up; in a robot's frame, not at 0.
+
+    It is 5 mm high or more, as every plant that is read must be.
+    """
     rng = np.random.default_rng(seed)
     reach = int(rng.integers(1, 8))
     parent = np.array([-1, *(int(rng.integers(max(0, j - reach), j)) for j in range(1, count))])
     nodes = np.zeros((count, 3))
     nodes[0] = rng.uniform(-1, 1, 3)
     for j in range(1, count):
-        nodes[j] = nodes[parent[j]] + rng.uniform([-0.01, -0.01, 0.001], [0.01, 0.01, 0.02])
+        nodes[j] = nodes[parent[j]] + rng.uniform([-0.01, -0.01, 0.005], [0.01, 0.01, 0.02])
     return Skeleton(nodes, parent, rng.uniform(1e-4, 5e-3, count))
 
 

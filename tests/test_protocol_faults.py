@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import json
+import re
+import sys
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import protocol_faults
 import pytest
 from made_foresight import made_plan
-from protocol_faults import EXPECTED, GOES_ON, PHASES, Case, draw, held_up, no_effect, stop_time, unsafe
+from protocol_faults import EXPECTED, FIRST, GOES_ON, PHASES, Case, draw, held_up, no_effect, stop_time, unsafe
 
 from anther.arm import sawyer
 from anther.geometry import Array
 
+RESULTS = Path(__file__).parents[1] / "docs" / "results" / "long"
 STEM = sawyer.NEUTRAL
 RATE = 100.0
 
@@ -94,9 +102,55 @@ def test_the_time_to_rest_is_that_of_the_motion_that_was_struck() -> None:
 
 
 def test_every_kind_strikes_in_every_phase() -> None:
-    cases = [draw(number, 0) for number in range(len(EXPECTED) * len(PHASES))]
-    assert {(case.kind, case.phase) for case in cases} == {(kind, phase) for kind in EXPECTED for phase in PHASES}
+    cases = [draw(number, 0) for number in range(len(FIRST) * len(PHASES))]
+    assert {(case.kind, case.phase) for case in cases} == {(kind, phase) for kind in FIRST for phase in PHASES}
+    for kind in EXPECTED:
+        some = [draw(number, 0, kind) for number in range(len(PHASES))]
+        assert {case.kind for case in some} == {kind}
+        assert {case.phase for case in some} == set(PHASES)
     assert draw(7, 0) == draw(7, 0) != draw(7, 1)
+
+
+def test_the_published_campaign_is_drawn_today_as_it_was() -> None:
+    """A kind that is added changes no case that is drawn by number alone."""
+    published = json.loads((RESULTS / "protocol_faults.json").read_text())["metrics"]
+    drawn = Counter(draw(number, 1).kind for number in range(1000))
+    assert set(drawn) == set(FIRST) <= set(EXPECTED)
+    for kind, count in drawn.items():
+        assert published[re.sub(r"[^a-z0-9]+", "_", kind.lower()).strip("_") + "_faults"] == count
+
+
+def test_a_campaign_counts_all_that_its_folder_holds_each_case_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Kinds that are added later join it."""
+    struck = list[Case]()
+
+    def strikes(case: Case, base: Path, folder: Path) -> dict[str, Any]:
+        folder.mkdir(parents=True)
+        struck.append(case)
+        good = {"unsafe": "", "record": "", "continued": "", "stop_s": None, "held_up": False}
+        return good | ({"unsafe": "torn"} if case.kind == "pushed" and case.number == 1 else {})
+
+    monkeypatch.setattr(protocol_faults, "prepare", lambda _: None)
+    monkeypatch.setattr(protocol_faults, "struck", strikes)
+    monkeypatch.setattr(protocol_faults, "ProcessPoolExecutor", lambda *_, **__: ThreadPoolExecutor(1))
+
+    def metrics(*words: str) -> Any:
+        told = tmp_path / "told.json"
+        monkeypatch.setattr(sys, "argv", ["protocol_faults.py", "--out", str(tmp_path), "--json", str(told), *words])
+        protocol_faults.main()
+        return json.loads(told.read_text())
+
+    first = metrics("--faults", "30")
+    assert (first["faults"], first["safe_ends"], first["pushed_faults"]) == (30, 30, 1)
+    assert len(struck) == 30
+    both = metrics("--kinds", "pushed", "arm force stuck", "--each", "3")
+    assert (both["faults"], both["safe_ends"], both["pushed_faults"], both["arm_force_stuck_faults"]) == (36, 35, 4, 3)
+    assert metrics("--kinds", "arm force stuck", "--each", "2") == both
+    assert len(struck) == 36
+    assert metrics("--kinds", "arm force stuck", "--each", "4")["arm_force_stuck_faults"] == 4
+    assert len(struck) == 37
 
 
 def test_a_trial_may_finish_only_where_what_failed_is_needed_no_more() -> None:
