@@ -21,10 +21,7 @@ def folder() -> Iterator[Path]:
         yield place
 
 
-KINDS = [
-    pytest.param(name, marks=[pytest.mark.slow] if name in reports.SLOW else [])
-    for name in reports.KINDS
-]
+KINDS = [pytest.param(name, marks=[pytest.mark.slow] if name in reports.SLOW else []) for name in reports.KINDS]
 
 
 @pytest.mark.parametrize("name", KINDS)
