@@ -272,7 +272,7 @@ def test_a_disk_that_takes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     def fails(*_, **__) -> None:
         raise OSError(number, os.strerror(number))
 
-    monkeypatch.setattr("anther.files.tempfile.mkstemp", fails)
+    monkeypatch.setattr("anther.files.secrets.token_hex", fails)
     monkeypatch.setattr("anther.capture.tempfile.mkdtemp", fails)
     for write in (written_capture, lambda path: TREE.save(path / "a.npz")):
         with pytest.raises(InputError, match=os.strerror(number)):

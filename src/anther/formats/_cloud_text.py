@@ -162,6 +162,7 @@ def _by_names(path: Path, table: Array, names: list[str]) -> RawPoints:
 
 def _by_place(path: Path, table: Array, *, counted: bool) -> RawPoints:
     words = np.isnan(table).all(axis=0)
+    words &= (~words).sum() >= 3  # else there are no words, but points that are no numbers
     notes = unused_note([f"column {k + 1}" for k in np.flatnonzero(words)])
     table = table[:, ~words]
     if table.shape[1] > 3 and np.array_equal(table[:, 0], np.arange(len(table)) + table[0, 0]):

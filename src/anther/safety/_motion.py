@@ -259,7 +259,7 @@ class Watchdog:
             if begin < 0:
                 return
             shown, doubted = np.ptp(read[begin:], axis=0), np.ptp(told, axis=0)
-            for lag in np.linspace(0, LAG * after, 7):
+            for lag in np.linspace(0, LAG * after, num=7):
                 if not np.any((doubted > STILL) & (shown < SHOWS * doubted)):
                     break
                 inside = (times >= sample.time - lag - span) & (times <= sample.time - lag)
