@@ -33,7 +33,6 @@ from anther.escalation._option import SLOW, limits_of, risk
 from anther.plant.limits import PlantLimits
 from anther.response.points import Swings, likeness
 from anther.shake import Params as Limits
-from anther.shake import params as shake_params
 from anther.shake.observables import semi_major
 from anther.shake.params import FLOWER_SPREAD
 
@@ -49,7 +48,7 @@ Shaken = Callable[..., Escalation]
 def shaken(monkeypatch: pytest.MonkeyPatch) -> Shaken:
     """Shake a world with a camera that sees as it says and an arm that reads so, by members trusted to 2 %."""
     monkeypatch.setattr(foresight_module, "MISFIT", 0.02)
-    monkeypatch.setattr(shake_params, "GUSTS", float(TONES.max()))  # leaves count at every tone
+    monkeypatch.setattr("anther.plant.limits.GUSTS", float(TONES.max()))  # leaves count at every tone
     monkeypatch.setattr(escalation, "links", lambda readings, tones: (readings, np.zeros(len(tones))))
     monkeypatch.setattr(escalation, "sight", lambda *_: SimpleNamespace(shown=SIGHTED))
 
