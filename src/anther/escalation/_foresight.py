@@ -233,12 +233,12 @@ def repeated(
     sizes = [np.linalg.norm(np.where(used, one, 0.0), axis=1, keepdims=True) for one in (moved, raised * last)]
     noise = std**2 + (raised * last_std) ** 2 + MISFIT**2 * (sizes[0] ** 2 + sizes[1] ** 2)
     weight, moved, last, last_std = 1 / noise[used], moved[used], last[used], last_std[used]
-    known = float(np.sum(weight * np.abs(last) ** 2))
-    if raised <= 1 or known == 0:
+    added = 2 * float(np.sum(weight * last_std**2))  # by the noise of the earlier look
+    known = float(np.sum(weight * np.abs(last) ** 2)) - added
+    if raised <= 1 or known <= 0:
         return False
-    # noise of the earlier look adds to what is known of it and lowers the gain
-    gain, diluted = abs(np.vdot(last, weight * moved)) / known, 2 * float(np.sum(weight * last_std**2)) / known
-    error = np.linalg.norm([changing, diluted, 1 / (raised * np.sqrt(known))])
+    gain = abs(np.vdot(last, weight * moved)) / known
+    error = np.linalg.norm([changing, added / known, 1 / (raised * np.sqrt(known))])
     return bool(np.log(raised) > SIGNIFICANCE * error and gain < np.sqrt(raised))
 
 
