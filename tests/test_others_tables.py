@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from anther.identification.measurements import SAMPLES, read_measurements
 
 from anther.calibration import read_poses
 from anther.errors import InputError
 from anther.files import named_file, number, read_json, read_rows, read_text
+from anther.plant.bench.measurements import SAMPLES, read_measurements
 from anther.sweep import read_table
 
 NUMBERS = [(2.66331, 4.0924, 45.7221), (0.720151, 3.17447, 21.0076), (0.5, 2.5, 30.0)]
