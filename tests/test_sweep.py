@@ -308,8 +308,10 @@ def test_others_on_this_machine_cannot_run_code_by_its_own_scheduler() -> None:
         address = client.scheduler_info()["address"]
         assert client.submit(int, 7).result(timeout=60) == 7
         for guess in (address, address.replace("tls://", "tcp://")):
-            with pytest.raises((OSError, TypeError)):
-                distributed.Client(guess, timeout=3, set_as_default=False)
+            words = [sys.executable, "-c", f"import distributed; distributed.Client({guess!r}, timeout=3); print('in')"]
+            stranger = subprocess.run(words, capture_output=True, text=True, check=False, timeout=60)
+            assert stranger.returncode, "who has no key is refused"
+            assert "in" not in stranger.stdout.split()
 
 
 @pytest.mark.parametrize("where", ["tcp://127.0.0.1:9", "nonsense"])
