@@ -359,7 +359,7 @@ def test_behind_the_guard_an_arm_that_does_not_follow_is_held_where_it_is(
             sleep(0.005)
 
     halfway(path, block)
-    with pytest.raises(StageFailure, match="does not follow"):
+    with pytest.raises(StageFailure, match="joint 0 reads the same"):
         guarded.follow(path)
     stuck = robot.q.copy()
     arm.hold()
