@@ -141,7 +141,7 @@ def test_no_step_of_an_honest_closing_is_doubted(stiffness: float, steps: int) -
     guarded.move(0.03)
     for k in range(steps):
         if stiffness * STEP * (k + 1) < 20:
-            guarded.move(0.01 - k * STEP)
+            assert guarded.move(0.01 - k * STEP).force == pytest.approx(stiffness * k * STEP, abs=1e-6)
 
 
 def test_a_firm_force_that_was_told_before_something_was_held_must_fall_as_the_pads_let_go() -> None:
