@@ -29,13 +29,13 @@ check: $(DEV)  ## format, lint, types, layering
 sync: $(DEV)  ## only the environment
 
 mutants: $(DEV)  ## small wrong changes, and which of them the tests catch (hours)
-	$(BIN)/python tools/mutants.py
+	$(BIN)/python -m evaluation.robustness.mutants
 
 bench: $(DEV)  ## speed
-	for script in benchmarks/*.py; do $(BIN)/python $$script --quick || exit 1; done
+	for script in evaluation/speed/[a-z]*.py; do $(BIN)/python -m evaluation.speed.$$(basename $$script .py) --quick || exit 1; done
 
 docs: $(DEV) demo  ## measure again what docs/reports shows, at one commit (90 minutes; goes on where it was stopped)
-	$(BIN)/python tools/record.py docs/reports/*.md
+	$(BIN)/python -m evaluation.record docs/reports/*.md
 	$(BIN)/python tools/film_shake.py docs/pictures/shake.gif
 	$(BIN)/python tools/draw_readme.py runs/demo docs/pictures/trial.png
 

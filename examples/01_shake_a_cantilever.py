@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from anther.elastic_rod import Clamp, Drive, Rods, frequency_response, natural_frequencies, simulate
+from anther.rods import Clamp, Drive, Rods, frequency_response, natural_frequencies, simulate
 
 # A straight vertical stem: 40 edges, 0.4 m high, 3 mm thick in radius, the stiffness of a tomato stem.
 nodes = np.zeros((41, 3))

@@ -10,21 +10,20 @@ import sys
 
 import numpy as np
 
-from anther import cloud, flowers, grasp, masks, skeleton, stem
-from anther.formats.clouds import read_cloud
-from anther.pictures.plant import draw_plant
-from anther.sim.capture import capture_from_poses, orbit_poses
-from anther.sim.pepper import grow_pepper
+from anther.perception import find_stem, flowers, fuse, read_cloud, segment, skeletonize
+from anther.pollination import grasp
+from anther.show import draw_plant
+from anther.sim import capture_from_poses, grow_pepper, orbit_poses
 
 if len(sys.argv) > 1:
     plant = read_cloud(sys.argv[1], units="m", up="z")
 else:
     poses = orbit_poses(12, target=(0.72, 0.0, 0.0), distance=0.75, azimuths=(0, 330))
     capture, _truth = capture_from_poses(grow_pepper(0), poses, rng=np.random.default_rng(0))
-    plant = cloud.fuse(capture, masks.segment(capture))
+    plant = fuse(capture, segment(capture))
 
-tree = skeleton.skeletonize(plant)
-main = stem.find_stem(tree)
+tree = skeletonize(plant)
+main = find_stem(tree)
 found = flowers.find_flowers(plant, tree, main)
 best = grasp.plan_grasps(main, tree, plant)[0]
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from anther.elastic_rod import Clamp, Rods, natural_frequencies, response_map
+from anther.rods import Clamp, Rods, natural_frequencies, response_map
 
 STEM, ARM, LENGTH = 20, 40, 0.2  # edges of the stem, edges and length [m] of each arm
 RADIUS, YOUNGS, DENSITY, VISCOUS_TIME = 2e-3, 100e6, 1050.0, 3e-3  # m, Pa, kg/m^3, s

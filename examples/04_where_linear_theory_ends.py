@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from anther.elastic_rod import Clamp, Drive, Rods, frequency_response, simulate, with_gravity_equilibrium
+from anther.rods import Clamp, Drive, Rods, frequency_response, simulate, with_gravity_equilibrium
 
 EDGE, STEM, TRUSS, ZETA, DT = 0.015, 30, 10, 0.05, 4e-3  # m, edges of stem and truss, damping ratio, s
 stem = np.outer(np.arange(STEM + 1), [0, 0, EDGE])

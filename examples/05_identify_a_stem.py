@@ -7,8 +7,8 @@ import sys
 
 import numpy as np
 
-from anther.pictures.estimates import Pluck, draw_material_test
 from anther.plant import bench
+from anther.show.pictures.estimates import Pluck, draw_material_test
 
 youngs, density, damping = 90e6, 1080.0, 0.04  # the truth: [Pa], [kg/m^3], [-]
 rng = np.random.default_rng(0)

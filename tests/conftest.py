@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,8 +13,6 @@ from hypothesis import settings
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
 settings.register_profile("busy machines", deadline=None)  # an example that takes long is no failure
 settings.load_profile("busy machines")
-
-sys.path.append(str(Path(__file__).parents[1] / "experiments"))  # their judges and methods are tested too
 
 DATA = Path(os.environ.get("ANTHER_DATA", Path(__file__).parents[2] / "shared" / "data"))
 
@@ -34,7 +31,7 @@ def locks(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     folder = tmp_path_factory.mktemp("locks")
     folder.chmod(0o1777)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("anther.cells._lock.FOLDERS", (folder,))
+        patch.setattr("anther.robot.cells._lock.FOLDERS", (folder,))
         yield folder
 
 

@@ -1,4 +1,4 @@
-"""The house rules that a reader relies on: which module may import which, and how long a file may get."""
+"""The ten rooms in order, the doors, and how long a file may get."""
 
 from __future__ import annotations
 
@@ -7,37 +7,45 @@ from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "anther"
 MODULES = sorted(SOURCE.rglob("*.py"))
+OUTSIDE = [path for where in ("evaluation", "examples", "tools") for path in sorted((ROOT / where).rglob("*.py"))]
 
-BASE = {"errors", "checks", "files", "geometry", "images", "libraries", "style", "transforms", "__init__"}
-ORDER = [
-    "runs", "capture", "masks", "cloud", "skeleton", "stem", "flowers", "elastic_rod", "formats", "plant",
-    "pressing", "swing", "devices", "safety", "oscillation", "calibration", "arm", "robot", "grasp", "shake",
-    "execution",
-    "response", "escalation", "identification", "pipeline",
-]  # fmt: skip
-STAGES = set(ORDER)
-AROUND = [
-    "history",
-    "fruit_set",
-    "results",
-    "pictures",
-    "report",
-    "traits",
-    "log",
-    "drivers",
-    "cells",
-    "viewer",
-    "sim",
-    "samples",
-    "sweep",
-    "serve",
-    "commands",
-    "cli",
-]
-"""The rooms about the stages, in this order as well."""
+ROOMS = ["core", "rods", "perception", "plant", "robot", "pollination", "sim", "history", "show", "cli"]
+"""Each imports only those before it."""
+APART = {"sim": {"pollination"}, "history": {"pollination"}}
+"""What a room must not import though it comes before: what judges a trial, or remembers it, knows nothing of
+how it was planned. That pollination never imports sim says the order."""
+BEHIND = {
+    "evaluation/judge/frame_chain.py",
+    "evaluation/judge/limit_rods.py",
+    "evaluation/judge/limit_strains.py",
+    "evaluation/judge/second_judge.py",
+    "evaluation/perception/colour_images.py",
+    "evaluation/perception/fit_confidence.py",
+    "evaluation/perception/hand_eye.py",
+    "evaluation/perception/masks.py",
+    "evaluation/perception/real/grown.py",
+    "evaluation/perception/registration.py",
+    "evaluation/prediction/loads.py",
+    "evaluation/prediction/shaken_plant.py",
+    "evaluation/prediction/vibration_models.py",
+    "evaluation/prediction/vibration_plant.py",
+    "evaluation/robustness/capture_path.py",
+    "evaluation/robustness/frozen_camera.py",
+    "evaluation/robustness/path_judge.py",
+    "evaluation/rods/objectivity.py",
+    "evaluation/speed/cell.py",
+    "evaluation/speed/count_operations.py",
+    "evaluation/speed/sweep.py",
+    "evaluation/trials/arm_readings.py",
+    "evaluation/trials/hard_plants.py",
+    "evaluation/trials/paper_grasp.py",
+}
+"""Files of `evaluation` that reach behind a door, for what no user needs."""
 
 
 def modules_imported(path: Path) -> set[str]:
@@ -52,14 +60,26 @@ def modules_imported(path: Path) -> set[str]:
 
 
 def imported(path: Path) -> set[str]:
-    """First-level names under `anther` that a file imports."""
+    """Rooms that a file imports."""
     names = (name.split(".") for name in modules_imported(path))
-    return {parts[1] for parts in names if parts[0] == "anther" and len(parts) > 1} - {"__version__"}
+    return {parts[1] for parts in names if parts[0] == "anther" and len(parts) > 1} & set(ROOMS)
+
+
+def private(path: Path, room: str = "") -> set[str]:
+    """Names with an underscore of rooms other than `room` that a file imports."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("anther"):
+            for alias in node.names:
+                names = [*node.module.split("."), alias.name]
+                if names[1] != room and any(n.startswith("_") and not n.startswith("__") for n in names):
+                    found.add(".".join(names))
+    return found
 
 
 def room(path: Path) -> str:
-    """The first-level module or package a file belongs to."""
-    return path.relative_to(SOURCE).parts[0].removesuffix(".py")
+    """The room a file stands in; "" for the package's own."""
+    return path.relative_to(SOURCE).parts[0] if path.parent != SOURCE else ""
 
 
 def is_module(path: Path) -> bool:
@@ -71,56 +91,68 @@ def complaints(rule: Callable[[Path], Iterator[str]]) -> list[str]:
     return [f"{path.relative_to(SOURCE)}: {said}" for path in MODULES for said in rule(path)]
 
 
-def test_every_room_imports_only_earlier_ones() -> None:
-    whole = [*ORDER, *AROUND]
-    assert {room(path) for path in MODULES} == BASE | set(whole), "a room is missing in ORDER or AROUND, or gone"
+def test_the_first_level_is_the_ten_rooms() -> None:
+    first = {path.name for path in SOURCE.iterdir() if path.name != "__pycache__"}
+    assert first == {*ROOMS, "__init__.py", "py.typed"}
 
+
+def test_every_room_imports_only_earlier_ones() -> None:
     def rule(path: Path) -> Iterator[str]:
-        here, names = room(path), imported(path) - BASE
-        if here in BASE and names:
-            yield f"a foundation, imports {names}"
-        elif here == "elastic_rod" and names - {"elastic_rod"}:
-            yield f"the rod engine knows nothing of {names}"
-        elif here in whole:
-            later = {name for name in names if whole.index(name) > whole.index(here)}
-            if later:
-                yield f"imports later rooms: {later}"
+        here = room(path)
+        allowed = set(ROOMS[: ROOMS.index(here) + 1]) - APART.get(here, set()) if here else {"core"}
+        if later := imported(path) - allowed:
+            yield f"must not import {later}"
 
     assert not complaints(rule)
 
 
-def test_what_is_private_to_a_package_stays_in_it() -> None:
+def test_what_is_private_to_a_room_stays_in_it() -> None:
+    assert not complaints(lambda path: iter(sorted(private(path, room(path)))))
+
+
+def test_what_stands_outside_takes_what_is_public() -> None:
+    reach = {str(path.relative_to(ROOT)) for path in OUTSIDE if private(path)}
+    assert reach == BEHIND
+
+
+def test_a_module_that_its_own_folder_alone_uses_is_private() -> None:
+    """But for those that docs/ or a door give to users, and one a command or driver."""
+    told = "".join(page.read_text() for page in [*(ROOT / "docs").glob("*.md"), *SOURCE.glob("*/__init__.pyi")])
+    used = {path: modules_imported(path) for path in [*MODULES, *OUTSIDE]}
+
     def rule(path: Path) -> Iterator[str]:
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("anther."):
-                names = [*node.module.split("."), *(alias.name for alias in node.names)]
-                private = [name for name in names if name.startswith("_")]
-                if private and names[1] != room(path):
-                    yield f"imports {private} of {names[1]}"
+        *folder, last = path.relative_to(SOURCE).with_suffix("").parts
+        if len(folder) < 2 or last.startswith("_") or "migrations" in folder or folder[-1] == "drivers":
+            return
+        module = ".".join(("anther", *folder, last))
+        if module not in told and f".{'.'.join((*folder[1:], last))} import" not in told:
+            elsewhere = (names for other, names in used.items() if path.parent not in other.parents)
+            if all(module not in names for names in elsewhere):
+                yield "only its own folder uses it: its name begins with _"
 
     assert not complaints(rule)
 
 
 def test_packages_say_what_is_public() -> None:
-    """By `__all__`; a module that only its own package uses is private, but for those that docs/ give to users."""
-    told = "".join(page.read_text() for page in (ROOT / "docs").glob("*.md"))
-    used = {path: modules_imported(path) for path in MODULES}
-
     def rule(path: Path) -> Iterator[str]:
-        here = path.relative_to(SOURCE).with_suffix("").parts
-        if len(here) < 2 or here[0] in {"commands", "drivers"} or "migrations" in here:
-            return  # each command and driver is one that users name
-        module = ".".join(("anther", *here))
-        if here[-1] == "__init__":
-            defines = any(isinstance(node, ast.FunctionDef | ast.ClassDef) for node in ast.parse(path.read_text()).body)
+        body = ast.parse(path.read_text()).body
+        if path.name == "__init__.py" and path.parent != SOURCE and "migrations" not in path.parts:
+            defines = any(isinstance(node, ast.FunctionDef | ast.ClassDef) for node in body)
             if defines and "__all__" not in path.read_text():
                 yield "does not say what is public"
-        elif not here[-1].startswith("_") and module not in told:
-            elsewhere = (names for other, names in used.items() if room(other) != here[0])
-            if all(module not in names for names in elsewhere):
-                yield "only its own package uses it: its name begins with _"
 
     assert not complaints(rule)
+
+
+@pytest.mark.parametrize("name", [name for name in ROOMS if name != "cli"])
+def test_a_door_gives_what_its_stub_names(name: str) -> None:
+    door = import_module(f"anther.{name}")
+    stub = ast.parse((SOURCE / name / "__init__.pyi").read_text())
+    names = {alias.name for node in stub.body if isinstance(node, ast.ImportFrom) for alias in node.names}
+    assert names == set(door.__all__)
+    stated = next(node.value for node in stub.body if isinstance(node, ast.Assign))
+    assert names == set(ast.literal_eval(stated))
+    assert all(hasattr(door, public) for public in names)
 
 
 def test_files_and_functions_stay_short() -> None:
@@ -138,14 +170,6 @@ def test_files_and_functions_stay_short() -> None:
     assert not complaints(rule)
 
 
-def test_ground_truth_stays_in_the_simulator() -> None:
-    def rule(path: Path) -> Iterator[str]:
-        if room(path) not in {"sim", "commands"} and "sim" in imported(path):
-            yield "must not see the simulator's truth"
-
-    assert not complaints(rule)
-
-
 def test_modules_say_what_they_are() -> None:
     def rule(path: Path) -> Iterator[str]:
         text = path.read_text()
@@ -156,15 +180,16 @@ def test_modules_say_what_they_are() -> None:
 
 
 def test_what_scripts_import_of_anther_is_there() -> None:
-    """Experiments are run rarely, and the type checker reads `src` alone."""
+    """They are run rarely, and the type checker reads `src` alone."""
     missing = [
         f"{path.relative_to(ROOT)}: {node.module}.{alias.name}"
-        for where in ("experiments", "benchmarks", "examples", "tools")
-        for path in sorted((ROOT / where).rglob("*.py"))
+        for path in OUTSIDE
         for node in ast.walk(ast.parse(path.read_text()))
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "anther"
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] in {"anther", "evaluation"}
         for alias in node.names
         if not hasattr(import_module(node.module), alias.name)
-        and not is_module(SOURCE.parent / node.module.replace(".", "/") / alias.name)
+        and not is_module(
+            (SOURCE.parent if node.module.startswith("anther") else ROOT) / node.module.replace(".", "/") / alias.name
+        )
     ]
     assert not missing

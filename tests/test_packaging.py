@@ -15,8 +15,8 @@ import pytest
 from hatchling.builders.sdist import SdistBuilder
 from hatchling.builders.wheel import WheelBuilder
 
-from anther.errors import EXTRA_OF
-from anther.samples import SAMPLES
+from anther.cli.sample_data import SAMPLES
+from anther.core.errors import EXTRA_OF
 
 ROOT = Path(__file__).parents[1]
 LOCKS = [path.name for path in ROOT.glob("requirements*.lock")]
@@ -35,14 +35,14 @@ def test_the_wheel_has_all_of_the_package_and_nothing_else(wheel: Path) -> None:
         info = next(name for name in names if name.endswith("/METADATA"))
         text = archive.read(info).decode()
         entries = archive.read(info.replace("METADATA", "entry_points.txt")).decode()
-    sources = {str(p.relative_to(ROOT / "src")) for p in (ROOT / "src").rglob("*.py")}
+    sources = {str(p.relative_to(ROOT / "src")) for p in (ROOT / "src").rglob("*.py*") if p.suffix in {".py", ".pyi"}}
     assert sources <= names
     assert "anther/py.typed" in names
-    assert all(any(name.startswith(f"anther/samples/{sample}") for name in names) for sample in SAMPLES)
+    assert all(any(name.startswith(f"anther/cli/sample_data/{sample}") for name in names) for sample in SAMPLES)
     strangers = {name for name in names if not name.startswith(("anther/", "anther-"))}
     assert not strangers
     assert not [name for name in names if "__pycache__" in name or "/.venv" in name]
-    assert "anther = anther.cli:main" in entries
+    assert "anther = anther.cli.main:main" in entries
     for line in ("Author: The Anther developers", "Classifier: Typing :: Typed", "Requires-Python: >=3.11"):
         assert line in text
     assert any(name.endswith("licenses/LICENSE") for name in names)
@@ -54,7 +54,7 @@ def test_the_source_archive_can_be_tested(tmp_path: Path) -> None:
     with tarfile.open(path) as archive:
         names = {name.split("/", 1)[1] for name in archive.getnames() if "/" in name}
     needed = ["pyproject.toml", "README.md", "LICENSE", "Makefile", *LOCKS,
-              "src/anther/py.typed", "src/anther/samples/plant.ply", "tests/conftest.py", "docs/README.md",
+              "src/anther/py.typed", "src/anther/cli/sample_data/plant.ply", "tests/conftest.py", "docs/README.md",
               "examples/01_shake_a_cantilever.py", "tools/make_env.py"]  # fmt: skip
     assert not set(needed) - names
     assert not [name for name in names if name.startswith((".venv", "runs/")) or "__pycache__" in name]
@@ -120,7 +120,7 @@ def distribution(name):
         raise importlib.metadata.PackageNotFoundError(name)
     return found(name)
 importlib.metadata.distribution = distribution
-from anther.cli import main
+from anther.cli.main import main
 print(json.dumps([main(words.split()) for words in {[*CORE, *NEEDY]!r}]))
 """
     done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False)

@@ -32,18 +32,18 @@ import pytest
 from conftest import DATA
 from test_history import full
 
-from anther import skeleton, stem
-from anther.calibration import read_poses
-from anther.capture import Capture
-from anther.cli import COMMANDS, main
-from anther.devices import GripperState
-from anther.files import read_json
-from anther.formats.clouds import read_cloud
-from anther.formats.skeletons import read_skeleton
-from anther.geometry import Intrinsics, inverse, transform_points
+from anther.cli.main import COMMANDS, main
+from anther.cli.sample_data import write_samples
+from anther.core.files import read_json
+from anther.core.geometry import Intrinsics, inverse, transform_points
 from anther.history import record_trial
-from anther.log import Log
-from anther.samples import write_samples
+from anther.perception import skeleton, stem
+from anther.perception.capture import Capture
+from anther.perception.formats.clouds import read_cloud
+from anther.perception.formats.skeletons import read_skeleton
+from anther.robot.calibration import read_poses
+from anther.robot.devices import GripperState
+from anther.show.log import Log
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs/reports").glob("*.md"))]
@@ -133,12 +133,14 @@ def check_pip(words: list[str]) -> None:
 
 def check_script(words: list[str]) -> None:
     """The scripts are there, and they know the options."""
+    if words[1] == "-m":
+        words = [words[0], f"{words[2].replace('.', '/')}.py", *words[3:]]
     scripts = [n for n, word in enumerate(words) if word.endswith(".py")]
     assert scripts, words
     script = ROOT / words[scripts[-1]]
     text = script.read_text()
-    beside = re.findall(r"^from (\w+) import", text, re.MULTILINE)  # two experiments may share their options
-    text += "".join(path.read_text() for name in beside if (path := script.with_name(f"{name}.py")).is_file())
+    beside = re.findall(r"^from (evaluation[\w.]*) import", text, re.MULTILINE)  # two scripts may share their options
+    text += "".join(path.read_text() for name in beside if (path := ROOT / f"{name.replace('.', '/')}.py").is_file())
     for word in words[scripts[-1] + 1 :]:
         assert not word.startswith("--") or word in text or "tyro" in text, f"{words}: no {word}"
     assert all((ROOT / words[n]).is_file() for n in scripts)
@@ -283,10 +285,14 @@ def test_what_a_page_says_runs_slowly(page: Path, folder: Path, monkeypatch: pyt
 def test_the_scripts_of_the_pages_know_their_options() -> None:
     for block in (b for page in PAGES for b in blocks(page) if b.language != "python"):
         for words in commands(block.text):
-            script = next((n for n, word in enumerate(words) if re.match("(experiments|benchmarks)/", word)), None)
+            script = next((n for n, word in enumerate(words) if word.startswith("evaluation.")), None)
             if words[0] == "python" and script is not None:
                 done = subprocess.run(
-                    [sys.executable, words[script], "--help"], cwd=ROOT, capture_output=True, text=True, check=False
+                    [sys.executable, "-m", words[script], "--help"],
+                    cwd=ROOT,
+                    capture_output=True,
+                    text=True,
+                    check=False,
                 )
                 assert done.returncode == 0, done.stderr
                 for word in words[script + 1 :]:
@@ -342,13 +348,14 @@ def test_the_samples_are_what_they_say(folder: Path) -> None:
     assert abs(youngs["value"] - 90e6) < 2 * youngs["standard_error"]
 
 
-TEST = re.compile(r"`tests/(\w+\.py) -k (\w+)`")
+TEST = re.compile(r"`tests/([\w/]+\.py) -k (\w+)`")
 
 
 def test_every_test_that_a_page_names_is_there() -> None:
     named = {(page.name, *found) for page in PAGES for found in TEST.findall(page.read_text())}
     assert any(page == "hazards.md" for page, _, _ in named)
-    sources = {path.name: path.read_text() for path in (ROOT / "tests").rglob("test_*.py")}
+    tests = ROOT / "tests"
+    sources = {str(path.relative_to(tests)): path.read_text() for path in tests.rglob("test_*.py")}
     lost = [row for row in sorted(named) if not re.search(rf"^ *def {row[2]}\(", sources.get(row[1], ""), re.MULTILINE)]
     assert not lost
 
@@ -374,5 +381,5 @@ def test_what_measures_a_report_is_there_and_named_once() -> None:
     for _, command, said in found:
         check_script(shlex.split(command))
         assert not said or f"`{command}` at " in said
-    scripts = [shlex.split(command)[1] for _, command, _ in found]
+    scripts = [shlex.split(command)[2] for _, command, _ in found]
     assert len(set(scripts)) == len(scripts)

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from anther.pictures import plant, report
-from anther.results import read_run
+from anther.show import read_run
+from anther.show.pictures import plant, report
 
 
 def main(run: str, out: str) -> None:

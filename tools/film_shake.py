@@ -10,13 +10,12 @@ from typing import Any, cast
 import numpy as np
 from PIL import Image
 
-from anther.commands.simulated_cell import PRESETS, build
-from anther.pipeline import Params, pollinate
-from anther.plant import PEPPER, TOMATO
-from anther.plant.limits import Crop
-from anther.runs import Run
-from anther.sim.render import Scene
+from anther.core import Run
+from anther.plant import PEPPER, TOMATO, Crop
+from anther.pollination import Params, pollinate
+from anther.sim import Scene, build
 from anther.sim.robot import SIDE
+from anther.sim.simulated_cell import PRESETS
 
 WIDTH, COLOURS, RATE, PERIODS, SLOWER = 420, 128, 40, 6, 2.0
 """Width of the film [px], colours, pictures a second, periods of the shake (whole ones, so that the film goes on as it

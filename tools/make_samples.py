@@ -1,6 +1,6 @@
 """Make the samples that ship with the package, from simulated plants, boards and stems. A few minutes.
 
-PYTHONPATH=tests python tools/make_samples.py src/anther/samples
+PYTHONPATH=tests/support python tools/make_samples.py src/anther/cli/sample_data
 
 The boards, bags and stem tests are those of the tests (made_board, made_bags, made_stem).
 """
@@ -18,20 +18,23 @@ import numpy as np
 from made_bags import START, BagMaker
 from made_stem import Truth, nonlinear_trace, write_csv, write_files
 
-from anther import masks
-from anther.calibration import CharucoBoard
-from anther.capture import Capture
-from anther.cloud import Cloud, fuse
-from anther.cloud.ply import write_ply
-from anther.files import read_json, write_json
-from anther.flowers import flower_centres
-from anther.formats.skeletons import write_skeleton
-from anther.geometry import Array, Intrinsics, pose7
-from anther.sim.capture import capture_from_poses, orbit_poses
+from anther.core import Array, Intrinsics
+from anther.core.files import read_json, write_json
+from anther.core.geometry import pose7
+from anther.perception import (
+    Capture,
+    Cloud,
+    find_stem,
+    flower_centres,
+    fuse,
+    masks,
+    skeletonize,
+    write_ply,
+    write_skeleton,
+)
+from anther.robot import CharucoBoard
+from anther.sim import capture_from_poses, grow_tomato, orbit_poses
 from anther.sim.render import d455
-from anther.sim.tomato import grow_tomato
-from anther.skeleton import skeletonize
-from anther.stem import find_stem
 
 SEED, VIEWS, MIDDLE = 0, 6, (0.72, 0.0, 0.0)
 BOARD_CAMERA = Intrinsics(640, 480, 500.0, 500.0, 319.5, 239.5)

@@ -17,10 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
-from anther import grasp, skeleton, stem
-from anther.formats.clouds import read_cloud
-from anther.pictures.plant import draw_plant
-from anther.samples import write_samples
+from anther.cli.sample_data import write_samples
+from anther.perception import read_cloud, skeletonize, stem
+from anther.pollination import plan_grasps
+from anther.show import draw_plant
 
 folder = Path(tempfile.mkdtemp())
 write_samples(folder)
@@ -41,7 +41,7 @@ print(f"{len(plant.points):,} points, {size[0]:.2f} x {size[1]:.2f} x {size[2]:.
 # Every node comes after its parent. The radius of a stem is half its thickness.
 
 # %%
-tree = skeleton.skeletonize(plant)
+tree = skeletonize(plant)
 tips = np.setdiff1d(np.arange(len(tree.nodes)), tree.parent)
 print(f"{len(tree.nodes)} nodes, {len(tips)} tips; root at {np.round(tree.nodes[0], 3)} m")
 
@@ -59,7 +59,7 @@ print(f"main stem {main.arc_length[-1]:.2f} m long; right with a probability of 
 # an arm's planner for that, as `anther reconstruct` does.
 
 # %%
-ranked = grasp.plan_grasps(main, tree, plant)
+ranked = plan_grasps(main, tree, plant)
 for one in ranked[:3]:
     print(f"{1000 * one.arc_length:.0f} mm above the root, {1000 * one.stem_diameter:.1f} mm thick: {one.reason}")
 

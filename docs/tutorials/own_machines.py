@@ -7,7 +7,7 @@
 # %% [markdown]
 # # My own arm and camera
 #
-# `anther.devices` is the seam: an arm, a gripper and a camera are Protocols of three to five methods. Whatever
+# `anther.robot.devices` is the seam: an arm, a gripper and a camera are Protocols of three to five methods. Whatever
 # has these methods can be driven, whoever wrote it. This page writes an arm of six joints, puts Anther's guard
 # before it, and sees the guard refuse and stop. The arm is a program here; in yours, `_send` and `_read` talk to
 # the controller.
@@ -15,10 +15,8 @@
 # %%
 import numpy as np
 
-from anther.devices import LEAD, ArmRecord, ArmSample, DeviceError, JointTrajectory, SafetyLimits
-from anther.errors import StageFailure
-from anther.geometry import Box
-from anther.safety import GuardedArm
+from anther.core import Box, StageFailure
+from anther.robot import LEAD, ArmRecord, ArmSample, DeviceError, GuardedArm, JointTrajectory, SafetyLimits
 
 # %% [markdown]
 # ## An arm
@@ -142,6 +140,6 @@ except DeviceError:
     print(f"stopped at {arm.joints()[0]:.2f} m and holds")
 
 # %% [markdown]
-# Gripper and cameras are as small: [the Protocols](../api/machines.md). What the guard promises is on
-# [safety](../safety.md), and the conformance test in `tests/test_devices.py` is the one that every machine of
+# Gripper and cameras are as small: [the Protocols](../api/robot.md). What the guard promises is on
+# [safety](../safety.md), and the conformance test in `tests/robot/test_devices.py` is the one that every machine of
 # Anther passes: add yours to its list.

@@ -7,7 +7,7 @@
 # %% [markdown]
 # # The rod solver alone
 #
-# `anther.elastic_rod` knows nothing of plants or robots. This page builds a cantilever, checks it against beam
+# `anther.rods` knows nothing of plants or robots. This page builds a cantilever, checks it against beam
 # theory, shakes its base, hangs a mass on its tip, and goes on to motion so large that linear theory no longer
 # holds.
 
@@ -15,7 +15,7 @@
 import matplotlib.pyplot as plt
 import numpy as np
 
-from anther.elastic_rod import (
+from anther.rods import (
     Clamp,
     Drive,
     Rods,

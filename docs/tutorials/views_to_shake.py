@@ -18,12 +18,11 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from anther import cloud, flowers, grasp, masks, skeleton, stem
-from anther.capture import Capture
-from anther.pictures.report import draw_plan
+from anther.cli.sample_data import write_samples
+from anther.perception import Capture, find_stem, flowers, fuse, segment, skeletonize
 from anther.plant import TOMATO, build_plant
-from anther.samples import write_samples
-from anther.shake import plan_shake
+from anther.pollination import plan_grasps, plan_shake
+from anther.show import draw_plan
 
 folder = Path(tempfile.mkdtemp())
 write_samples(folder)
@@ -47,9 +46,9 @@ fig.tight_layout()
 # it.
 
 # %%
-seen = cloud.fuse(capture, masks.segment(capture))
-tree = skeleton.skeletonize(seen)
-main = stem.find_stem(tree)
+seen = fuse(capture, segment(capture))
+tree = skeletonize(seen)
+main = find_stem(tree)
 blossoms = flowers.find_flowers(seen, tree, main)
 if not len(blossoms.positions):  # hidden behind leaves: shake for flowers at the ends of trusses
     blossoms = flowers.supposed_flowers(tree, main)
@@ -75,7 +74,7 @@ print(f"E {matter.youngs / 1e6:.0f} MPa, to a factor of {np.exp(1.645 * matter.y
 # one shake of forty a load of the plant may pass its limit.
 
 # %%
-plan = plan_shake(rods, grasp.plan_grasps(main, tree, seen)[:6])
+plan = plan_shake(rods, plan_grasps(main, tree, seen)[:6])
 print(plan.reason)
 for name, value, limit, share in plan.limits:
     print(f"{share:6.0%}  {name}: {value:.3g} of {limit:.3g}")

@@ -9,12 +9,12 @@ from typing import Any
 from sqlalchemy import exists, func, select
 from sqlalchemy.orm import Session
 
-from anther.checks import check_array
+from anther.core.checks import check_array
 from anther.history._database import DEFAULT, reading
 from anther.history._records import material_of
 from anther.history._tables import GraspRow, Plant, ResponseRow, ShakeRow, Visit
-from anther.plant import PEPPER, TOMATO, Material
 from anther.plant.belief import EarlierShake
+from anther.plant.model import PEPPER, TOMATO, Material
 
 CROPS = {"tomato": TOMATO, "pepper": PEPPER}
 """What is believed of a crop before any plant of it was measured; each says its sources."""

@@ -17,8 +17,8 @@ from sqlalchemy.exc import ArgumentError, SQLAlchemyError
 from sqlalchemy.orm import Session
 from sqlalchemy.pool import NullPool
 
-from anther.errors import AntherError, InputError, MissingExtra, bad_input
-from anther.files import understood
+from anther.core.errors import AntherError, InputError, MissingExtra, bad_input
+from anther.core.files import understood
 from anther.history.migrations import HEAD, migrate, version
 
 DEFAULT = Path("runs/history.sqlite")

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from anther.errors import bad_input
-from anther.formats.tables import write_table
-from anther.geometry import Array
+from anther.core.errors import bad_input
+from anther.core.geometry import Array
+from anther.core.tables import write_table
 from anther.history._records import MOTIONS, Outcome, TrialRecord
 
 Column = tuple[type, Callable[[Any], Any]]

@@ -9,11 +9,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from anther.checks import check_array, check_range
-from anther.errors import bad_input
-from anther.files import read_object, understood
-from anther.geometry import Array
-from anther.plant import Material
+from anther.core.checks import check_array, check_range
+from anther.core.errors import bad_input
+from anther.core.files import read_object, understood
+from anther.core.geometry import Array
+from anther.plant.model import Material
 
 MOTIONS = {
     "predicted_amplitude": "predicted_amplitude_m",

@@ -175,7 +175,7 @@ class FruitSetRow(Base):
 
 
 class Sweep(Base):
-    """Many runs of one function over the rows of a table (`anther.sweep`); `uid` is kept in its folder too."""
+    """Many runs of one function over the rows of a table (`anther.history.sweep`); `uid` is kept in its folder too."""
 
     __tablename__ = "sweeps"
     id: Mapped[int] = mapped_column(primary_key=True)

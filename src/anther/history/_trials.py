@@ -17,7 +17,7 @@ import numpy as np
 from sqlalchemy import func, select, tuple_
 from sqlalchemy.orm import Session
 
-from anther.errors import bad_input
+from anther.core.errors import bad_input
 from anther.history._database import DEFAULT, insert, reading, shown, writing
 from anther.history._records import MOTIONS, GraspRecord, Outcome, ShakeRecord, TrialRecord, material_of, numbers
 from anther.history._tables import FruitSetRow, GraspRow, Note, Plant, ResponseRow, ShakeRow, Visit, with_result

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from anther.checks import check_range
+from anther.core.checks import check_range
 
 
 @dataclass(frozen=True, slots=True)

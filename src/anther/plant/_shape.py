@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.stats import theilslopes
 
-from anther.cloud import Cloud
-from anther.elastic_rod import Clamp, Rods, least_stiffness, stands
-from anther.flowers import Flowers
-from anther.geometry import Array, occupied_cells
-from anther.masks import FLOWER
-from anther.skeleton import Skeleton
-from anther.stem import Stem
+from anther.core.geometry import Array, occupied_cells
+from anther.perception.cloud import Cloud
+from anther.perception.flowers import Flowers
+from anther.perception.masks import FLOWER
+from anther.perception.skeleton import Skeleton
+from anther.perception.stem import Stem
+from anther.rods import Clamp, Rods, least_stiffness, stands
 
 BLADE = 0.65
 """Flatness of a skeleton node beyond which a branch runs in a leaf blade [-]; midribs have 0.85 in the median, petioles

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from anther.geometry import Array
+from anther.core.geometry import Array
 
 
 @dataclass(frozen=True, slots=True)

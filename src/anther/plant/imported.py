@@ -7,15 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from anther.checks import check_range
-from anther.errors import bad_input
-from anther.formats.skeleton_file import supposed_radius
-from anther.formats.skeletons import SkeletonFile, Units, read_skeleton
-from anther.geometry import Array
+from anther.core.checks import check_range
+from anther.core.errors import bad_input
+from anther.core.geometry import Array
+from anther.perception.formats.skeleton_file import supposed_radius
+from anther.perception.formats.skeletons import SkeletonFile, Units, read_skeleton
+from anther.perception.skeleton import Params, Skeleton, nearest_node
+from anther.perception.stem import LOW, Stem, find_stem
+from anther.perception.stem import Params as StemParams
 from anther.plant.limits import Crop
-from anther.skeleton import Params, Skeleton, nearest_node
-from anther.stem import LOW, Stem, find_stem
-from anther.stem import Params as StemParams
 
 Place = tuple[float, float, float]
 STEM = {"tomato": 5e-3, "pepper": 6e-3}

@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from anther.checks import check_range
-from anther.geometry import Array
+from anther.core.checks import check_range
+from anther.core.geometry import Array
 
 GRAVITY = 9.81
 GUSTS = 5.0

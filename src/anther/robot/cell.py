@@ -6,12 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-from anther.capture import Capture
-from anther.cloud import Cloud
-from anther.devices import JointTrajectory, Robot, SafetyLimits
-from anther.geometry import Array, Box
-from anther.runs import Advance
-from anther.swing import Swing
+from anther.core.geometry import Array, Box
+from anther.core.runs import Advance
+from anther.perception.capture import Capture
+from anther.perception.cloud import Cloud
+from anther.robot.devices import JointTrajectory, Robot, SafetyLimits
+from anther.robot.swing import Swing
 
 ActuatorName = Literal["arm", "gripper"]
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.geometry import Array
+from anther.core.geometry import Array
 from anther.sim._mesh import Mesh, box, grid_faces, join, tube, unit
 from anther.sim.plant import Organ, Pot
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigh
 
-from anther.geometry import Array, transform, transform_points
+from anther.core.geometry import Array, transform, transform_points
 from anther.sim._mesh import Mesh, revolve, tube, unit
 from anther.sim.plant import GRAVITY, POT_HEIGHT, SOIL_Z, Organ, Pot, SimPlant
 

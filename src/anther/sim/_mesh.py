@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from trimesh.util import append_faces
 
-from anther.geometry import Array
+from anther.core.geometry import Array
 
 Mesh = tuple[Array, NDArray[np.int32]]
 

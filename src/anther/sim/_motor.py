@@ -1,4 +1,4 @@
-"""The simulated motor in the gripper: it satisfies `anther.devices.Motor` and advances the cell's time."""
+"""The simulated motor in the gripper: it satisfies `anther.robot.devices.Motor` and advances the cell's time."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from collections import deque
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from anther.devices import LEAD, ArmRecord, ArmSample, DeviceError, MoreSwing, Watch
-from anther.errors import bad_input
-from anther.geometry import Array
+from anther.core.errors import bad_input
+from anther.core.geometry import Array
+from anther.robot.devices import LEAD, ArmRecord, ArmSample, DeviceError, MoreSwing, Watch
+from anther.robot.swing import Swing
 from anther.sim import arm_model
 from anther.sim._plant_mechanics import mujoco
 from anther.sim.cell import Cell
-from anther.swing import Swing
 
 CYCLE = 0.01
 """s between the readings that a watcher sees: joint_states' default rate (facts: sawyer 5)."""
@@ -73,7 +73,7 @@ class SimMotor:
         self._felt: deque[Array] = deque(maxlen=10)
 
     def swing(self, first: Swing, watch: Watch | None = None, more: MoreSwing | None = None) -> ArmRecord:
-        """Move the pads as `anther.devices.Motor` says; return when they have settled for 0.1 s.
+        """Move the pads as `anther.robot.devices.Motor` says; return when they have settled for 0.1 s.
 
         Raises:
             DeviceError: a piece needs more than the motor's stroke or force, or the coil does not follow; it stops.

@@ -17,8 +17,8 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
-from anther.errors import StageFailure
-from anther.geometry import Array
+from anther.core.errors import StageFailure
+from anther.core.geometry import Array
 from anther.sim._pieces import Params, Pieces, cut, mass_properties
 from anther.sim.plant import GRAVITY, Organ, SimPlant
 

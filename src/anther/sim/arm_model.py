@@ -14,8 +14,8 @@ import mujoco as mujoco_module
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from anther.arm.model import BASE, FLANGE, ArmModel, Capsule, Solid
-from anther.geometry import Array
+from anther.core.geometry import Array
+from anther.robot.arm.model import BASE, FLANGE, ArmModel, Capsule, Solid
 from anther.sim.truth import NOMINAL, Truth
 
 mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them

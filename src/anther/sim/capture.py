@@ -21,10 +21,10 @@ import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anther.capture import Capture
-from anther.checks import check_array, check_range, check_transform
-from anther.devices import Frame
-from anther.geometry import Array, Intrinsics, look_at, small_transform
+from anther.core.checks import check_array, check_range, check_transform
+from anther.core.geometry import Array, Intrinsics, look_at, small_transform
+from anther.perception.capture import Capture
+from anther.robot.devices import Frame
 from anther.sim.plant import SimPlant
 from anther.sim.render import Image, Scene, d455
 from anther.sim.truth import Truth

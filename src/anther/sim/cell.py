@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from anther.arm.model import ArmModel
-from anther.arm.sawyer import SAWYER
-from anther.errors import StageFailure
-from anther.geometry import Array, transform
+from anther.core.errors import StageFailure
+from anther.core.geometry import Array, transform
+from anther.robot.arm.model import ArmModel
+from anther.robot.arm.sawyer import SAWYER
 from anther.sim import _pieces, arm_model
 from anther.sim._plant_mechanics import PlantMechanics, add_plant, mujoco
 from anther.sim.plant import GRAVITY, POT_HEIGHT, Organ, SimPlant

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 from scipy.stats import norm
 
-from anther.errors import FailureKind
-from anther.geometry import Array, inverse
-from anther.oscillation import fit_swing
+from anther.core.errors import FailureKind
+from anther.core.geometry import Array, inverse
+from anther.core.oscillation import fit_swing
 from anther.plant.limits import moved
 from anther.sim.cell import Cell, CellLog
 from anther.sim.plant import Organ
@@ -123,7 +123,7 @@ class Verdict:
         push: largest force on the plant before closing [N], leaves included.
         harm: the loads that the plant bore, what it bears, and how probable harm was.
         flower_amplitude: (F,) semi-major axis of each flower's swing at the shake's frequency, over the middle 60 % of
-            the shake [m]: as `anther.response` measures it.
+            the shake [m]: as `anther.pollination.response` measures it.
         flower_acceleration_peak: (F,) the largest in a period, its median over the periods of that part [m/s2].
         effort: largest share of a motor's torque limit that the arm used.
         held_beside: names of other organs that were between the pads with what is held.

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anther.checks import check_array
-from anther.errors import bad_input
-from anther.geometry import Array
+from anther.core.checks import check_array
+from anther.core.errors import bad_input
+from anther.core.geometry import Array
 
 GRAVITY = 9.81
 SOIL_Z = -0.30

@@ -15,8 +15,8 @@ from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import distance_transform_edt
 
-from anther.checks import check_array, check_transform
-from anther.geometry import Array, Intrinsics
+from anther.core.checks import check_array, check_transform
+from anther.core.geometry import Array, Intrinsics
 from anther.sim._greenhouse import Setting, repainted, surroundings
 from anther.sim.plant import Organ, SimPlant
 

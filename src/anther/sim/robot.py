@@ -1,4 +1,4 @@
-"""The devices of the simulated cell: they satisfy `anther.devices` and advance the cell's time when commanded."""
+"""The devices of the simulated cell: they satisfy `anther.robot.devices` and advance the cell's time when commanded."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
-from anther.checks import check_range
-from anther.devices import (
+from anther.core.checks import check_range
+from anther.core.geometry import Array, Intrinsics, inverse, look_at, transform_points
+from anther.robot.devices import (
     LEAD,
     ArmRecord,
     ArmSample,
@@ -25,7 +26,6 @@ from anther.devices import (
     Robot,
     Watch,
 )
-from anther.geometry import Array, Intrinsics, inverse, look_at, transform_points
 from anther.sim._motor import CYCLE, SimMotor, sensed_force
 from anther.sim.capture import CameraErrors, sensed
 from anther.sim.cell import Cell, CellLog

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from anther.checks import check_array
-from anther.errors import StageFailure
-from anther.geometry import Array
+from anther.core.checks import check_array
+from anther.core.errors import StageFailure
+from anther.core.geometry import Array
 from anther.sim._pieces import Params
 from anther.sim._plant_mechanics import PlantMechanics, alone, mujoco
 from anther.sim.plant import SimPlant

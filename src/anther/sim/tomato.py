@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from anther.geometry import Array
+from anther.core.geometry import Array
 from anther.sim._growth import AREAL_DENSITY, Growth, arc, blade_colours, ripple
 from anther.sim._mesh import blade, star, tube, unit
 from anther.sim.plant import POT_AXIS, Organ, SimPlant

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.errors import StageFailure
-from anther.geometry import Array
+from anther.core.errors import StageFailure
+from anther.core.geometry import Array
 from anther.sim._growth import AREAL_DENSITY, buckling_factor, supported_youngs
 from anther.sim._pieces import Params
 from anther.sim._plant_mechanics import alone

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
-from anther.errors import bad_input
+from anther.core.errors import bad_input
 
 
 class Spread(NamedTuple):

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from sqlalchemy import Connection, inspect, text
 
-from anther.errors import bad_input
+from anther.core.errors import bad_input
 
 HEAD = "0006"
 """The newest version. It is written here so that Alembic is loaded only where there is something to do."""

@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq, root_scalar
 
-from anther.checks import check_array, check_range
-from anther.elastic_rod import Clamp, Rods, equilibrium, natural_frequencies
-from anther.errors import InputError, StageFailure, bad_input
-from anther.geometry import Array
+from anther.core.checks import check_array, check_range
+from anther.core.errors import InputError, StageFailure, bad_input
+from anther.core.geometry import Array
+from anther.rods import Clamp, Rods, equilibrium, natural_frequencies
 
 Orientation = Literal["upright", "horizontal", "hanging", "weightless"]
 """How the stem is held. "weightless" leaves gravity out, as beam formulas do."""
 
 G = 9.81
-"""Acceleration of free fall [m/s^2], as in `anther.elastic_rod.GRAVITY`."""
+"""Acceleration of free fall [m/s^2], as in `anther.rods.GRAVITY`."""
 SIDEWAYS = 0.5
 """A mode with more than this share of its motion out of the vertical plane is a sideways one [-]."""
 

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
-from anther.checks import check_array
-from anther.errors import bad_input
-from anther.geometry import Array
+from anther.core.checks import check_array
+from anther.core.errors import bad_input
+from anther.core.geometry import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,11 +14,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from anther.checks import check_array, check_range
-from anther.errors import InputError, bad_input
-from anther.files import read_json, write_json
-from anther.geometry import Array
-from anther.plant import TOMATO, Material
+from anther.core.checks import check_array, check_range
+from anther.core.errors import InputError, bad_input
+from anther.core.files import read_json, write_json
+from anther.core.geometry import Array
 from anther.plant.bench._clamped_stem import (
     ClampedStem,
     Orientation,
@@ -27,6 +26,7 @@ from anther.plant.bench._clamped_stem import (
     youngs_from_first_mode,
 )
 from anther.plant.bench._free_vibration import FreeVibration, mean_vibration
+from anther.plant.model import TOMATO, Material
 
 SCHEMA = 1
 DISAGREEMENT = 2.0
@@ -217,7 +217,7 @@ class Identification:
         vibration: mean of the plucks, or None.
         estimates: of Young's modulus [Pa], one per method.
         youngs: their combination [Pa], or None where there is none.
-        material: for `anther.plant.build_plant`; what was not measured keeps the prior.
+        material: for `anther.plant.model.build_plant`; what was not measured keeps the prior.
         warnings: what the user should not overlook.
     """
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from anther.errors import InputError, bad_input
-from anther.files import existing, number, read_rows
-from anther.geometry import Array
+from anther.core.errors import InputError, bad_input
+from anther.core.files import existing, number, read_rows
+from anther.core.geometry import Array
 
 UNITS = {
     "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6},

@@ -1,0 +1,131 @@
+"""Fits how sure root and grasp are, on development plants: grown ones with exact labels, and some of the real ones.
+
+    python -m evaluation.perception.fit_confidence
+
+Prints the constants of skeleton/support.py and grasp/_candidates.py. Development plants: 48 grown (`real/grown.py`),
+five of the ten seedlings of trackplant3d_tomato1a (every third scan), gavriel_maize_28.2.23_8; each disturbed once in
+every way (`real/strict.py`), and for the grasp some development captures of confidence.py as well. None of them is
+among the plants that disturbed_plants.py reports. The root: a conditional logit among low tips, nested in whether the
+base is in the cloud. The grasp: right when the strict rule says so, in a capture when the true main stem is within
+5 mm.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+from unittest.mock import patch
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import track
+from scipy.optimize import minimize
+
+from anther.core import Array
+from anther.perception import skeleton as skeleton_stage
+from anther.perception.skeleton.raw_tree import RawTree
+from anther.perception.skeleton.support import PlantBase, base_evidence, find_root
+from anther.pollination.grasp._candidates import place_evidence
+from evaluation.perception.confidence import DEVELOPMENT, logistic, samples
+from evaluation.perception.real.answers import NoAnswer, anther
+from evaluation.perception.real.grown import grown_plants
+from evaluation.perception.real.plants import HARD, LABELLED, Labelled, develops, labelled_plants, plant_size
+from evaluation.perception.real.strict import AT_BASE, disturbed, on_stem
+
+DATA = Path(os.environ.get("ANTHER_DATA", Path(__file__).parents[3] / "shared" / "data"))
+GROWN, FIRST_GROWN = 48, 300
+CAPTURED = DEVELOPMENT[:2]
+SPARSE = 8
+"""Of the places along a captured stem every so many counts: they are alike, and grasps are to weigh as much."""
+CANDIDATES = 60
+
+
+class Choice(NamedTuple):
+    """Evidence (C, 3) of the tips at which a plant may stand, and which of them (C,) are its base."""
+
+    evidence: Array
+    right: NDArray[np.bool_]
+
+
+@dataclass
+class Gathered:
+    """What the development plants say: choices of a root; evidence (4,) of grasps, and which were right."""
+
+    choices: list[Choice]
+    evidence: list[Array]
+    right: list[bool]
+
+    def add(self, plant: Labelled, base: Array) -> None:
+        """Add what Anther makes of a plant whose stem's base (3,) [m] is known."""
+        trees: list[RawTree] = []
+
+        def noted(tree: RawTree) -> PlantBase:
+            trees.append(tree)
+            return find_root(tree)
+
+        try:
+            with patch.object(skeleton_stage, "find_root", noted):
+                seen = anther(plant.cloud)
+            place = np.array([seen.grasp.arc_length])
+            self.evidence.append(place_evidence(seen.stem, seen.skeleton, place)[0])
+            self.right.append(on_stem(plant, seen.grasp))
+        except NoAnswer:
+            pass
+        near = AT_BASE * plant_size(plant.cloud.points)
+        seen_base = np.linalg.norm(plant.cloud.points - base, axis=1).min() <= near
+        for tree in trees:
+            tips, evidence = base_evidence(tree, CANDIDATES)
+            at_base = np.linalg.norm(tree.nodes[tips] - base, axis=1) <= near
+            self.choices.append(Choice(evidence, at_base & seen_base))
+
+
+def fit_root(choices: list[Choice], ridge: float = 0.5) -> tuple[Array, Array]:
+    """Return the weights (3,) among tips, and constant and weight (2,) of whether the base is among them."""
+    found = [choice for choice in choices if choice.right.any()]
+    spread = np.concatenate([choice.evidence for choice in choices]).std(axis=0)
+
+    def loss(weights: Array) -> float:
+        utilities = [(choice.evidence / spread) @ weights for choice in found]
+        missed = (
+            np.logaddexp.reduce(u) - np.logaddexp.reduce(u[c.right]) for u, c in zip(utilities, found, strict=True)
+        )
+        return float(sum(missed) + ridge / 2 * weights @ weights)
+
+    weights = minimize(loss, np.zeros(len(spread)), method="L-BFGS-B").x / spread
+    best = np.array([np.logaddexp.reduce(choice.evidence @ weights) for choice in choices])
+    return weights, logistic(best[:, None], np.array([choice.right.any() for choice in choices]))
+
+
+def main() -> None:
+    """Gather, fit and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, default=DATA / "clouds", help="folder of the clouds")
+    parser.add_argument("--clouds", type=Path, help="keep the captures' clouds in this folder, and use those there")
+    parser.add_argument("--quick", action="store_true", help="six grown plants, every 31st scan, no captures")
+    args = parser.parse_args()
+    console, found = Console(), Gathered([], [], [])
+    real = labelled_plants(args.data, 31 if args.quick else 3, LABELLED + HARD)
+    plants = [*grown_plants(6 if args.quick else GROWN, FIRST_GROWN), *filter(develops, real)]
+    for plant in track(plants, "plants", console=console):
+        for other, base in {kind: case for kind, *case in reversed([*disturbed(plant)])}.values():
+            found.add(other, base)
+    weights, seen = fit_root(found.choices)
+    _say(console, "skeleton/support.py: BASE_FITTED", weights)
+    _say(console, "skeleton/support.py: BASE_SEEN", seen)
+    for s in [] if args.quick else samples(CAPTURED, 4, 7, args.clouds):
+        if s is not None and len(s.arcs):
+            found.evidence += list(place_evidence(s.stem, s.skeleton, s.arcs[::SPARSE]))
+            found.right += s.place_right[::SPARSE].tolist()
+    _say(console, "grasp/_candidates.py: FITTED", logistic(np.array(found.evidence), np.array(found.right)))
+
+
+def _say(console: Console, name: str, numbers: Array) -> None:
+    console.print(f"{name} = ({', '.join(f'{number:.2f}' for number in numbers)})", highlight=False)
+
+
+if __name__ == "__main__":
+    main()

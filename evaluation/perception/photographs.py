@@ -1,0 +1,286 @@
+"""Masks by colour or by words on photographs of tomatoes in greenhouses, against labels by hand of flowers and stems.
+
+    python -m evaluation.perception.photographs --folder PHOTOS                  # by colour
+    python -m evaluation.perception.photographs --folder PHOTOS --models MODELS  # by words, see docs/masks.md
+
+The labels are in real/photographs.json; the images are not part of Anther. That file says by repository, commit, path
+and sha256 where each comes from: put them into one folder (--folder or $ANTHER_PHOTOS), those of a source's subfolders
+into subfolders. What is missing is named and left out. Each image is shrunk to at most 1280 px, as wide as the arm's
+camera sees, and looked at alone: there is neither depth nor pose, so one image's colours or words are what is measured,
+not the masks of thirty views.
+
+A flower is found by a patch of at least 20 flower pixels whose middle is within one flower radius of the label's;
+further patches on that flower (sepals part petals) and patches in an "ignore" box count neither way. A stem is found
+where half of its centre line or more has a mask pixel within 2 px, the precision of the hand. It is *told* where its
+pixels are said to be of a stem (photographs_looks.py). Precision of stems: about ten points an image, drawn at random
+where the masks by colour told a stem, were looked at by hand; it is the share of stems and stalks among those of them
+that are told. After a change of these masks, and for words, points need to be drawn anew.
+Shares have Wilson's 95 % interval, as if independent; frames of one video are not.
+
+Half of the images were looked at when rules were chosen; the others are held out.
+
+Keys of --json, GROUP_... for all, each light, distance and source, and of the images held out for all, each light and
+each distance: images, flowers, flowers_found, patches, patches_right, flower_recall, flower_precision, stems,
+stems_found, stem_recall, stem_length_covered and stem_length_told (shares of all centre lines), told, told_right,
+stem_precision, other, other_masked, other_masked_share (of the points without plant), each share with _low and _high.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from rich.box import MARKDOWN
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from anther.core.files import read_json, write_json
+from anther.perception.masks import FLOWER
+from anther.perception.masks.by_words import NETWORKS
+from evaluation.perception.photographs_looks import Look, by_colour, by_words
+from evaluation.perception.photographs_sheet import Judged, contact_sheet
+from evaluation.trials.grasping_table import interval
+
+LABELS = Path(__file__).parent / "real" / "photographs.json"
+FOLDER = os.environ.get("ANTHER_PHOTOS")
+
+LONGEST = 1280
+"""Greatest side of an image as it is looked at [px]."""
+
+HAND = 2
+"""How far a hand's line may lie from the middle of a stem [px]."""
+
+LEAST_PATCH = 20
+"""Fewer flower pixels are no find."""
+
+HALF = 0.5
+"""A stem is found if this share of its centre line is masked."""
+
+PICTURED = ("sample-0508", "sample-0346", "train/images/IMG_2949", "train/images/IMG_20093912")
+"""Images shown in the report: those of them under CC BY 4.0 that show what fails, and the last what works."""
+
+GROUPS = ("light", "distance", "source")
+
+
+def photograph(path: Path) -> NDArray[Any]:
+    """Return (H, W, 3) uint8 of an image file, shrunk to the size of the labels."""
+    image = np.asarray(cv2.imread(str(path)))[..., ::-1]
+    scale = min(1.0, LONGEST / max(image.shape[:2]))
+    size = (round(image.shape[1] * scale), round(image.shape[0] * scale))
+    return np.ascontiguousarray(cv2.resize(np.ascontiguousarray(image), size, interpolation=cv2.INTER_AREA))
+
+
+def seen(rgb: NDArray[Any], crop: Sequence[int] | None, look: Look) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    """Return labels and stems (H, W) of one image, none outside the part that is photograph."""
+    labels, stems = np.zeros(rgb.shape[:2], dtype=np.uint8), np.zeros(rgb.shape[:2], dtype=bool)
+    left, top, right, bottom = crop or (0, 0, rgb.shape[1], rgb.shape[0])
+    part = np.s_[top:bottom, left:right]
+    labels[part], stems[part] = look(np.ascontiguousarray(rgb[part]))
+    return labels, stems
+
+
+def patches(flower: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return the middles (n, 2) [px] of the patches of a mask (H, W), those of one flower's petals joined."""
+    joined = cv2.morphologyEx(flower.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
+    count, numbered, _, _ = cv2.connectedComponentsWithStats(joined, connectivity=8)
+    number = np.asarray(numbered)[flower]
+    pixels = np.argwhere(flower)[:, ::-1]
+    area = np.bincount(number, minlength=count)
+    middle = np.stack([np.bincount(number, pixels[:, axis], minlength=count) for axis in (0, 1)], axis=1)
+    large = area >= LEAST_PATCH
+    return np.asarray(middle[large] / area[large, None], dtype=np.float64)
+
+
+def centre_line(points: Sequence[Sequence[float]]) -> NDArray[np.int64]:
+    """Return pixels (n, 2) about 2 px apart along a line."""
+    corners = np.asarray(points, dtype=np.float64)
+    steps = [
+        a + (b - a) * np.linspace(0, 1, max(2, int(np.hypot(*(b - a)) / 2)))[:, None]
+        for a, b in zip(corners, corners[1:], strict=False)
+    ]
+    return np.rint(np.concatenate(steps)).astype(np.int64)
+
+
+def judged(row: dict[str, Any], rgb: NDArray[Any], labels: NDArray[np.uint8], stems: NDArray[np.bool_]) -> Judged:
+    """Compare one image's masks with the hand's labels."""
+    height, width = labels.shape
+    found = patches(labels == FLOWER)
+    right, found_flowers, on_flower = [], [], np.zeros(len(found), dtype=bool)
+    for x, y, radius in row["flowers"]:
+        near = np.hypot(found[:, 0] - x, found[:, 1] - y) <= radius
+        free = [patch for patch in np.flatnonzero(near) if patch not in right]
+        right += free[:1]
+        found_flowers.append(bool(free))
+        on_flower |= near
+    unsure = [any(a <= x <= c and b <= y <= d for a, b, c, d in row["ignore"]) for x, y in found]
+    wrong = [n for n in range(len(found)) if not on_flower[n] and not unsure[n]]
+    window = np.ones((2 * HAND + 1, 2 * HAND + 1), np.uint8)
+    lines = [np.clip(centre_line(points), 0, (width - 1, height - 1)).T for _, points in row["stems"]]
+    covered, told = (
+        [near[v, u] > 0 for u, v in lines]
+        for near in (cv2.dilate(part.astype(np.uint8), window) for part in (labels > 0, stems))
+    )
+    return Judged(
+        row=row,
+        rgb=rgb,
+        labels=labels,
+        stems=stems,
+        seen=found_flowers,
+        right=found[right],
+        wrong=found[wrong],
+        covered=covered,
+        told=told,
+        told_right=[bool(right) for x, y, right in row.get("looked", ()) if stems[y, x]],
+        other_masked=[bool(labels[y, x] > 0) for x, y in row["other"]],
+    )
+
+
+def metrics(group: Sequence[Judged]) -> dict[str, float]:
+    """Return the numbers of one group of images."""
+    seen = [found for one in group for found in one.seen]
+    right, wrong = (
+        sum(len(patch) for patch in part) for part in zip(*((o.right, o.wrong) for o in group), strict=True)
+    )
+    lines = [line for one in group for line in one.covered]
+    stems = [bool(line.mean() >= HALF) for line in lines]
+    other = [hit for one in group for hit in one.other_masked]
+    told = [right for one in group for right in one.told_right]
+    values: dict[str, float] = {
+        "images": len(group),
+        "flowers": len(seen),
+        "flowers_found": sum(seen),
+        "patches": right + wrong,
+        "patches_right": right,
+        "stems": len(stems),
+        "stems_found": sum(stems),
+        "stem_length_covered": float(np.concatenate(lines).mean()),
+        "stem_length_told": float(np.concatenate([line for one in group for line in one.told]).mean()),
+        "told": len(told),
+        "told_right": sum(told),
+        "other": len(other),
+        "other_masked": sum(other),
+    }
+    shares = {
+        "flower_recall": (sum(seen), len(seen)),
+        "flower_precision": (right, right + wrong),
+        "stem_recall": (sum(stems), len(stems)),
+        "stem_precision": (sum(told), len(told)),
+        "other_masked_share": (sum(other), len(other)),
+    }
+    for name, (part, whole) in shares.items():
+        if whole:
+            low, high = interval(part, whole)
+            values |= {name: part / whole, f"{name}_low": low, f"{name}_high": high}
+    return values
+
+
+def groups(found: Sequence[Judged]) -> dict[str, list[Judged]]:
+    """Return all images, those of each light, distance and source, and the same of those held out."""
+    kept = [one for one in found if one.row["half"] == "report"]
+    named: dict[str, list[Judged]] = {}
+    for start, part, kinds in (("", found, GROUPS), ("held_out_", kept, GROUPS[:2])):
+        if part:
+            named[f"{start}all"] = list(part)
+        for kind in kinds:
+            for value in sorted({one.row[kind] for one in part}):
+                named[f"{start}{kind}_{value}"] = [one for one in part if one.row[kind] == value]
+    return named
+
+
+def table(values: dict[str, dict[str, float]]) -> Table:
+    """Return the numbers of each group, a row a group."""
+
+    def share(row: dict[str, float], name: str) -> str:
+        if name not in row:
+            return "–"
+        return f"{row[name]:.2f} ({row[f'{name}_low']:.2f}–{row[f'{name}_high']:.2f})"
+
+    shown = Table(
+        "images of",
+        "number",
+        "flowers",
+        "flowers' recall",
+        "flowers' precision",
+        "stems",
+        "stems found",
+        "stems' length masked",
+        "their length told",
+        "precision of what is told",
+        "no plant, but masked",
+        box=MARKDOWN,
+    )
+    for name, row in values.items():
+        shown.add_row(
+            name.replace("_", " "),
+            f"{row['images']:.0f}",
+            f"{row['flowers']:.0f}",
+            share(row, "flower_recall"),
+            share(row, "flower_precision"),
+            f"{row['stems']:.0f}",
+            share(row, "stem_recall"),
+            f"{row['stem_length_covered']:.2f}",
+            f"{row['stem_length_told']:.2f}",
+            share(row, "stem_precision"),
+            share(row, "other_masked_share"),
+        )
+    return shown
+
+
+def images(folder: Path, console: Console) -> list[tuple[dict[str, Any], Path]]:
+    """Return the labelled images that are there and are the ones that were labelled; say which are not."""
+    labels = read_json(LABELS)
+    have = []
+    for row in labels["images"]:
+        path, source = folder / row["file"], labels["sources"][row["source"]]
+        if path.exists() and hashlib.sha256(path.read_bytes()).hexdigest() == row["sha256"]:
+            have.append((row, path))
+        else:
+            state = "another file" if path.exists() else "missing"
+            where = f"{source['repository']}@{source['commit'][:12]}:{source['folder']}/{row['file']}"
+            console.print(f"{row['file']} is {state}; it is {where}", highlight=False)
+    return have
+
+
+def main() -> None:
+    """Run, print the table, write --json, --sheet and --pictures."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--folder", type=Path, default=FOLDER, help="of the images; default: $ANTHER_PHOTOS")
+    parser.add_argument("--json", type=Path, help="write the metrics here")
+    parser.add_argument("--sheet", type=Path, help="write a picture of what fails here; not to be published")
+    parser.add_argument("--pictures", type=Path, help="write photographs.jpg here, of CC BY 4.0 images")
+    parser.add_argument("--models", type=Path, help="look by words, with the networks in this folder")
+    parser.add_argument("--method", choices=sorted(NETWORKS), default="grounded-sam2", help="which networks")
+    args = parser.parse_args()
+    console = Console()
+    have = images(args.folder, console) if args.folder else []
+    if not have:
+        console.print("no photographs: give --folder or set ANTHER_PHOTOS (real/photographs.json says where they are)")
+        return
+    look, found = by_words(args.models, args.method) if args.models else by_colour, []
+    for row, path in track(have, "photographs", console=console):
+        rgb = photograph(path)
+        found.append(judged(row, rgb, *seen(rgb, row.get("crop"), look)))
+    values = {name: metrics(group) for name, group in groups(found).items()}
+    console.print(table(values))
+    if args.sheet:
+        contact_sheet(args.sheet, found)
+    if args.pictures:
+        contact_sheet(
+            args.pictures / "photographs.jpg",
+            [one for one in found if one.row["file"].startswith(PICTURED)],
+            height=380,
+        )
+    if args.json:
+        write_json(args.json, {f"{group}_{key}": v for group, row in values.items() for key, v in row.items()})
+
+
+if __name__ == "__main__":
+    main()

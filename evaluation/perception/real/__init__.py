@@ -1,0 +1,1 @@
+"""What evaluation/perception/real_plants.py is made of."""

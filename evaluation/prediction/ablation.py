@@ -1,0 +1,215 @@
+"""Which feature of the plant model matters how much for the predicted amplitude of the flowers?
+
+    python -m evaluation.prediction.ablation --plants 3 --scanned 0 --jobs 2 --figure docs/pictures/ablation.png
+
+Plants of the simulated greenhouse as rods: with their own geometry, masses, stiffness and damping ("true"), and, of
+the first `--scanned` of each crop, as the pipeline reconstructs them from 30 noisy views with the crop's prior
+("scanned"). One feature at a time is taken away (ablated.py), all else stays. Shaken sideways at three heights of the
+stem at the paper's frequencies and at 3, 5, 10 and 30 Hz; linear theory, so the amplitude of the shake does not count.
+
+Beside it the error against MuJoCo, where the same plants are rigid pieces of 25 mm or less on sprung hinges that bend
+and twist (EI/GJ 12; evaluation/prediction/shaken_plant.py), with and without each feature.
+
+Keys of the --json file: <true|scanned>_<feature>_<band>_change_median, _change_p90 (of |without / with - 1|),
+_change_signed (median of without / with - 1), _error_median, _error_p90 (of |predicted / MuJoCo - 1|); the feature
+"full" has errors alone. <true|scanned>_plants, _flowers, and <feature>_stiffened: share of plants that would buckle
+without the feature and got a higher E. Plants go through a sweep in --out: what is done is not run again.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from rich.box import MARKDOWN
+from rich.console import Console
+from rich.table import Table
+
+from anther.core import Array
+from anther.core.files import replacing, write_json
+from anther.plant import Crop
+from anther.pollination.shake.observables import semi_major
+from anther.sim import Scene, SimPlant, grow, layout, photograph, views_at
+from anther.sim.simulated_cell import PRESETS, USUAL_DISTANCE
+from evaluation.harness import swept
+from evaluation.prediction.ablated import CHANGES
+from evaluation.prediction.shaken_plant import ShakenPlant
+from evaluation.prediction.vibration_models import PRIOR, Model, anther_model, perceive, scanned, true_model
+from evaluation.prediction.vibration_plant import (
+    DIRECTION,
+    FAST_FREQUENCIES,
+    PAPER_FREQUENCIES,
+    TWIST,
+    matched,
+    stem_points,
+)
+
+HEIGHTS = (0.35, 0.6, 0.85)
+"""Grips, in shares of the main stem's length."""
+FREQUENCIES = np.array(PAPER_FREQUENCIES + FAST_FREQUENCIES)
+BANDS = {"slow": FREQUENCIES < 2} | {f"{f:g}hz": f == FREQUENCIES for f in FAST_FREQUENCIES}
+BAND_WORDS = {"slow": "0.7–1.9 Hz"} | {f"{f:g}hz": f"{f:g} Hz" for f in FAST_FREQUENCIES}
+COLOURS = {"true": "#2f7d4f", "scanned": "#c2389a"}
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One plant, and whether it is scanned too."""
+
+    species: Crop
+    seed: int
+    scan: bool
+
+
+def one_plant(row: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return every model's gains (G, Q, F) and MuJoCo's of a plant (a `Case`), for a sweep."""
+    del folder
+    case = Case(**row)
+    plant = grow(case.species, case.seed, 0, USUAL_DISTANCE)
+    judges = [ShakenPlant(plant, point, DIRECTION) for point in stem_points(plant, HEIGHTS)]
+    points = np.array([judge.point for judge in judges])
+    truth = np.array([semi_major(judge.linear(FREQUENCIES)) for judge in judges])
+    models = {"true": (true_model(plant, TWIST), np.arange(truth.shape[2]), truth)}
+    if case.scan:
+        model, seen, true = _scanned(case, plant)
+        models["scanned"] = (model, seen, truth[:, :, true])
+    found: dict[str, Any] = {}
+    for name, (model, flowers, judged) in models.items():
+        found[name] = {"truth": judged, "full": model.response(points, DIRECTION, FREQUENCIES)[:, :, flowers]}
+        found[name]["stiffened"] = {}
+        for feature, (_, change) in CHANGES.items():
+            without = change(model)
+            found[name][feature] = without.response(points, DIRECTION, FREQUENCIES)[:, :, flowers]
+            found[name]["stiffened"][feature] = _stiffer(without, model)
+    return found
+
+
+def _stiffer(without: Model, model: Model) -> bool:
+    """Whether the stem's E was raised (by more than where it is raised for comparison)."""
+    return bool(np.asarray(without.rods.youngs)[1] > 1.21 * np.asarray(model.rods.youngs)[1])
+
+
+def _scanned(case: Case, plant: SimPlant) -> tuple[Model, Any, Any]:
+    """Return the reconstructed model, and which of its flowers are which true ones."""
+    views = views_at(USUAL_DISTANCE, PRESETS["full"])
+    seen = perceive(photograph(Scene.of_plant(plant), views.joints, case.seed)[0], layout(USUAL_DISTANCE).workspace)
+    i, j = matched(seen.flowers.positions, plant.flower_position)
+    return anther_model(scanned(seen, PRIOR[case.species])), i, j
+
+
+def metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
+    """Return what the module's docstring names."""
+    out: dict[str, float] = {}
+    for name in COLOURS:
+        mine = [row[name] for row in rows if name in row and np.size(row[name]["full"])]
+        if not mine:
+            continue
+        out[f"{name}_plants"] = len(mine)
+        out[f"{name}_flowers"] = sum(np.shape(row["full"])[2] for row in mine)
+        for feature in ("full", *CHANGES):
+            if feature != "full":
+                out[f"{name}_{feature}_stiffened"] = float(np.mean([row["stiffened"][feature] for row in mine]))
+            for band, among in BANDS.items():
+                gain, full, truth = (_pooled(mine, key, among) for key in (feature, "full", "truth"))
+                key = f"{name}_{feature}_{band}"
+                if feature != "full":
+                    change = gain / full - 1
+                    out[f"{key}_change_median"] = float(np.median(np.abs(change)))
+                    out[f"{key}_change_p90"] = float(np.quantile(np.abs(change), 0.9))
+                    out[f"{key}_change_signed"] = float(np.median(change))
+                error = np.abs(gain / truth - 1)
+                out[f"{key}_error_median"] = float(np.median(error))
+                out[f"{key}_error_p90"] = float(np.quantile(error, 0.9))
+    return out
+
+
+def _pooled(rows: list[dict[str, Any]], key: str, among: Any) -> Array:
+    """Return all plants' values of one band, (n,)."""
+    return np.concatenate([np.asarray(row[key])[:, among].ravel() for row in rows])
+
+
+def tables(found: dict[str, float]) -> list[str | Table]:
+    """Return a table of changes and one of errors for each kind of model, each after a line that says what it shows."""
+    out: list[str | Table] = []
+    for name in COLOURS:
+        if f"{name}_plants" not in found:
+            continue
+        count = f"{found[f'{name}_plants']:.0f} {name} plants, {found[f'{name}_flowers']:.0f} flowers"
+        change = Table("taken away", *BAND_WORDS.values(), "stiffened", box=MARKDOWN)
+        error = Table("taken away", *BAND_WORDS.values(), box=MARKDOWN)
+        for feature, words in [("full", "nothing"), *((key, words) for key, (words, _) in CHANGES.items())]:
+            keys = [f"{name}_{feature}_{band}" for band in BANDS]
+            error.add_row(words, *(f"{found[f'{k}_error_median']:.0%} ({found[f'{k}_error_p90']:.0%})" for k in keys))
+            if feature != "full":
+                cells = [
+                    f"{found[f'{k}_change_median']:.0%} ({found[f'{k}_change_p90']:.0%}) "
+                    f"{found[f'{k}_change_signed']:+.0%}"
+                    for k in keys
+                ]
+                change.add_row(words, *cells, f"{found[f'{name}_{feature}_stiffened']:.0%}")
+        if name == "true":
+            out += [
+                f"{count}: change of a flower's amplitude, median (90th percentile) and median with its sign:",
+                change,
+            ]
+        out += [f"{count}: error against MuJoCo, median (90th percentile):", error]
+    return out
+
+
+def draw(found: dict[str, float]) -> Figure:
+    """Return a picture of the changes: a dot for the median, a line to the 90th percentile."""
+    figure = Figure(figsize=(13, 4.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    features = list(CHANGES)
+    for axes, (band, words) in zip(figure.subplots(1, len(BANDS), sharey=True), BAND_WORDS.items(), strict=True):
+        for k, (name, colour) in enumerate(COLOURS.items()):
+            if f"{name}_plants" not in found:
+                continue
+            height = np.arange(len(features)) + 0.28 * k - 0.14
+            low, high = (
+                np.array([found[f"{name}_{f}_{band}_change_{end}"] for f in features]).clip(5e-3)
+                for end in ("median", "p90")
+            )
+            axes.hlines(height, low, high, colour, alpha=0.4, linewidth=2)
+            axes.plot(low, height, "o", color=colour, markersize=6, label=f"{name} plants")
+        axes.set(xscale="log", xlim=(5e-3, 12), title=words, xlabel="change of amplitude")
+        axes.set_xticks([1e-2, 1e-1, 1], ["1 %", "10 %", "100 %"])
+        axes.grid(axis="x", alpha=0.3)
+    figure.axes[0].set_yticks(range(len(features)), [words for words, _ in CHANGES.values()])
+    figure.axes[0].invert_yaxis()
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=9)
+    return figure
+
+
+def main() -> None:
+    """Run, print the tables, write metrics and the picture."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--quick", action="store_true", help="one plant of each crop, not scanned")
+    parser.add_argument("--seed", type=int, default=1000, help="of the first plant of each crop")
+    parser.add_argument("--plants", type=int, default=5, help="of each crop")
+    parser.add_argument("--scanned", type=int, default=2, help="of each crop that are reconstructed too")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=Path("runs/ablation"))
+    parser.add_argument("--figure", type=Path)
+    args = parser.parse_args()
+    plants, scans = (1, 0) if args.quick else (args.plants, args.scanned)
+    crops: tuple[Crop, ...] = ("tomato", "pepper")
+    cases = [asdict(Case(species, args.seed + k, k < scans)) for species in crops for k in range(plants)]
+    found = metrics(swept(one_plant, cases, args.out, args.jobs, lambda _: {}))
+    for part in tables(found):
+        Console().print(part)
+    if args.json:
+        write_json(args.json, found)
+    if args.figure:
+        with replacing(args.figure) as temporary:
+            draw(found).savefig(temporary, dpi=100)
+
+
+if __name__ == "__main__":
+    main()

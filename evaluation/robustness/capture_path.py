@@ -1,0 +1,178 @@
+"""The way of the camera around the plant: time, limits, torques, distances at 1 kHz, and the arm driven along it.
+
+No image is taken here. Each preset's views and motions are planned as for a trial. They are then judged every
+millisecond by `path_judge` (another collision engine than the planner's): joint range, speed, acceleration,
+torque, and the distance of arm, gripper and camera to themselves, bench, pot, side camera, and the upright cylinder
+(0.5 m wide, 0.75 m high) that is kept for the plant. Then the simulated arm, with its servos, drives them before a
+grown plant, which it must not touch. Around each view the span is measured in which a frame shows the plant sharp and
+the arm's readings tell where it was taken (`anther.robot.arm.views`): a camera that runs freely needs 38 ms.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.box import MARKDOWN
+from rich.console import Console
+from rich.table import Table
+
+from anther.core import Array, Box
+from anther.core.files import write_json
+from anther.plant import Crop
+from anther.robot import JointTrajectory, Views
+from anther.robot.arm import _motions as motions
+from anther.robot.arm import sawyer
+from anther.robot.arm._motions import USABLE
+from anther.robot.arm.views import SEEN, Params, capture_time, cylinder_points, is_sharp
+from anther.sim import grow, layout, views_at
+from anther.sim.cell import Cell
+from anther.sim.plant import POT_HEIGHT
+from anther.sim.robot import SimArm
+from anther.sim.simulated_cell import PRESETS, USUAL_DISTANCE
+from evaluation.robustness.path_judge import SIGHT, Surroundings, judge_path
+
+LOOK = 0.2  # s to either side of a view
+SHOWN = {
+    "views": "views",
+    "capture_s": "capture, motion and standing, s",
+    "motion_s": "motion alone, s",
+    "samples": "samples that are judged, one a millisecond",
+    "joint_room_rad": "smallest room to a joint's range, rad",
+    "velocity_share": "largest share of a joint's speed",
+    "acceleration_share": "largest share of a joint's acceleration",
+    "effort_share": "largest share of a motor's torque, of what is planned",
+    "clearance_bench_mm": "nearest to the bench, mm",
+    "clearance_pot_mm": "nearest to the pot, mm",
+    "clearance_plant_mm": "nearest to the cylinder that is kept for the plant, mm",
+    "clearance_side_camera_mm": "nearest to the side camera, mm",
+    "clearance_itself_mm": "nearest to itself, mm",
+    "tracking_mrad": "driven: a joint's largest lag, mrad",
+    "sharp_span_needed_ms": "driven: span of sharp pictures that a view needs, ms",
+    "shortest_sharp_span_ms": "driven: the shortest there is, ms",
+    "farthest_from_view_mm": "driven: farthest from its view that such a picture is taken, mm",
+    "driven_effort_share": "driven: largest share of a motor's torque",
+    "contacts": "driven: contacts",
+}
+"""What the table shows of a preset, and what it is called."""
+
+
+def judged(views: Views, pot: Box) -> dict[str, float]:
+    """Return what the views' motions need and how near they come."""
+    place = layout(USUAL_DISTANCE)
+    bench, side_camera = place.solids
+    around = Surroundings({"bench": bench, "side camera": side_camera}, {"pot": pot, "plant": place.region})
+    verdict = judge_path(views.motions, around)
+    shares = {name: getattr(verdict, name) for name in ("velocity", "acceleration", "effort")}
+    return {
+        "views": len(views.joints),
+        "capture_s": capture_time(views),
+        "motion_s": verdict.seconds,
+        "samples": round(1000 * verdict.seconds),
+        "joint_room_rad": verdict.room,
+        **{f"{name}_share": share for name, share in shares.items()},
+        **{f"clearance_{name.replace(' ', '_')}_mm": 1000 * gap for name, gap in verdict.clearance.items()},
+    }
+
+
+def driven(views: Views, species: Crop, seed: int) -> dict[str, float]:
+    """Return how the simulated arm follows the whole motion before a plant of that seed, and how long it is sharp."""
+    cell, camera = Cell(grow(species, seed, 0.0, USUAL_DISTANCE), sawyer.READY), Params()
+    motion, arrivals = through_views(views)
+    with Console().status(f"driving, {species} {seed}"):
+        record = SimArm(cell).follow(motion)
+    rates = np.gradient(record.measured, record.times, axis=0)
+    points = cylinder_points(layout(USUAL_DISTANCE).region, SEEN)
+    spans, off = [], []
+    for arrival, dwell, T_world_cam in zip(arrivals, views.dwell, views.T_world_cam, strict=True):
+        rows = np.flatnonzero(np.abs(record.times - arrival - dwell / 2) < LOOK)
+        q = record.measured[rows]
+        sharp = is_sharp(sawyer.SAWYER, q, rates[rows], sawyer.T_FLANGE_CAM, points, camera)
+        begin, end = longest(sharp)
+        spans.append(float(end - begin) * cell.params.timestep)
+        at = sawyer.forward(q[begin:end]) @ sawyer.T_FLANGE_CAM
+        off.append(float(np.linalg.norm(at[:, :3, 3] - T_world_cam[:3, 3], axis=1).max()))
+    log = cell.log()
+    return {
+        "driven_s": cell.time,
+        "tracking_mrad": 1000 * float(np.abs(record.measured - record.commanded).max()),
+        "sharp_span_needed_ms": 1000 * camera.span,
+        "shortest_sharp_span_ms": 1000 * min(spans[:-1]),  # after the last view the arm stands
+        "farthest_from_view_mm": 1000 * max(off),
+        "driven_effort_share": float(np.abs(log.torques / sawyer.SAWYER.effort).max()),
+        "contacts": len(log.contact_other),
+    }
+
+
+def through_views(views: Views) -> tuple[JointTrajectory, Array]:
+    """Return one motion through all views, standing still where `Views.dwell` says so, and when it arrives at each.
+
+    Returns:
+        The motion, and (V,) times [s].
+    """
+    parts, arrivals, now = list[JointTrajectory](), [], 0.0
+    for motion, dwell in zip(views.motions, views.dwell, strict=True):
+        arrivals.append(now + motion.duration)
+        parts.append(motion)
+        if dwell > 0:
+            parts.append(JointTrajectory.standstill(motion.positions[-1], float(dwell)))
+        now = arrivals[-1] + float(dwell)
+    return motions.joined(parts), np.array(arrivals)
+
+
+def longest(flags: NDArray[np.bool_]) -> tuple[int, int]:
+    """Return begin and end of the longest run of true flags."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
+    runs = edges.reshape(-1, 2)
+    begin, end = runs[np.argmax(runs[:, 1] - runs[:, 0])]
+    return int(begin), int(end)
+
+
+def fails(row: dict[str, float]) -> list[str]:
+    """Return what of a preset breaks a limit."""
+    shares = [name for name in ("velocity_share", "acceleration_share", "driven_effort_share") if row[name] > 1]
+    near = [name for name in row if name.startswith("clearance") and row[name] <= 0]
+    other = {"joint_room_rad": row["joint_room_rad"] <= 0, "contacts": row["contacts"] > 0}
+    other["effort_share"] = row["effort_share"] > USABLE
+    short = row["sharp_span_needed_ms"] - row["shortest_sharp_span_ms"]
+    other["shortest_sharp_span_ms"] = short > 1  # ms, the simulation's step: a span is known no better
+    return shares + near + [name for name, bad in other.items() if bad]
+
+
+def _cell(value: float, most: float) -> str:
+    """Return a number as the table shows it; what lies farther than is looked is not known better."""
+    return f"> {most:.0f}" if value >= most else f"{value:.3g}" if value < 1000 else f"{value:.0f}"
+
+
+def main() -> None:
+    """Plan, judge, drive, print a table, write --json."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--quick", action="store_true", help="the fast preset only")
+    parser.add_argument("--seed", type=int, default=10, help="of the plant that stands there")
+    args = parser.parse_args()
+    rows = dict[str, dict[str, float]]()
+    for name in ["fast"] if args.quick else list(PRESETS):
+        views = views_at(USUAL_DISTANCE, PRESETS[name])
+        species: Crop = get_args(Crop)[len(rows) % 2]
+        pot = grow(species, args.seed, 0.0, USUAL_DISTANCE).pot
+        width = np.array([pot.radius, pot.radius, 0])
+        body = Box(pot.centre - width - [0, 0, POT_HEIGHT], pot.centre + width)
+        rows[name] = judged(views, body) | driven(views, species, args.seed)
+    table = Table("", *(f"preset `{name}`" for name in rows), box=MARKDOWN)
+    for what, words in SHOWN.items():
+        far = what.startswith("clearance")
+        table.add_row(words, *(_cell(row[what], SIGHT * 1000 if far else np.inf) for row in rows.values()))
+    Console().print(table)
+    metrics = {f"{name}_{what}": value for name, row in rows.items() for what, value in row.items()}
+    metrics["limits_broken"] = sum(len(fails(row)) for row in rows.values())
+    print(f"Limits that are broken: {metrics['limits_broken']}.")
+    if args.json:
+        write_json(args.json, metrics)
+
+
+if __name__ == "__main__":
+    main()

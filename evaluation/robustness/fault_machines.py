@@ -1,0 +1,116 @@
+"""Machines of the fault experiment: a camera without a picture, an arm whose world outlives its process, and a shake in
+pieces that is raised whatever is seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from anther.core import Array, Intrinsics
+from anther.pollination import ShakePlan, Step
+from anther.pollination.execution import Line
+from anther.robot import ArmRecord, ArmSample, Frame, JointTrajectory, Swing
+from anther.robot.devices import More, Watch
+from anther.sim.cell import Cell, mujoco
+from anther.sim.robot import RATES, SimArm
+
+
+class ClockCamera:
+    """A camera that sees nothing but light that changes, on the cell's clock: no response is measured here."""
+
+    intrinsics = Intrinsics(8, 6, 10.0, 10.0, 3.5, 2.5)
+    rates = RATES
+
+    def __init__(self, cell: Cell) -> None:
+        self.cell, self.begun = cell, (0.0, 0.0)
+
+    def read(self) -> Frame:
+        """Return a frame of one colour."""
+        return self._frame(self.cell.time)
+
+    def start(self, rate: float) -> None:
+        """Begin."""
+        self.begun = (self.cell.time, rate)
+
+    def recorded(self, since: float) -> list[Frame]:
+        """Return the frames since then."""
+        return [frame for frame in self.stop() if frame.time >= since]
+
+    def stop(self) -> list[Frame]:
+        """Return frames at the rate asked for."""
+        start, rate = self.begun
+        return [self._frame(t) for t in np.arange(start, self.cell.time, 1 / rate).tolist()] if rate else []
+
+    def _frame(self, time: float) -> Frame:
+        return Frame(time, np.full((6, 8, 3), round(1e3 * time) % 251, np.uint8), np.zeros((6, 8), np.float32))
+
+
+class Kept(SimArm):
+    """The simulated arm; its world's state is on disk at every reading, as the real world outlives a killed process."""
+
+    def __init__(self, cell: Cell, path: Path) -> None:
+        super().__init__(cell)
+        mode = "r+" if path.exists() else "w+"
+        self.state = np.memmap(path, np.float64, mode, shape=(len(_state(cell)),))
+
+    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:
+        """Follow, and keep the state before anyone else may end the process."""
+
+        def keep(sample: Any) -> None:
+            self.state[:] = _state(self.cell)
+            if watch:
+                watch(sample)
+
+        return super().follow(trajectory, keep, more)
+
+
+class Pieces:
+    """A shake in pieces that are the same whatever is seen; it satisfies `execution.Watched`.
+
+    All tones of the plan are probed, its own is shaken half as far as planned, then as planned, then comes to rest.
+    """
+
+    def __init__(self, plan: ShakePlan) -> None:
+        own = np.arange(len(plan.tones.frequencies)) == 0
+        probe = plan.amplitude / len(own)
+        self.lines = (Line(plan.direction, own | True, 1.01 * plan.amplitude),)
+        self.steps: tuple[Step, ...] = ()
+        self._tones, self._ramp = plan.tones.frequencies, 1 / float(plan.tones.frequencies.min())
+        self._sizes = [probe + 0.0 * own, 0.5 * plan.amplitude * own, plan.amplitude * own, 0.0 * own]
+
+    def frame_rate(self, rates: Sequence[float]) -> float:
+        """Return the fastest."""
+        return max(rates)
+
+    def begin(self, frame: Frame) -> Swing:
+        """Return the probe."""
+        return Swing.first(self._tones, self._sizes[0], 1.0 + self._ramp, self._ramp)
+
+    def since(self, piece: Swing) -> float:
+        """Return when the piece under way is steady [s]."""
+        return piece.begin + piece.ramp
+
+    def go_on(self, piece: Swing, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
+        """Return the next piece."""
+        when = samples[0].time + self.since(piece), samples[-1].time
+        tones, sizes = tuple(self._tones.tolist()), tuple(piece.amplitudes.tolist())
+        line = tuple(self.lines[0].direction.tolist())
+        self.steps = (*self.steps, Step(*when, tones, sizes, line, (), {}, "Goes on.", 0.0))
+        new = self._sizes[len(self.steps)]
+        return piece.then(new, self._ramp + (1.0 if new.any() else 0.0), self._ramp)
+
+
+def _state(cell: Cell) -> Array:
+    return np.concatenate([[cell.time], cell.data.qpos, cell.data.qvel, cell.data.ctrl])
+
+
+def left_behind(cell: Cell, path: Path) -> None:
+    """Put a cell into the state that a killed process left; the servos hold their last command."""
+    time, *rest = np.fromfile(path)
+    n, v = cell.model.nq, cell.model.nv
+    cell.data.time = time
+    cell.data.qpos[:], cell.data.qvel[:], cell.data.ctrl[:] = rest[:n], rest[n : n + v], rest[n + v :]
+    mujoco.mj_forward(cell.model, cell.data)

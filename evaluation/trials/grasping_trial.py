@@ -1,0 +1,227 @@
+"""One trial of `grasping.py`: noisy images to physical grasp and shake, then the paper's grasp in a fresh cell."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from anther.core import Advance, Run, StageFailure
+from anther.perception import Cloud
+from anther.plant import PEPPER, TOMATO, Crop, Material
+from anther.pollination import Done, Params, Seen, ShakePlan, arm_shaker, execute, model_plant, plan_shake, pollinate
+from anther.pollination.execution import EARLY
+from anther.robot import MotionPlanner, Planner
+from anther.robot.arm.arms import in_simulated_cell
+from anther.show import summarise
+from anther.sim import NOMINAL, SimulatedCell, Truth, build, draw
+from anther.sim.judge import judge
+from anther.sim.simulated_cell import PRESETS
+from evaluation.harness import failed
+from evaluation.trials.grasping_pictures import portrait
+from evaluation.trials.grasping_table import as_counted
+from evaluation.trials.paper_grasp import paper_grasp
+
+COMPUTE = ("masks", "cloud", "skeleton", "stem", "flowers", "planner", "grasp", "plant model", "shake plan", "motions")
+LISTED = (
+    "grasp_pose7",
+    "true_held_beside",
+    "true_flower_acceleration_peak_ms2",
+)  # of a trial's summary; other lists, one number a flower, are left out
+LEAST_SHAKE = 1e-6  # m, of the paper's grasp: it is never refused because the plant bears no useful shake there
+
+
+PICTURE = "picture.png"
+"""In a trial's folder: what the camera saw, with the grasp."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One plant, seen from one side by an arm (`anther.arm.arms.Name`), by one of the presets of `anther trial`.
+
+    `truth` is "nominal", "wide", or the group of `sim.truth.WIDE` that alone is not nominal.
+    """
+
+    species: Crop
+    seed: int
+    viewpoint: int
+    preset: str = "full"
+    truth: str = "nominal"
+    arm: str = "sawyer"
+
+    @property
+    def name(self) -> str:
+        """The case in words that can name a file."""
+        return f"{self.species}-{self.seed}-{self.viewpoint}"
+
+    def build(self) -> SimulatedCell:
+        """Return the case's cell."""
+        truth, arm = truth_of(self.truth, self.seed), in_simulated_cell(self.arm)
+        return build(self.species, self.seed, self.viewpoint, PRESETS[self.preset], truth=truth, arm=arm)
+
+
+def truth_of(name: str, seed: int) -> Truth:
+    """Return the truth of a plant: "nominal", "wide", or one group of `sim.truth.WIDE`."""
+    return NOMINAL if name == "nominal" else draw(seed) if name == "wide" else draw(seed, name)
+
+
+class Memory(Run):
+    """A run that keeps results in memory, and adds up what a stage took when it is tried again."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder, quiet=True)
+        self.results: dict[str, Any] = {}
+        self.total: dict[str, float] = {}
+        self.first: dict[str, float] = {}
+        self.cpu: dict[str, float] = {}
+        self.tries: Counter[str] = Counter()
+
+    def stage(self, name: str, load: Any, compute: Callable[[Advance], Any], save: Any = None) -> Any:
+        """Compute a stage."""
+        self.tries[name] += 1
+        self.results[name] = self.timed(name, compute)
+        return self.results[name]
+
+    def timed(self, name: str, compute: Callable[[Advance], Any]) -> Any:
+        """Compute something and note wall and processor time [s]."""
+        wall, cpu = time.perf_counter(), time.process_time()
+        try:
+            return super().timed(name, compute)
+        finally:
+            self.first.setdefault(name, time.perf_counter() - wall)
+            self.total[name] = self.total.get(name, 0.0) + time.perf_counter() - wall
+            self.cpu[name] = self.cpu.get(name, 0.0) + time.process_time() - cpu
+
+
+def one_trial(row: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return what became of a case (`asked`), for a sweep; its picture is written into the folder."""
+    case = {name: value for name, value in row.items() if name != "rule"}
+    return both(Case(**case), folder / PICTURE, row["rule"])
+
+
+def asked(cases: Iterable[Case], *, rule: bool) -> list[dict[str, Any]]:
+    """Return the cases as a sweep has them.
+
+    Args:
+        cases: the trials.
+        rule: also carry out the paper's own grasp, where a case has all views.
+    """
+    return [asdict(case) | {"rule": rule} for case in cases]
+
+
+def crashed(reason: str) -> dict[str, Any]:
+    """Return what stands for a trial whose program crashed."""
+    return {"ours": failed(reason), "paper": None, "first": True}
+
+
+_begun: list[str] = []  # cases this process has run: what the first one compiles or loads is not counted
+
+
+def both(case: Case, picture: Path, rule: bool) -> dict[str, Any]:
+    """Run Anther's trial and, with all views, the paper's grasp from the same perception; write the picture."""
+    begin, first = time.process_time(), not _begun
+    _begun.append(case.name)
+    run = Memory(picture.parent)
+    cell = case.build()
+    material = PEPPER if case.species == "pepper" else TOMATO
+    ours, done = performed(cell, lambda: pollinate(watched(cell, run), material, run, Params()))
+    row = {**asdict(case), "first": first, "ours": ours, "paper": None, "notes": notes(run)}
+    row |= {"capture_s": cell.capture_seconds, "seconds": run.total, "cpu_seconds": run.cpu}
+    row |= {"compute_s": sum(run.total.get(name, 0.0) for name in COMPUTE), "attempts": run.tries["execution"]}
+    row["overlap_s"] = overlap(ours.get("phases_s", {}), run)
+    row["plan_s"] = run.total.get("grasp")
+    row["plan_cpu_s"] = run.cpu.get("grasp")
+    if rule and case.preset == "full":
+        again = case.build()
+        row["paper"] = (
+            performed(again, lambda: by_the_paper(again, run, material))[0] if "flowers" in run.results else ours
+        )
+    row["trial_cpu_s"] = time.process_time() - begin
+    if "capture" in run.results:
+        grasp = done.shake.grasp if done else next(iter(run.results.get("grasp", [])), None)
+        portrait(run.results["capture"], grasp, picture)
+    return row
+
+
+def overlap(phases: dict[str, float], run: Memory) -> float:
+    """Return how long the arm was on its way to the first grasp while the shake was still being chosen [s]."""
+    return min(phases.get(EARLY, 0.0), run.first.get("plant model", 0.0) + run.first.get("shake plan", 0.0))
+
+
+@dataclass(frozen=True)
+class TimedPlanner:
+    """A motion planner; planning what is executed is timed."""
+
+    planner: MotionPlanner
+    run: Memory
+
+    def __getattr__(self, name: str) -> Any:
+        """Return a method of the planner, one that plans a motion with the clock around it."""
+        method = getattr(self.planner, name)
+        if name not in ("move", "line", "swing"):
+            return method
+        return lambda *args: self.run.timed("motions", lambda _: method(*args))
+
+
+def watched(cell: SimulatedCell, run: Memory) -> Any:
+    """Return the robot's side of the cell without its side camera, which no grasp needs; planning motions is timed."""
+    side = cell.robot_side
+    robot = replace(side.robot, side_camera=None, T_world_side_camera=None)
+
+    def plan_around(cloud: Cloud) -> Any:
+        return TimedPlanner(run.timed("planner", lambda _: side.plan_around(cloud)), run)
+
+    return replace(side, robot=robot, plan_around=plan_around)
+
+
+def performed(cell: SimulatedCell, perform: Callable[[], Done]) -> tuple[dict[str, Any], Done | None]:
+    """Perform, judge, and return how it went, with the simulated time of its phases [s]."""
+    done = verdict = failure = None
+    try:
+        done = perform()
+        times = done.trial.shake_times
+        shaken = (float(times[0]), float(times[-1])) if len(times) else None
+        verdict = judge(cell.world, shaken, done.shake.frequency, done.trial.steady)
+    except StageFailure as stopped:
+        failure, shaken = stopped, None
+    summary = as_counted(summarise(cell, done, verdict, failure))
+    row = {k: v for k, v in summary.items() if np.ndim(v) == 0 or k in LISTED}
+    row["stem_held"] = shaken is not None and row["organ_grasped"] == "stem"
+    row["axis_held"] = shaken is not None and row["organ_grasped"] in ("stem", "branch")
+    if shaken is not None:
+        end = cell.world.time
+        assert done is not None
+        spans = zip(done.trial.phases, done.trial.phase_times.tolist(), strict=True)
+        row["phases_s"] = {name: after - before for name, (before, after) in spans}
+        row |= {"reach_s": shaken[0], "shake_s": shaken[1] - shaken[0], "retreat_s": end - shaken[1]}
+    return row, done
+
+
+def by_the_paper(cell: SimulatedCell, run: Memory, material: Material) -> Done:
+    """Take and shake the plant by the paper's rule (P12-P14), seen as in `run`; it has one try, as in the paper."""
+    seen = Seen(*(run.results[name] for name in ("masks", "cloud", "skeleton", "stem", "flowers")))
+    planner, shake, material = paper_plan(cell, seen, material)
+    robot = replace(cell.robot_side.robot, side_camera=None, T_world_side_camera=None)
+    return Done(shake, execute(planner, shake, robot, cell.robot_side.limits), None, material)
+
+
+def paper_plan(cell: SimulatedCell, seen: Seen, material: Material) -> tuple[Planner, ShakePlan, Material]:
+    """Return how the arm takes a plant by the paper's rule and shakes it as Anther would, and the model's material."""
+    params = Params()
+    planner = cell.robot_side.plan_around(seen.cloud)
+    assert isinstance(planner, Planner)
+    grasp = paper_grasp(seen.stem, seen.skeleton, params.grasp, planner.reach)
+    rods = model_plant(seen, material, params)
+    limit = lambda at, direction, frequencies: planner.shake_limit(at.joints, direction, frequencies)  # noqa: E731
+    shake = plan_shake(rods, [grasp], arm_shaker(limit), replace(params.shake, least_amplitude=LEAST_SHAKE))
+    return planner, shake, rods.material
+
+
+def notes(run: Memory) -> list[str]:
+    """Return what perception warned of."""
+    return [note for name in ("cloud", "skeleton", "stem") for note in getattr(run.results.get(name), "notes", ())]

@@ -1,0 +1,216 @@
+"""Hard cases, each as whole trials: from noisy images to a physical grasp and shake, judged as in `grasping.py`.
+
+    python -m evaluation.trials.hard_cases --quick --jobs 2
+
+| case | what is hard |
+|---|---|
+| plain | nothing: the same plants as they grow, to compare with |
+| leaning | the whole plant leans by 20 degrees |
+| two stems | another plant, three quarters of its size, stands in the same pot, 5 cm beside |
+| dense | every leaf twice |
+| edge of reach | the pot stands 0.90 m in front of the arm, instead of 0.72 m |
+| pot shifted | the pot stands 5 cm to the side and 4 cm further than the cell's layout says |
+| wind | the plant sways while the images are taken: every view finds it elsewhere |
+| hand-eye | the camera is 5 mm from where the calibration says |
+| view lost | one of the 30 views is missing |
+
+Plants are of seeds that no other experiment uses. Finished trials are kept in --out and not run again. Keys of the
+--json file: trials_CASE, success_CASE (held and unharmed), what `grasping_table.effects` says of harm and flowers, with
+_CASE behind it, sway_mm (the widest of the wind), and CASE_KIND, how many failed of which kind.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+from rich.console import RenderableType
+
+from anther.core import Advance, Array
+from anther.core.files import write_json
+from anther.perception import Capture
+from anther.plant import PEPPER, TOMATO, Crop
+from anther.pollination import Params, pollinate
+from anther.robot import guard
+from anther.robot.arm import sawyer
+from anther.sim import (
+    Scene,
+    SimPlant,
+    SimulatedCell,
+    build,
+    capture_views,
+    grow,
+    grow_pepper,
+    grow_tomato,
+    photograph,
+    robot_of,
+)
+from anther.sim import cell as world
+from anther.sim.capture import perturbed_hand_eye
+from anther.sim.simulated_cell import PRESETS, USUAL_DISTANCE
+from evaluation.harness import failed, swept
+from evaluation.trials.grasping_table import effects
+from evaluation.trials.grasping_trial import Memory, notes, performed, watched
+from evaluation.trials.hard_plants import denser, leaning, sway, swaying, two_stems
+from evaluation.trials.trial_tables import EFFECTS, effect_cells, say, table_of
+
+CASES = (
+    "plain", "leaning", "two stems", "dense", "edge of reach", "pot shifted", "wind", "hand-eye", "view lost",
+)  # fmt: skip
+FAR, SHIFT, HAND_EYE = 0.90, (0.04, 0.05), 0.005  # m
+TakeViews = Callable[[Advance], Capture]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One plant in one kind of trouble."""
+
+    kind: str
+    species: Crop
+    seed: int
+
+
+def plant_of(case: Case, plant: SimPlant, rng: np.random.Generator) -> SimPlant:
+    """Return the plant as the case has it."""
+    match case.kind:
+        case "leaning":
+            return leaning(plant, rng)
+        case "dense":
+            return denser(plant, rng)
+        case "two stems":
+            return two_stems(plant, grow(case.species, case.seed + 500, 0.0, USUAL_DISTANCE), rng)
+        case "pot shifted":
+            x, y = plant.pot.centre[:2] + SHIFT
+            return (grow_tomato if case.species == "tomato" else grow_pepper)(case.seed, axis=(float(x), float(y)))
+    return plant
+
+
+def views_of(case: Case, plant: SimPlant, joints: Array, rng: np.random.Generator) -> tuple[TakeViews, float]:
+    """Return how the case takes its views, and how far the plant sways meanwhile [m]."""
+    scene = Scene.of_plant(plant)
+    match case.kind:
+        case "wind":
+            poses = swaying(plant, len(joints), rng)
+            return lambda _: in_wind(plant, scene, joints, poses, case.seed), sway(plant, poses)
+        case "hand-eye":
+            off = perturbed_hand_eye(sawyer.T_FLANGE_CAM, rng, translation=HAND_EYE)
+            shot = partial(capture_views, scene, joints, sawyer.forward, off, sawyer.T_FLANGE_CAM, rng=rng)
+            return lambda advance: shot(progress=advance)[0], 0.0
+        case "view lost":
+            left = np.delete(np.arange(len(joints)), rng.integers(len(joints)))
+            return lambda advance: photograph(scene, joints, case.seed, progress=advance)[0].select(left), 0.0
+    return lambda advance: photograph(scene, joints, case.seed, progress=advance)[0], 0.0
+
+
+def in_wind(plant: SimPlant, scene: Scene, joints: Array, poses: list[Array], seed: int) -> Capture:
+    """Return views of a plant that stands elsewhere in each; the hand-eye error is the same in all."""
+    off = perturbed_hand_eye(sawyer.T_FLANGE_CAM, np.random.default_rng([seed, 1]))
+    shots = []
+    for i, (q, T) in enumerate(zip(joints, poses, strict=True)):
+        moved, rng = scene.moved(plant.posed_vertices(T)), np.random.default_rng([seed, 2, i])
+        shots.append(capture_views(moved, q[None], sawyer.forward, off, sawyer.T_FLANGE_CAM, rng=rng)[0])
+    depth, pose = (np.concatenate([getattr(shot, name) for shot in shots]) for name in ("depth", "T_world_cam"))
+    rgb = np.concatenate([shot.rgb for shot in shots if shot.rgb is not None])
+    return Capture(depth, shots[0].intrinsics, pose, rgb)
+
+
+def cell_of(case: Case) -> tuple[SimulatedCell, float]:
+    """Return the case's cell, and how far its plant sways while the views are taken [m]."""
+    distance = FAR if case.kind == "edge of reach" else USUAL_DISTANCE
+    usual = build(case.species, case.seed, 0.0, PRESETS["full"], distance=distance)
+    rng = np.random.default_rng([case.seed, CASES.index(case.kind), 3])
+    plant = plant_of(case, usual.plant, rng)
+    take_views, swayed = views_of(case, plant, usual.views.joints, rng)
+    mujoco = world.Cell(plant, usual.world.joints)
+    robot = guard(robot_of(mujoco), usual.robot_side.limits)
+    return replace(
+        usual, plant=plant, world=mujoco, robot_side=replace(usual.robot_side, take_views=take_views, robot=robot)
+    ), swayed
+
+
+def one_trial(row: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return what became of a case, for a sweep."""
+    case, run = Case(**row), Memory(folder)
+    cell, swayed = cell_of(case)
+    material = PEPPER if case.species == "pepper" else TOMATO
+    told, done = performed(cell, lambda: pollinate(watched(cell, run), material, run, Params()))
+    told |= {"sway_m": swayed, "attempts": run.tries["execution"], "notes": notes(run)}
+    told["beside_stem_m"] = None if done is None else beside_stem(cell.plant, done.shake.grasp.point)
+    return asdict(case) | told
+
+
+def beside_stem(plant: SimPlant, point: Array) -> float:
+    """Return the distance of a point (3,) from the main stem's true centreline [m]."""
+    line, _, along = plant.stem_centreline()
+    fine = np.linspace(0, along[-1], 1000)
+    dense = np.column_stack([np.interp(fine, along, x) for x in line.T])
+    return float(np.linalg.norm(dense - point, axis=1).min())
+
+
+def metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
+    """Return the flat table."""
+    out: dict[str, float] = {"sway_mm": 1000 * max(row.get("sway_m", 0.0) for row in rows)}
+    for kind in CASES:
+        some = [row for row in rows if row["kind"] == kind]
+        if some:
+            name = kind.replace(" ", "_")
+            out |= {f"trials_{name}": len(some), f"success_{name}": sum(row["success"] for row in some) / len(some)}
+            out |= {f"{key}_{name}": value for key, value in effects(some).items()}
+            failures = Counter(row["failure"] for row in some if not row["success"])
+            out |= {f"{name}_{failure}": count for failure, count in failures.items()}
+    return out
+
+
+def report(rows: list[dict[str, Any]]) -> list[RenderableType]:
+    """Return how each case went, and every failure."""
+    table = [
+        (
+            *(kind, sum(row["success"] for row in some), len(some), sum(row.get("stem_held", False) for row in some)),
+            *effect_cells(effects(some)),
+        )
+        for kind in CASES
+        if (some := [row for row in rows if row["kind"] == kind])
+    ]
+    failed = [
+        (f"{row['kind']}, {row['species']} {row['seed']}", row["failure"], f"{row['message']}{_aim(row)}")
+        for row in rows
+        if not row["success"]
+    ]
+    heads = ("case", "held and unharmed", "trials", "main stem held", *(words for words, _ in EFFECTS.values()))
+    parts = ["What became of the trials; of flowers and pollen the medians over trials.", table_of(heads, table)]
+    if not failed:
+        return [*parts, "No trial failed."]
+    return [*parts, "Trials that failed.", table_of(("trial", "kind", "what happened"), failed)]
+
+
+def _aim(row: dict[str, Any]) -> str:
+    off = row.get("beside_stem_m")
+    return "" if off is None else f"; aimed {1000 * off:.0f} mm beside the main stem's axis"
+
+
+def main() -> None:
+    """Run what is not there yet, print the table, write --json."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--quick", action="store_true", help="one plant of each species instead of three")
+    parser.add_argument("--seed", type=int, default=3000, help="first seed")
+    parser.add_argument("--cases", nargs="*", choices=CASES, default=CASES)
+    parser.add_argument("--jobs", type=int, default=1, help="trials at a time")
+    parser.add_argument("--out", type=Path, default=Path("runs/hard_cases"), help="where finished trials are kept")
+    args = parser.parse_args()
+    seeds = range(args.seed, args.seed + (1 if args.quick else 3))
+    cases = [Case(kind, species, seed) for kind in args.cases for species in get_args(Crop) for seed in seeds]
+    rows = swept(one_trial, map(asdict, cases), args.out, args.jobs, failed)
+    say(report(rows))
+    if args.json:
+        write_json(args.json, metrics(rows))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,48 @@
+"""Grasping under the wide truth: whole trials, and what each assumption of the nominal one is worth to them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from rich.console import RenderableType
+
+from anther.plant import Crop
+from evaluation.trials.grasping_table import effects, interval
+from evaluation.trials.grasping_trial import Case
+from evaluation.trials.trial_tables import EFFECTS, effect_cells, table_of
+
+SPECIES: tuple[Crop, ...] = ("tomato", "pepper")
+VIEWPOINTS = (0, 90, 180, 270)  # degrees
+FIRST = 8000
+"""Plants from this seed on are in no other table."""
+GROUPS = ("stiffness", "wind", "pads", "arm", "camera poses", "leaf mass", "pot", "drag")
+"""What can matter to a grasp; tried one at a time."""
+
+Row = dict[str, Any]
+
+
+def cases(trials: int, seed: int, preset: str, truth: str) -> list[Case]:
+    """Return so many trials: plants of both species by turns, each from four sides."""
+    plants = [(SPECIES[k % 2], FIRST + seed + k // 2) for k in range(-(-trials // len(VIEWPOINTS)))]
+    return [Case(*plant, side, preset, truth) for plant in plants for side in VIEWPOINTS][:trials]
+
+
+def metrics(rows: Sequence[Row]) -> dict[str, float]:
+    """Return what some trials did: share held and unharmed with its 95 % interval, held, and `effects`."""
+    ours = [row["ours"] for row in rows]
+    won = [bool(one["success"]) for one in ours]
+    low, high = interval(sum(won), len(won))
+    held = float(np.mean([bool(one.get("held")) for one in ours]))
+    return {"success": float(np.mean(won)), "success_low": low, "success_high": high, "held": held} | effects(ours)
+
+
+def told(metrics: dict[str, float], rows: Sequence[Row]) -> list[RenderableType]:
+    """Return the table of the trials with everything drawn."""
+    won = sum(bool(row["ours"]["success"]) for row in rows)
+    between = f"{metrics['success_low']:.1%} to {metrics['success_high']:.1%}"
+    line = (len(rows), f"{won}/{len(rows)} = {metrics['success']:.1%}", between, f"{metrics['held']:.1%}")
+    heads = ("trials", "held and unharmed", "95 % interval", "held", *(words for words, _ in EFFECTS.values()))
+    said = "Whole trials with everything drawn; of flowers and pollen the medians over trials."
+    return [said, table_of(heads, [(*line, *effect_cells(metrics))])]

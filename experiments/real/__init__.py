@@ -1,1 +1,0 @@
-"""What experiments/real_plants.py is made of."""

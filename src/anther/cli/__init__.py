@@ -1,0 +1,1 @@
+"""The command line: `anther COMMAND ...` (`main`), one module a command."""

@@ -1,0 +1,7 @@
+"""`python -m anther.cli`."""
+
+import sys
+
+from anther.cli.main import main
+
+sys.exit(main())

@@ -1,0 +1,73 @@
+"""Show the history on pages for a browser or a phone: today's visits, failures, trends, robots, plants. Read-only."""
+
+from __future__ import annotations
+
+import socket
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from anther.core.checks import check_range
+from anther.core.errors import MissingExtra, bad_input
+from anther.core.files import existing
+from anther.history import count_trials, shown
+
+LOCALHOST = "127.0.0.1"
+SHORTEST = 16
+"""Characters of a token."""
+
+
+@dataclass(frozen=True)
+class Args:
+    """Attributes: which history, for whom, and who may write notes."""
+
+    history: Annotated[str, tyro.conf.Positional] = "runs/history.sqlite"
+    """A SQLite file, or postgresql://USER:PASSWORD@HOST/DATABASE."""
+    runs: Path = Path()
+    """The folder that run folders in the history are relative to; no report outside of it is shown."""
+    host: str = LOCALHOST
+    """Address to listen on. Any other than this computer's own lets whoever reaches it read everything."""
+    port: int = 8000
+    """TCP port; 0: any that is free."""
+    token: Path | None = None
+    """File with the token that people need to write a note; without it nothing can be written."""
+
+
+def run(args: Args) -> None:
+    """Serve until Ctrl-C."""
+    check_range("port", args.port, 0, 65535)
+    try:
+        import uvicorn
+
+        from anther.show.serve import make_app
+    except ImportError as error:
+        raise MissingExtra("anther serve needs FastAPI. Install it with: pip install 'anther[serve]'") from error
+    token = None if args.token is None else existing(args.token).read_text(encoding="utf-8").strip()
+    if token is not None and len(token) < SHORTEST:
+        allowed = f"{SHORTEST} or more, e.g. of: openssl rand -hex 16"
+        raise bad_input("token", given=f"{len(token)} characters", allowed=allowed, do="Write a longer one.")
+    visits = count_trials(args.history)
+    local = args.host in (LOCALHOST, "localhost", "::1")
+    with _listening(args.host, args.port) as listener:
+        port = listener.getsockname()[1]
+        name = f"[{args.host}]" if ":" in args.host else args.host
+        print(f"{shown(args.history)}: {visits} visits at http://{name}:{port}/ (Ctrl-C ends)")
+        reader = "only this computer" if local else "everybody who reaches this computer"
+        print(f"{reader} can read it; notes: {'with the token' if token else 'none can be written'}", flush=True)
+        app = make_app(args.history, existing(args.runs), token, local=local)
+        config = uvicorn.Config(app, log_level="warning", server_header=False, timeout_graceful_shutdown=3)
+        with suppress(KeyboardInterrupt):  # how it is ended
+            uvicorn.Server(config).run(sockets=[listener])
+
+
+def _listening(host: str, port: int) -> socket.socket:
+    """Return a socket that listens there."""
+    try:
+        return socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
+    except OSError as error:
+        given = f"{host}, port {port}: {error.strerror or error}"
+        allowed = "an address of this computer and a free port"
+        raise bad_input("address", given=given, allowed=allowed, do="Choose another --host or --port.") from error

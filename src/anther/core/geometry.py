@@ -1,0 +1,193 @@
+"""Rigid transforms and the pinhole camera.
+
+`T_a_b` is a 4x4 matrix that maps coordinates in frame b to frame a. World is the arm's base, z up.
+A camera frame is OpenCV's optical frame: x right, y down, z forward. A "7-number pose" is
+x, y, z [m], qx, qy, qz, qw. Dimensions: V views, N points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from anther.core.checks import check_array, check_range, check_transform
+from anther.core.errors import bad_input
+
+Array = NDArray[np.float64]
+
+
+def pose7(T_a_b: ArrayLike) -> Array:
+    """Return the 7-number pose (x, y, z [m], qx, qy, qz, qw) of a (4, 4) transform, qw >= 0."""
+    T = check_transform("pose", T_a_b)
+    quaternion = Rotation.from_matrix(T[:3, :3]).as_quat(canonical=True)
+    return np.concatenate([T[:3, 3], quaternion])
+
+
+def transform_from_pose7(pose: ArrayLike) -> Array:
+    """Return the (4, 4) transform of a 7-number pose (x, y, z [m], qx, qy, qz, qw).
+
+    Raises:
+        InputError: wrong shape, not finite, or a quaternion whose norm is not within 1e-3 of 1.
+    """
+    numbers = check_array("7-number pose", pose, (7,))
+    norm = float(np.linalg.norm(numbers[3:]))
+    if abs(norm - 1) > 1e-3:
+        raise bad_input("7-number pose", given=f"quaternion norm {norm:g}", allowed="1", do="Order is x y z w.")
+    return transform(Rotation.from_quat(numbers[3:]).as_matrix(), numbers[:3])
+
+
+def transform(rotation: ArrayLike, translation: ArrayLike) -> Array:
+    """Return the (4, 4) transform of a (3, 3) rotation and a (3,) translation [m]."""
+    T = np.eye(4)
+    T[:3, :3] = rotation
+    T[:3, 3] = translation
+    return T
+
+
+def inverse(T_a_b: ArrayLike) -> Array:
+    """Return T_b_a of one (4, 4) or several (..., 4, 4) rigid transforms."""
+    T = np.asarray(T_a_b, dtype=np.float64)
+    out = np.zeros_like(T)
+    R_t = np.swapaxes(T[..., :3, :3], -1, -2)
+    out[..., :3, :3] = R_t
+    out[..., :3, 3] = -(R_t @ T[..., :3, 3:])[..., 0]
+    out[..., 3, 3] = 1
+    return out
+
+
+def transform_points(T_a_b: ArrayLike, points_b: ArrayLike) -> Array:
+    """Return (N, 3) points given in frame b as coordinates in frame a."""
+    T = np.asarray(T_a_b, dtype=np.float64)
+    return np.asarray(points_b, dtype=np.float64) @ T[:3, :3].T + T[:3, 3]
+
+
+def small_transform(rotation_vector: ArrayLike, translation: ArrayLike) -> Array:
+    """Return the (4, 4) transform of a (3,) rotation vector [rad] and a (3,) translation [m]."""
+    return transform(Rotation.from_rotvec(np.asarray(rotation_vector)).as_matrix(), translation)
+
+
+def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> Array:
+    """Return T_world_cam of a camera at `eye` (3,) [m] whose optical axis points at `target` (3,) [m].
+
+    Raises:
+        InputError: eye and target coincide, or the view direction is parallel to `up`.
+    """
+    eye, target = np.asarray(eye, dtype=np.float64), np.asarray(target, dtype=np.float64)
+    forward = target - eye
+    right = np.cross(forward, np.asarray(up, dtype=np.float64))
+    if np.linalg.norm(forward) < 1e-9 or np.linalg.norm(right) < 1e-9 * np.linalg.norm(forward):
+        raise bad_input(
+            "look_at", given=f"eye {eye}, target {target}", allowed="distinct points, not along up", do="Move the eye."
+        )
+    forward /= np.linalg.norm(forward)
+    right /= np.linalg.norm(right)
+    return transform(np.stack([right, np.cross(forward, right), forward], axis=1), eye)
+
+
+@dataclass(frozen=True, slots=True)
+class Intrinsics:
+    """A pinhole camera without distortion; pixel centres have integer coordinates.
+
+    Attributes:
+        width, height: image size [px].
+        fx, fy: focal lengths [px].
+        cx, cy: principal point [px].
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    def __post_init__(self) -> None:
+        check_range("image width", self.width, 1, 20_000, "px")
+        check_range("image height", self.height, 1, 20_000, "px")
+        check_range("focal length fx", self.fx, 1, 1e6, "px")
+        check_range("focal length fy", self.fy, 1, 1e6, "px")
+        check_range("principal point cx", self.cx, -self.width, 2 * self.width, "px")
+        check_range("principal point cy", self.cy, -self.height, 2 * self.height, "px")
+
+    @property
+    def matrix(self) -> Array:
+        """The (3, 3) camera matrix."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
+
+    def rays(self) -> Array:
+        """Return (H, W, 3) camera-frame directions with z = 1: depth times ray is the point."""
+        u, v = np.meshgrid(np.arange(self.width, dtype=np.float64), np.arange(self.height, dtype=np.float64))
+        return np.stack([(u - self.cx) / self.fx, (v - self.cy) / self.fy, np.ones_like(u)], axis=-1)
+
+    def project(self, points_cam: ArrayLike) -> Array:
+        """Return (N, 2) pixel coordinates of (N, 3) camera-frame points; NaN where z <= 0."""
+        p = np.asarray(points_cam, dtype=np.float64)
+        z = np.where(p[:, 2] > 0, p[:, 2], np.nan)
+        return np.stack([self.fx * p[:, 0] / z + self.cx, self.fy * p[:, 1] / z + self.cy], axis=1)
+
+    def back_project(self, depth: NDArray[Any], mask: NDArray[np.bool_] | None = None) -> Array:
+        """Return camera-frame points (N, 3) [m] of the pixels with depth > 0 (and in `mask`), row by row.
+
+        Args:
+            depth: (H, W) z-depth [m]; 0 means no reading.
+            mask: (H, W) pixels to use; None means all.
+        """
+        use = depth > 0 if mask is None else (depth > 0) & mask
+        v, u = np.nonzero(use)
+        z = depth[v, u].astype(np.float64)
+        return np.stack([(u - self.cx) / self.fx * z, (v - self.cy) / self.fy * z, z], axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Box:
+    """An axis-aligned box in the world frame: where the plant may stand, where the arm may go.
+
+    Attributes:
+        lower, upper: (3,) opposite corners [m], lower < upper.
+    """
+
+    lower: Array
+    upper: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "lower", check_array("box lower corner", self.lower, (3,)))
+        object.__setattr__(self, "upper", check_array("box upper corner", self.upper, (3,)))
+        if np.any(self.lower >= self.upper):
+            raise bad_input(
+                "box", given=f"{self.lower} .. {self.upper}", allowed="lower < upper", do="Swap the corners."
+            )
+
+    def cells(self, edge: float, most: float) -> NDArray[np.int64]:
+        """Return how many cubes of `edge` [m] cover the box along each axis (3,).
+
+        Raises:
+            InputError: more than `most` in all.
+        """
+        counts = np.maximum(1, np.ceil((self.upper - self.lower) / edge))
+        if not np.prod(counts) <= most:
+            raise bad_input(
+                "workspace",
+                given=" x ".join(f"{size:.3g}" for size in self.upper - self.lower) + " m",
+                allowed=f"at most {most:.2g} cells of {1e3 * edge:g} mm in it",
+                do="Without --workspace it lies where the cameras look: do their poses differ, and are they in metres? "
+                "With one view, or one that sees far beyond the plant, give --workspace.",
+            )
+        return counts.astype(np.int64)
+
+    def contains(self, points: ArrayLike) -> NDArray[np.bool_]:
+        """Return (N,) whether each of (N, 3) points lies within."""
+        p = np.asarray(points)
+        return np.all((p >= self.lower) & (p <= self.upper), axis=-1)
+
+
+def occupied_cells(points: Array, edge: float) -> NDArray[np.int64]:
+    """Return floor(point / edge) of points (N, 3), N >= 1: the cubes (M, 3) that hold any, each once, sorted."""
+    cells = np.floor(points / edge).astype(np.int64)
+    lower = cells.min(axis=0)
+    size = cells.max(axis=0) - lower + 1
+    held = np.unique(np.ravel_multi_index(tuple((cells - lower).T), size))  # many times quicker than by rows
+    return np.stack(np.unravel_index(held, size), axis=1) + lower

@@ -1,0 +1,52 @@
+"""The public names of the room, and where they stand; `__init__.py` finds them when they are asked for."""
+
+from ._beliefs import Belief, earlier_shake, facts_prior, starting_material
+from ._database import reading, shown
+from ._export import export
+from ._records import GraspRecord, Outcome, Result, ShakeRecord, TrialRecord, read_record, result_of, result_words
+from ._trials import (
+    add_missing,
+    count_trials,
+    each_trial,
+    find_plants,
+    find_visit,
+    merge,
+    read_outcomes,
+    read_trials,
+    record_note,
+    record_outcome,
+    record_trial,
+)
+from .fruit_set import Count, FruitSet, fit
+
+__all__ = [
+    "Belief",
+    "Count",
+    "FruitSet",
+    "GraspRecord",
+    "Outcome",
+    "Result",
+    "ShakeRecord",
+    "TrialRecord",
+    "add_missing",
+    "count_trials",
+    "each_trial",
+    "earlier_shake",
+    "export",
+    "facts_prior",
+    "find_plants",
+    "find_visit",
+    "fit",
+    "merge",
+    "read_outcomes",
+    "read_record",
+    "read_trials",
+    "reading",
+    "record_note",
+    "record_outcome",
+    "record_trial",
+    "result_of",
+    "result_words",
+    "shown",
+    "starting_material",
+]

@@ -1,6 +1,0 @@
-"""Identification: a plant's material refined by what a shake of it showed (P22). From bench tests: `plant.bench`."""
-
-from anther.identification._observed import Felt, ObservedShake, feel
-from anther.identification._refinement import Params, Refinement, refine
-
-__all__ = ["Felt", "ObservedShake", "Params", "Refinement", "feel", "refine"]

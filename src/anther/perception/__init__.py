@@ -1,0 +1,5 @@
+"""Perception: views -> masks -> cloud -> skeleton -> main stem -> flowers; and other programs' files."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

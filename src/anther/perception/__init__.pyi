@@ -1,0 +1,33 @@
+"""The public names of the room, and where they stand; `__init__.py` finds them when they are asked for."""
+
+from .capture import Capture, viewed_box
+from .cloud import Cloud, fuse
+from .cloud.ply import write_ply
+from .flowers import Flowers, find_flowers, flower_centres
+from .formats.clouds import read_cloud
+from .formats.skeletons import read_skeleton, write_skeleton
+from .masks import Masks, segment
+from .skeleton import Skeleton, skeletonize
+from .stem import Stem, find_stem
+from .traits import measure
+
+__all__ = [
+    "Capture",
+    "Cloud",
+    "Flowers",
+    "Masks",
+    "Skeleton",
+    "Stem",
+    "find_flowers",
+    "find_stem",
+    "flower_centres",
+    "fuse",
+    "measure",
+    "read_cloud",
+    "read_skeleton",
+    "segment",
+    "skeletonize",
+    "viewed_box",
+    "write_ply",
+    "write_skeleton",
+]

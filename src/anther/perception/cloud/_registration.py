@@ -1,0 +1,309 @@
+"""Joint registration of all views with a kinematic prior.
+
+View by view to those before, ICP drifts on plants (facts: perception, 2.4-5.4 mm against 3.6 mm for the arm's own
+poses). Here every view may move a little: all views' corrections are found together on robust distances between
+neighbouring points of different views, held back by what is known of the arm and the hand-eye calibration. Views that
+the others contradict are placed anew or left out (`_wrong_views.py`).
+Dimensions: V views, N points, P pairs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from anther.core.checks import check_parameters, check_range
+from anther.core.geometry import Array, inverse, small_transform
+from anther.perception.capture import in_threads
+from anther.perception.cloud._wrong_views import Estimate, Sample, agreement, match, mended, plane_distances
+
+ATTENUATION = 1 / 3
+"""Estimated over true reach of the matching window. Noise in the normals draws the estimate to zero (errors in
+variables). Measured on simulated captures: 1.4 px are estimated as 0.41 to 0.50."""
+
+UNEXPLAINED = 1.75
+"""A view that moved this many times farther than the arm's error explains, and than the median view, is named."""
+
+REACH_SIGMA = 0.003
+"""Prior of the reach of the camera's matching window [rad]; 2 px of a D455."""
+
+POINTS_PER_VIEW = 1500
+"""At most this many points of each view are matched, drawn evenly: thirty views then take seconds."""
+
+SOURCE_SHARE, HELD_OUT_SHARE = 0.4, 0.2
+"""Share of these points for which neighbours are looked up in each round, and share that judges the result and takes no
+part in it."""
+
+POINT_SIGMA = 0.0015
+"""Distance scale of the matches [m]; also the Welsch scale in the last round."""
+
+LEAST_GAIN = 0.02
+"""The held-out distance must fall at least by this share, else the arm's own poses are kept."""
+
+HAND_EYE_SIGMA = float(np.deg2rad(0.2)), 0.001
+"""Standard deviation of the error that is common to all views, in the camera frame, per axis [rad], [m]."""
+POINTS_PER_CONSTRAINT = 8.0
+"""Neighbouring residuals are alike: so many count as one independent measurement."""
+VOXEL = 0.004
+"""Views are thinned to this spacing for matching [m]."""
+MATCH_DISTANCES = 0.012, 0.009, 0.007, 0.006, 0.005
+"""Greatest distance of a match [m], one per round; the map is rebuilt in each."""
+
+
+@dataclass(frozen=True, slots=True)
+class Params:
+    """How far the views may move.
+
+    Attributes:
+        rotation_sigma, translation_sigma: standard deviation of one view's pose error, per axis [rad], [m]
+            (facts: perception, 0.2 deg and 1.5 mm).
+    """
+
+    rotation_sigma: float = float(np.deg2rad(0.2))
+    translation_sigma: float = 0.0015
+
+    def __post_init__(self) -> None:
+        check_parameters(self)
+        check_range("registration rotation sigma", self.rotation_sigma, 1e-6, 1, "rad")
+        check_range("registration translation sigma", self.translation_sigma, 1e-6, 1, "m")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Registration:
+    """The registered poses and how they were judged.
+
+    Attributes:
+        T_world_cam: (V, 4, 4) camera poses; the given ones where registration declined.
+        accepted: whether the poses changed.
+        distance_before, distance_after: median distance of held-out points to other views' surfaces [m].
+        reach: of the camera's matching window, see `_wrong_views.Estimate` [rad].
+        agreement: (V,) share of a view's points that lie on a surface seen by others, of those near any; NaN where
+            the view has too few points to tell.
+        used: (V,) whether a view's pose can be trusted; the others should be left out.
+        notes: what the user should know.
+    """
+
+    T_world_cam: Array
+    accepted: bool
+    distance_before: float
+    distance_after: float
+    reach: float
+    agreement: Array
+    used: NDArray[np.bool_]
+    notes: tuple[str, ...] = ()
+
+
+def register(points_cam: list[Array], T_world_cam: Array, params: Params | None = None) -> Registration:
+    """Return camera poses under which the views agree best, given how far the arm can be wrong.
+
+    Args:
+        points_cam: per view (N_v, 3) plant points in its camera frame [m].
+        T_world_cam: (V, 4, 4) poses from the arm.
+        params: see `Params`.
+    """
+    params = params or Params()
+    given = np.array(T_world_cam)
+    sample = Sample.of(points_cam, VOXEL, POINTS_PER_VIEW)
+    if len(np.unique(sample.view)) < 2:
+        return _declined(given, "fewer than two views show the plant")
+    draw = np.random.default_rng(0).random(len(sample.view))
+    held_out, source = draw < HELD_OUT_SHARE, draw > 1 - SOURCE_SHARE
+    found = _aligned(sample, given, source, params)
+    if found is None:
+        return _declined(given, "the views share no surface")
+    found, agrees, used, notes = _without_contradictions(sample, given, found, source, params)
+    judges = held_out & used[sample.view]
+    before, after = (_disagreement(sample, Estimate(T, found.reach), judges) for T in (given, found.poses))
+    accepted, poses = after < (1 - LEAST_GAIN) * before, found.poses
+    if not accepted:
+        poses, agrees = given, agreement(sample, Estimate(given, found.reach), range(len(given)))
+        note = (
+            f"registration declined: held-out points disagree by {1e3 * after:.2f} mm after it, {1e3 * before:.2f} mm "
+            "before; the arm's own poses are used"
+        )
+        notes = (note, *notes)
+    return Registration(poses, accepted, before, after, found.reach, agrees, used, notes)
+
+
+def _without_contradictions(
+    sample: Sample, given: Array, found: Estimate, source: NDArray[np.bool_], params: Params
+) -> tuple[Estimate, Array, NDArray[np.bool_], tuple[str, ...]]:
+    """Return the estimate with contradicted views placed anew, (V,) how far views agree, (V,) which are usable, notes.
+
+    Where a view turns out to stand far from its given pose, that pose says nothing of where it should be: the prior is
+    then about its new one.
+    """
+    poses, wrong, used, agrees = mended(sample, given, found)
+    placed = Estimate(poses, found.reach)
+    moved = _moved(sample, given, placed)
+    far = used & (moved > UNEXPLAINED * max(_expected(sample, params), float(np.median(moved))))
+    anew = wrong | far
+    if anew.any():
+        start, kept = np.where(anew[:, None, None], poses, given), used[sample.view]
+        last = MATCH_DISTANCES[-2:]
+        found = _jointly(sample.only(kept), placed, start, source[kept], last, params, reach_fixed=True) or placed
+        found.poses[~used] = given[~used]
+    if wrong.any():
+        agrees = agreement(sample, found, range(len(given)))
+    return found, agrees, used, _notes(agrees, used, _moved(sample, given, found), far)
+
+
+def _moved(sample: Sample, given: Array, found: Estimate) -> Array:
+    """Return how far (V,) [m] the middle of each view's points moved."""
+    count = np.maximum(np.bincount(sample.view, minlength=len(given)), 1)
+    sums = [np.bincount(sample.view, weights=column, minlength=len(given)) for column in sample.points.T]
+    centres = np.append(np.stack(sums, axis=1) / count[:, None], np.ones((len(given), 1)), axis=1)
+    return np.linalg.norm(np.einsum("vij,vj->vi", found.poses - given, centres), axis=1)
+
+
+def _expected(sample: Sample, params: Params) -> float:
+    """Return the RMS displacement [m] of the plant that the arm's errors explain."""
+    turned = params.rotation_sigma * float(np.median(sample.points[:, 2]))
+    return float(np.sqrt(3 * params.translation_sigma**2 + 2 * turned**2))
+
+
+def _notes(agrees: Array, used: NDArray[np.bool_], moved: Array, far: NDArray[np.bool_]) -> tuple[str, ...]:
+    corrected = [
+        f"view {v}: its pose was off by {1e3 * moved[v]:.0f} mm at the plant and has been corrected"
+        for v in np.flatnonzero(far)
+    ]
+    dropped = [
+        f"view {v} is left out: its pose is wrong, only {agrees[v]:.0%} of its points lie on what other views see"
+        for v in np.flatnonzero(~used)
+    ]
+    return (*corrected, *dropped)
+
+
+def _aligned(sample: Sample, given: Array, source: NDArray[np.bool_], params: Params) -> Estimate | None:
+    """Return the estimate, or None where views share no surface."""
+    half = (len(MATCH_DISTANCES) + 1) // 2
+    first, last = MATCH_DISTANCES[:half], MATCH_DISTANCES[half:]
+    at = _jointly(sample, Estimate(given), given, source, first, params, reach_fixed=False)
+    if at is None:
+        return None
+    at = Estimate(at.poses, max(0.0, at.reach) / ATTENUATION)
+    return _jointly(sample, at, given, source, last, params, reach_fixed=True)
+
+
+def _jointly(
+    sample: Sample,
+    at: Estimate,
+    given: Array,
+    source: NDArray[np.bool_],
+    distances: tuple[float, ...],
+    params: Params,
+    *,
+    reach_fixed: bool,
+) -> Estimate | None:
+    """Return the estimate after one round for each distance: match, then two Gauss-Newton steps."""
+    information = _prior_information(len(given), params)
+    for distance in distances:
+        pairs = match(sample, at, source, distance)
+        if len(pairs) == 0:
+            return None
+        for _ in range(2):
+            at = _step(sample, pairs, at, given, information, max(POINT_SIGMA, distance / 3), reach_fixed=reach_fixed)
+    return at
+
+
+def _declined(given: Array, why: str) -> Registration:
+    views = len(given)
+    used = np.ones(views, dtype=bool)
+    return Registration(given, False, np.nan, np.nan, 0.0, np.full(views, np.nan), used, (f"registration: {why}",))
+
+
+def _disagreement(sample: Sample, at: Estimate, held_out: NDArray[np.bool_]) -> float:
+    """Return the median distance [m] of held-out points to the surfaces of other views."""
+    pairs = match(sample, at, held_out, MATCH_DISTANCES[0])
+    return float(np.median(plane_distances(sample, at, pairs))) if len(pairs) else np.inf
+
+
+def _prior_information(views: int, params: Params) -> Array:
+    """Return the (6V + 1, 6V + 1) inverse covariance of V poses, with own and common errors, and of the reach."""
+
+    def variances(rotation: float, translation: float) -> Array:
+        return np.diag(np.repeat(np.square([rotation, translation]), 3))
+
+    own = variances(params.rotation_sigma, params.translation_sigma)
+    covariance = np.kron(np.eye(views), own) + np.kron(np.ones((views, views)), variances(*HAND_EYE_SIGMA))
+    information = np.zeros((6 * views + 1, 6 * views + 1))
+    information[:-1, :-1] = np.linalg.inv(covariance)
+    information[-1, -1] = REACH_SIGMA**-2
+    return information
+
+
+def _step(
+    sample: Sample,
+    pairs: NDArray[np.int64],
+    at: Estimate,
+    given: Array,
+    information: Array,
+    scale: float,
+    *,
+    reach_fixed: bool,
+) -> Estimate:
+    """Return the estimate after one Gauss-Newton step; with `reach_fixed` only the poses change.
+
+    The prior of `information` is about the `given` poses (V, 4, 4); `scale` is that of the Welsch weights [m].
+    """
+    world, normals = sample.world(at)
+    points, along = sample.unbiased(at.reach), sample.points * sample.slant[:, None]
+    halves = in_threads(
+        lambda t: _accumulated(pairs[t::2], points, along, sample.view, world, normals, at.poses, scale), range(2)
+    )
+    hessian, gradient = (one + other for one, other in zip(*halves, strict=True))
+    hessian += hessian.T - np.diag(np.diag(hessian))
+    error = inverse(given) @ at.poses
+    turned = Rotation.from_matrix(error[:, :3, :3].copy()).as_rotvec()
+    moved = np.append(np.concatenate([turned, error[:, :3, 3]], axis=1).ravel(), at.reach)
+    free, weight = slice(-1 if reach_fixed else None), 1 / (POINT_SIGMA**2 * POINTS_PER_CONSTRAINT)
+    change = np.zeros(len(information))
+    change[free] = np.linalg.solve(
+        (weight * hessian + information)[free, free], -(weight * gradient + information @ moved)[free]
+    )
+    poses = [T @ small_transform(d[:3], d[3:]) for T, d in zip(at.poses, change[:-1].reshape(-1, 6), strict=True)]
+    return Estimate(np.stack(poses), at.reach + change[-1])
+
+
+@numba.njit(nogil=True, cache=True)
+def _accumulated(pairs, points, along, view, world, normals, poses, scale):
+    """Return the upper entries of the Hessian (6V + 1, 6V + 1) and the gradient of the pairs' squared distances.
+
+    They are weighted by exp(-(r / scale)^2), Welsch (Holland 1977).
+    """
+    last = 6 * len(poses)
+    hessian, gradient = np.zeros((last + 1, last + 1)), np.zeros(last + 1)
+    row, index = np.empty(13), np.empty(13, dtype=np.int64)
+    index[12] = last
+    for p in range(pairs.shape[0]):
+        a, b = pairs[p, 0], pairs[p, 1]
+        n0, n1, n2 = normals[a, 0] + normals[b, 0], normals[a, 1] + normals[b, 1], normals[a, 2] + normals[b, 2]
+        length = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+        n0, n1, n2 = n0 / length, n1 / length, n2 / length
+        r = n0 * (world[a, 0] - world[b, 0]) + n1 * (world[a, 1] - world[b, 1]) + n2 * (world[a, 2] - world[b, 2])
+        w = np.exp(-(r * r) / (scale * scale))
+        row[12] = 0.0
+        for side in range(2):
+            i = pairs[p, side]
+            sign, T = 1.0 - 2.0 * side, poses[view[i]]
+            m0 = sign * (T[0, 0] * n0 + T[1, 0] * n1 + T[2, 0] * n2)
+            m1 = sign * (T[0, 1] * n0 + T[1, 1] * n1 + T[2, 1] * n2)
+            m2 = sign * (T[0, 2] * n0 + T[1, 2] * n1 + T[2, 2] * n2)
+            base = 6 * side
+            row[base] = points[i, 1] * m2 - points[i, 2] * m1
+            row[base + 1] = points[i, 2] * m0 - points[i, 0] * m2
+            row[base + 2] = points[i, 0] * m1 - points[i, 1] * m0
+            row[base + 3], row[base + 4], row[base + 5] = m0, m1, m2
+            row[12] += along[i, 0] * m0 + along[i, 1] * m1 + along[i, 2] * m2
+            for k in range(6):
+                index[base + k] = 6 * view[i] + k
+        for k in range(13):
+            weighted, to = w * row[k], index[k]
+            gradient[to] += weighted * r
+            for q in range(k, 13):
+                hessian[to, index[q]] += weighted * row[q]
+    return hessian, gradient

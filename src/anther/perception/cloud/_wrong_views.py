@@ -1,0 +1,220 @@
+"""Which points of different views lie on the same surface; views that the others contradict, and where they belong.
+
+Dimensions: V views, N points, P pairs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import small_gicp
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from anther.core.geometry import Array
+from anther.perception.capture import in_threads
+from anther.perception.cloud._fusion import slant, voxel_means
+
+THREADS = 2
+NORMAL_ANGLE = float(np.deg2rad(25))
+"""Matched points' normals differ by at most this [rad]; it keeps the two sides of a stem apart."""
+NEAR = 0.02
+"""A point is judged if other views see anything within this distance [m]."""
+ON_SURFACE = 0.002
+"""A point agrees if it lies within this of another view's surface [m]; two thirds of the kinematic error."""
+ALIKE = float(np.cos(np.deg2rad(40)))
+"""Least cosine between the normals of the same surface; a leaf's two sides count as one here."""
+LEAST_JUDGED = 50
+"""Fewer points than this cannot tell whether a view agrees."""
+THINNED = 4
+"""One point in so many is judged, against the same share of the others'."""
+SEARCH = 0.04
+"""How far around its given place a view that the others contradict is looked for [m]."""
+STEP = 0.01
+"""Spacing of the places tried for a lost view [m]: the alignment that follows finds its way from half of that."""
+LEAST_AGREEMENT = 0.7
+"""A view is contradicted when its agreement is below this share of the median view's."""
+NEIGHBOURS = 12
+"""Points that a normal is fitted to, and candidates looked up for each point among all views' points."""
+TIGHT = {"rotation_epsilon": 1e-5, "translation_epsilon": 1e-6}
+"""small_gicp's own tolerances, 0.1 deg and 1 mm, stop too early (facts: perception)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """What registration is after.
+
+    Attributes:
+        poses: (V, 4, 4) T_world_cam.
+        reach: of the stereo camera's matching window, within which the nearest depth wins [rad]: a surface is seen
+            too near by its slant times this.
+    """
+
+    poses: Array
+    reach: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sample:
+    """Thinned points of all views in their camera frames.
+
+    Attributes:
+        points: (N, 3) [m].
+        normals: (N, 3) unit, towards the camera.
+        slant: (N,) relative change of depth per viewing angle [1/rad].
+        view: (N,) the view of each, rising.
+    """
+
+    points: Array
+    normals: Array
+    slant: Array
+    view: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, points_cam: list[Array], voxel: float, most: int) -> Sample:
+        """Return at most `most` points of each view, thinned to `voxel` [m]; normals are fitted to `NEIGHBOURS`."""
+        rng = np.random.default_rng(0)
+        draws = [rng.permutation(len(cloud)) for cloud in points_cam]
+
+        def thinned(view: int) -> tuple[Array, Array]:
+            fine, order = voxel_means(points_cam[view], voxel), draws[view]
+            if len(fine) < NEIGHBOURS:
+                return np.zeros((0, 3)), np.zeros((0, 3))
+            chosen = fine[order[order < len(fine)][:most]]
+            return chosen, _normals(chosen, fine)
+
+        views = in_threads(thinned, range(len(points_cam)))
+        p, n = (np.concatenate([np.zeros((0, 3)), *columns]) for columns in zip(*views, strict=True))
+        return cls(p, n, slant(p, n), np.repeat(np.arange(len(views)), [len(q) for q, _ in views]))
+
+    def only(self, keep: NDArray[np.bool_]) -> Sample:
+        """Return the points for which `keep` (N,) is true."""
+        return Sample(self.points[keep], self.normals[keep], self.slant[keep], self.view[keep])
+
+    def unbiased(self, reach: float) -> Array:
+        """Return the points (N, 3) [m] of the camera frames with the sensor's bias taken off."""
+        return self.points * (1 + reach * self.slant)[:, None]
+
+    def world(self, at: Estimate) -> tuple[Array, Array]:
+        """Return points and normals (N, 3) in the world frame."""
+        points, normals = self.unbiased(at.reach), np.empty_like(self.normals)
+        start = np.searchsorted(self.view, np.arange(len(at.poses) + 1))
+        for T, a, b in zip(at.poses, start[:-1], start[1:], strict=True):
+            points[a:b] = points[a:b] @ T[:3, :3].T + T[:3, 3]
+            normals[a:b] = self.normals[a:b] @ T[:3, :3].T
+        return points, normals
+
+
+def match(sample: Sample, at: Estimate, use: NDArray[np.bool_], distance: float) -> NDArray[np.int64]:
+    """Return (P, 2) pairs of points of different views within `distance` [m], alike in normal, the first in `use`."""
+    points, normals = sample.world(at)
+    first = np.flatnonzero(use)
+    if len(first) == 0:
+        return np.zeros((0, 2), dtype=np.int64)
+    tree = small_gicp.KdTree(np.ascontiguousarray(points), num_threads=THREADS)
+    near, squared = tree.batch_knn_search(points[first], NEIGHBOURS, num_threads=THREADS)
+    near, first = near.astype(np.int64), np.broadcast_to(first[:, None], near.shape)
+    alike = np.einsum("nki,nki->nk", normals[first], normals[near]) > np.cos(NORMAL_ANGLE)
+    pair = (squared < distance**2) & (sample.view[first] != sample.view[near]) & alike
+    return np.stack([first[pair], near[pair]], axis=1)
+
+
+def plane_distances(sample: Sample, at: Estimate, pairs: NDArray[Any]) -> Array:
+    """Return (P,) distances [m] along the mean normal of each pair."""
+    world, normals = sample.world(at)
+    mean = normals[pairs[:, 0]] + normals[pairs[:, 1]]
+    mean /= np.linalg.norm(mean, axis=1, keepdims=True)
+    return np.abs(np.einsum("pi,pi->p", mean, world[pairs[:, 0]] - world[pairs[:, 1]]))
+
+
+def _normals(points: Array, cloud: Array) -> Array:
+    """Return the unit normals (N, 3), towards the camera, of planes through the nearest points of `cloud` (M, 3)."""
+    near, _ = small_gicp.KdTree(cloud).batch_knn_search(points, NEIGHBOURS)
+    around = cloud[near.astype(np.int64)]
+    around -= around.mean(axis=1, keepdims=True)
+    n = np.linalg.eigh(np.swapaxes(around, 1, 2) @ around)[1][:, :, 0]
+    return np.where(np.einsum("ni,ni->n", n, points)[:, None] > 0, -n, n)
+
+
+def mended(sample: Sample, given: Array, found: Estimate) -> tuple[Array, NDArray[Any], NDArray[Any], Array]:
+    """Place the views anew that the others contradict under the estimate `found`; `given` are the arm's poses.
+
+    Returns:
+        (V, 4, 4) poses of all views: the contradicted ones where they fit, or as given where they fit nowhere; (V,)
+        which are contradicted; (V,) which are used, all but those that fit nowhere; (V,) agreement of all before.
+    """
+    agrees = agreement(sample, found, range(len(given)))
+    bar = LEAST_AGREEMENT * np.nanmedian(agrees) if np.isfinite(agrees).any() else 0.0
+    wrong, poses, used = agrees < bar, found.poses.copy(), np.ones(len(given), dtype=bool)
+    for view in np.flatnonzero(wrong).tolist():
+        others = sample.only(~wrong[sample.view] | (sample.view == view))
+        agreed, pose = placed_anew(others, found, view)
+        used[view] = agreed >= bar
+        poses[view] = pose if used[view] else given[view]
+    return poses, wrong, used, agrees
+
+
+def agreement(sample: Sample, at: Estimate, views: Iterable[int]) -> Array:
+    """Return for each of `views` the share of its points that lie on a surface other views see, of those near any.
+
+    0 where a view has points enough but hardly any near what others see; NaN where it has too few to tell.
+    """
+    sample = sample.only(np.arange(len(sample.view)) % THINNED == 0)
+    points, normals = sample.world(at)
+    return np.array(in_threads(lambda v: _agreement(points, normals, sample.view == v), views))
+
+
+def placed_anew(sample: Sample, at: Estimate, view: int) -> tuple[float, Array]:
+    """Return the pose (4, 4) near the view's present one that fits the other views best, and how well it agrees.
+
+    All shifts up to `SEARCH` along each axis are scored by how close the points come to the other views'; the best
+    are refined by point-to-plane ICP, and the one that agrees best is returned.
+    """
+    points, _ = sample.world(at)
+    own = sample.view == view
+    others = points[~own]
+    target, unbiased, tried = _with_normals(others), _with_normals(sample.unbiased(at.reach)[own]), []
+    tree = small_gicp.KdTree(target, num_threads=THREADS)
+    for shift in _best_shifts(points[own], tree, most=3):
+        poses = at.poses.copy()
+        poses[view, :3, 3] += shift
+        for distance in (2 * STEP, STEP / 2):
+            poses[view] = np.asarray(small_gicp.align(
+                target, unbiased, tree, poses[view], registration_type="PLANE_ICP",
+                max_correspondence_distance=distance, num_threads=THREADS, max_iterations=60, **TIGHT,
+            ).T_target_source)  # fmt: skip
+        tried.append((float(np.nan_to_num(agreement(sample, Estimate(poses, at.reach), [view])[0])), poses[view]))
+    return max(tried, key=lambda found: found[0])
+
+
+def _with_normals(points: Array) -> small_gicp.PointCloud:
+    cloud = small_gicp.PointCloud(np.ascontiguousarray(points))
+    small_gicp.estimate_normals_covariances(cloud, num_neighbors=NEIGHBOURS, num_threads=THREADS)
+    return cloud
+
+
+def _agreement(points: Array, normals: Array, own: NDArray[np.bool_]) -> float:
+    if own.all() or not own.any():
+        return np.nan
+    distance, near = KDTree(points[~own]).query(points[own], 6, distance_upper_bound=NEAR)
+    judged, near = distance[:, 0] < NEAR, np.minimum(near, (~own).sum() - 1)
+    if judged.sum() < LEAST_JUDGED:
+        return 0.0 if own.sum() >= 2 * LEAST_JUDGED else np.nan
+    n = normals[~own][near]
+    apart = np.abs(np.einsum("nki,nki->nk", n, points[own][:, None] - points[~own][near]))
+    alike = np.abs(np.einsum("nki,ni->nk", n, normals[own])) > ALIKE
+    agrees = (alike & (apart < ON_SURFACE) & (distance < NEAR)).any(axis=1)
+    return float(agrees[judged].mean())
+
+
+def _best_shifts(source: Array, target: small_gicp.KdTree, most: int) -> Array:
+    """Return the shifts (most, 3) [m] that bring the source points closest to the target's."""
+    few = source[:: max(1, len(source) // 100)]
+    steps = np.arange(-SEARCH, SEARCH + STEP / 2, STEP)
+    shifts = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    _, squared = target.batch_knn_search((few + shifts[:, None]).reshape(-1, 3), 1, num_threads=THREADS)
+    score = np.exp(-squared.reshape(len(shifts), -1) / (STEP / 2) ** 2).mean(axis=1)
+    return shifts[np.argsort(-score)[:most]]

@@ -1,0 +1,219 @@
+"""Flowers: where they are and which skeleton node carries each. F flowers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from anther.core.checks import check_array
+from anther.core.files import read_npz, understood, write_npz
+from anther.core.geometry import Array
+from anther.perception.cloud import Cloud
+from anther.perception.masks import FLOWER
+from anther.perception.skeleton import Skeleton
+from anther.perception.skeleton.raw_tree import edge_lengths, longest_way
+from anther.perception.skeleton.voxel_solid import components
+from anther.perception.stem import BRANCH, LEAF, TRUSS, Stem
+
+SUPPOSED = 0.015  # m, of a flower nobody saw from the end that carries it: a pedicel (9 to 22 mm; facts: pollination)
+_KIND, _SCHEMA = "flowers", 1
+GAP = 0.005
+"""Points nearer than this belong to one cluster [m]."""
+APART = 0.012
+"""Clusters whose centres are nearer than this are one flower in pieces [m]."""
+GRID = 0.0015
+"""Points are thinned to one per cube of this edge first [m]."""
+FEWEST = 8
+"""A flower has at least so many points, counted on this grid."""
+SMALLEST = 0.003
+"""A flower is at least so large [m], or it is a speck."""
+LARGEST = 0.033
+"""A cluster longer than this is several flowers [m]; flowers measure 5 to 30 mm across."""
+FULLNESS = 0.45
+"""A flower's points cover at least this share of the disc as wide as it is: specks on a leaf lie scattered."""
+FARTHEST = 0.08
+"""A flower farther than this from the node that carries it is not believed [m]."""
+ON_LEAF = 4.0
+"""A node on a leaf counts as so many times farther away: flowers hang on trusses and stems."""
+_ROUNDS, _STARTS = 10, 400  # of mean shift, and so many points at most that are shifted
+REACH = 0.008
+"""Radius of the kernel that splits a cluster of several flowers [m]."""
+PEDICEL = 0.025
+"""A truss not longer than this is one flower's pedicel [m] (9 to 22 mm; facts: pollination)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flowers:
+    """The detected flowers; there may be none (F = 0).
+
+    Attributes:
+        positions: (F, 3) flower centres, world frame [m].
+        attachment: (F,) skeleton node each flower's pedicel hangs on.
+        notes: what the stage wants the user to know.
+    """
+
+    positions: Array
+    attachment: NDArray[Any]
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        n = len(self.positions)
+        object.__setattr__(self, "positions", check_array("flower positions", self.positions, (n, 3)))
+        object.__setattr__(self, "attachment", check_array("flower attachment", self.attachment, (n,), dtype="int64"))
+
+    def save(self, path: Path | str) -> None:
+        """Write an .npz (schema 1)."""
+        notes = np.array(self.notes, dtype=np.str_)
+        write_npz(path, _KIND, _SCHEMA, positions=self.positions, attachment=self.attachment, notes=notes)
+
+    @classmethod
+    def load(cls, path: Path | str) -> Flowers:
+        """Read what `save` wrote.
+
+        Raises:
+            InputError: missing, truncated, or of another kind or schema.
+        """
+        with understood(path):
+            a = read_npz(path, _KIND, _SCHEMA)
+            return cls(a["positions"], a["attachment"], tuple(str(note) for note in a["notes"]))
+
+
+def find_flowers(cloud: Cloud, skeleton: Skeleton, stem: Stem, *, centres: Array | None = None) -> Flowers:
+    """Return the flowers among the points labelled so, each with the skeleton node that carries it.
+
+    No flower is a valid result, with a note.
+
+    Args:
+        cloud: points with labels, world frame.
+        skeleton: the tree the flowers hang on.
+        stem: its main stem and organs.
+        centres: what `flower_centres` gave for this cloud, if that was asked before.
+    """
+    centres = flower_centres(cloud) if centres is None else centres
+    distance, carrier = _carriers(centres, skeleton, stem)
+    near = distance <= FARTHEST
+    notes = []
+    if not near.any():
+        notes.append(f"no flowers: {np.count_nonzero(cloud.labels == FLOWER)} points are labelled as flower")
+    if not near.all():
+        notes.append(f"{np.count_nonzero(~near)} flower-like clusters too far from the plant were left out")
+    return Flowers(centres[near], carrier[near], tuple(notes))
+
+
+def flower_centres(cloud: Cloud) -> Array:
+    """Return flower centres (F, 3) [m], wherever they hang: `find_stem` tells trusses by them.
+
+    Clusters of points labelled flower and of a flower's size: large ones are split, pieces joined, specks dropped.
+    """
+    points = cloud.points[cloud.labels == FLOWER]
+    if not len(points):
+        return np.zeros((0, 3))
+    _, first = np.unique(np.rint(points / GRID).astype(np.int64), axis=0, return_index=True)
+    points = points[first]
+    pieces = [part for group in _groups(points, GAP) for part in _split(points[group])]
+    middles = np.array([piece.mean(axis=0) for piece in pieces])
+    joined = [np.concatenate([pieces[k] for k in group]) for group in _groups(middles, APART)]
+    real = [flower.mean(axis=0) for flower in joined if _is_flower(flower)]
+    return np.array(real).reshape(-1, 3)
+
+
+def _is_flower(points: Array) -> bool:
+    extent = _extent(points)
+    covered = len(points) * GRID**2 / (np.pi / 4 * max(extent, GRID) ** 2)
+    return len(points) >= FEWEST and extent >= SMALLEST and covered >= FULLNESS
+
+
+def _groups(points: Array, gap: float) -> list[NDArray[Any]]:
+    """Return the indices of each set of points linked by steps not longer than `gap`."""
+    pairs = KDTree(points).query_pairs(gap, output_type="ndarray")
+    label = components(len(points), pairs)
+    return [np.flatnonzero(label == k) for k in range(int(label.max()) + 1)]
+
+
+def _split(cluster: Array) -> list[Array]:
+    """Return a cluster too large for a flower as several, by mean shift with a flat kernel."""
+    if _extent(cluster) <= LARGEST:
+        return [cluster]
+    tree = KDTree(cluster)
+    peaks = cluster[:: -(-len(cluster) // _STARTS)].copy()
+    moving = np.arange(len(peaks))
+    for _ in range(_ROUNDS):
+        shifted = _means_within(tree, peaks[moving])
+        moved = np.any(shifted != peaks[moving], axis=1)
+        peaks[moving] = shifted
+        moving = moving[moved]
+        if not len(moving):
+            break
+    weight = tree.query_ball_point(peaks, REACH, return_length=True)
+    modes = _heaviest(peaks[np.argsort(weight)[::-1]], APART)
+    _, owner = KDTree(modes).query(cluster)
+    return [cluster[owner == k] for k in range(len(modes)) if np.any(owner == k)]
+
+
+def _means_within(tree: KDTree, centres: Array) -> Array:
+    """Return (F, 3) the mean of the tree's points within `REACH` of each centre."""
+    near = tree.query_ball_point(centres, REACH)
+    count = np.array([len(group) for group in near])
+    start = np.cumsum(count) - count
+    return np.add.reduceat(tree.data[np.concatenate(near)], start) / count[:, None]
+
+
+def _heaviest(peaks: Array, apart: float) -> Array:
+    """Return the first peaks that are at least `apart` from those before them."""
+    kept = []
+    while len(peaks):
+        kept.append(peaks[0])
+        peaks = peaks[np.linalg.norm(peaks - peaks[0], axis=1) > apart]
+    return np.array(kept)
+
+
+def _extent(points: Array) -> float:
+    """Return the length of a cluster along its longest axis [m]."""
+    centred = points - points.mean(axis=0)
+    return float(np.ptp(centred @ np.linalg.svd(centred, full_matrices=False)[2][0]))
+
+
+def _carriers(centres: Array, skeleton: Skeleton, stem: Stem) -> tuple[Array, NDArray[Any]]:
+    """Return (distance, node) of the most plausible carrier of each flower."""
+    if not len(centres):
+        return np.zeros(0), np.zeros(0, dtype=np.int64)
+    away = np.linalg.norm(centres[:, None] - skeleton.nodes, axis=2)
+    carrier = np.argmin(away * np.where(stem.organ == LEAF, ON_LEAF, 1.0), axis=1)
+    carrier = _pedicel_bases(skeleton, stem)[carrier]
+    return away[np.arange(len(centres)), carrier], carrier
+
+
+def _pedicel_bases(skeleton: Skeleton, stem: Stem) -> NDArray[Any]:
+    """Return (J,) the node itself, but for a truss no longer than a pedicel the node it leaves: it is the pedicel."""
+    base, foot = np.arange(len(stem.organ)), np.arange(len(stem.organ))
+    way = longest_way(skeleton.parent, edge_lengths(skeleton.nodes, skeleton.parent))
+    for j in np.flatnonzero(stem.organ == TRUSS):
+        p = skeleton.parent[j]
+        foot[j] = foot[p] if stem.organ[p] == TRUSS else j
+        if way[foot[j]] <= PEDICEL:
+            base[j] = skeleton.parent[foot[j]]
+    return base
+
+
+def supposed_flowers(skeleton: Skeleton, stem: Stem) -> Flowers:
+    """Return flowers where they may hang unseen: at the ends of all trusses, or else of the branches, or of the stem.
+
+    A plant whose flowers hide behind leaves is shaken for these: each has a pedicel's limits. What they would do is an
+    estimate for flowers that nobody saw, and the note says so.
+    """
+    ends = np.setdiff1d(np.arange(len(skeleton.nodes)), skeleton.parent)
+    for organ in (TRUSS, BRANCH):
+        tips = ends[stem.organ[ends] == organ]
+        if len(tips):
+            break
+    else:
+        tips = stem.node_ids[-1:]
+    out = skeleton.nodes[tips] - skeleton.nodes[skeleton.parent[tips]]
+    out /= np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-9)
+    note = f"no flower was seen: the shake is chosen for flowers supposed at {len(tips)} of its ends"
+    return Flowers(skeleton.nodes[tips] + SUPPOSED * out, tips, (note,))

@@ -1,0 +1,190 @@
+"""Masks: which pixels show the plant and its flowers. Dimensions: V views, H x W pixels.
+
+The default needs no weights. Every depth pixel in the workspace votes, with its colour, in a voxel grid that all
+views share. There the ground (bench, soil, pot) is found by geometry, brown stem parts are kept because
+they join green ones, and flowers are small yellow or white blobs at the plant. The decision is carried back to the
+pixels. Without colour, whatever stands above the ground is plant.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from anther.core.checks import check_array, check_parameters, check_range
+from anther.core.errors import StageFailure
+from anther.core.files import read_npz, understood, write_npz
+from anther.core.geometry import Box
+from anther.perception.capture import Capture, in_threads
+from anther.perception.masks._cells import kinds
+from anther.perception.masks._light import GREEN, GREEN_NO_DEPTH
+from anther.perception.masks._survey import VOXEL, survey
+from anther.perception.masks._voting import EMPTY, GROUND, RIM, clear, read_back, vote
+
+__all__ = ["BACKGROUND", "FLOWER", "PLANT", "Masks", "Params", "segment", "without_ground"]
+
+BACKGROUND, PLANT, FLOWER = 0, 1, 2
+
+SCHEMA = 1
+
+GROUND_BORDER = 0.6
+"""A patch without depth is no plant if its border with the ground is longer than this share of that with the plant."""
+
+LEAST_PIXELS = 200
+"""With fewer plant pixels in all views together there is no plant."""
+
+
+@dataclass(frozen=True, slots=True)
+class Params:
+    """How plant and flowers are told from the rest.
+
+    Attributes:
+        green: least excess green 2g - r - b (Woebbecke 1995) of certain vegetation, chromaticities 0..1.
+        white_petals: whether petals may be white, as of most peppers, beside yellow. Of tomatoes they are not, and
+            leaves that shine are then not taken for them.
+        ground_radius: a horizontal surface at least this wide is soil, bench or pot [m].
+    """
+
+    green: float = 0.10
+    white_petals: bool = True
+    ground_radius: float = 0.035
+
+    def __post_init__(self) -> None:
+        check_parameters(self)
+        check_range("excess green threshold", self.green, 0, 1)
+        check_range("ground_radius", self.ground_radius, VOXEL, 1, "m")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Masks:
+    """A label per pixel: BACKGROUND (pot, soil, bench and all else), PLANT or FLOWER.
+
+    Attributes:
+        labels: (V, H, W) uint8.
+        source: what made them, for the report ("colour and geometry", "geometry", ...).
+    """
+
+    labels: NDArray[Any]
+    source: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "labels", check_array("labels", self.labels, (None, None, None), dtype="uint8"))
+
+    def save(self, path: Path | str) -> None:
+        """Write a compressed .npz."""
+        write_npz(path, "masks", SCHEMA, labels=self.labels, source=self.source)
+
+    @classmethod
+    def load(cls, path: Path | str) -> Masks:
+        """Read what `save` wrote.
+
+        Raises:
+            InputError: the file is missing, truncated or holds something else.
+        """
+        with understood(path):
+            arrays = read_npz(path, "masks", SCHEMA)
+            return cls(arrays["labels"], str(arrays["source"]))
+
+
+def segment(capture: Capture, workspace: Box | None = None, params: Params | None = None) -> Masks:
+    """Return the plant and flower pixels of every view.
+
+    Args:
+        capture: the views. Without colour, geometry alone decides and no flowers are told apart.
+        workspace: where the plant may stand, world frame [m]; None means around the point where the optical
+            axes meet (`capture.viewed_box`).
+        params: see `Params`.
+
+    Raises:
+        StageFailure: `no_plant_found` when the views show too little plant.
+    """
+    params = params or Params()
+    seen = survey(capture, workspace, params)
+    cells = kinds(seen, capture)
+    labels = np.zeros(capture.depth.shape, dtype=np.uint8)
+
+    def label_view(view: int) -> None:
+        classes = seen.classes[view]
+        found = read_back(capture.depth[view], seen.cameras[view], classes, cells)
+        labels[view] = _add_pixels_without_depth(found, classes)
+
+    in_threads(label_view, range(capture.views))
+    found = int((labels > 0).sum())
+    if found < LEAST_PIXELS:
+        lower, size = seen.grid.lower, np.multiply(seen.grid.shape, seen.grid.voxel)
+        raise StageFailure(
+            "no_plant_found",
+            f"masks: {found} plant pixels in {len(labels)} views; at least {LEAST_PIXELS} are needed. "
+            f"Is the plant within x, y, z = {lower} .. {lower + size} m?",
+        )
+    return Masks(labels, seen.source)
+
+
+def without_ground(masks: Masks, capture: Capture, workspace: Box | None = None, params: Params | None = None) -> Masks:
+    """Return masks of any source freed of pot, soil, bench and all that lies outside the workspace.
+
+    Segmentation networks bleed into the pot (the paper's first weakness). The ground is found as `segment` finds it,
+    by geometry; about the pot's rim colour decides, if there is any. The foot of a stem is kept.
+
+    Args:
+        masks: of the same views.
+        capture, workspace, params: as in `segment`.
+
+    Raises:
+        InputError: masks and capture differ in shape.
+    """
+    params = params or Params()
+    labels = check_array("mask labels", masks.labels, capture.depth.shape, dtype="uint8")
+    seen = survey(capture, workspace, params)
+    masked = np.zeros((1, *seen.grid.shape), dtype=np.uint16)
+    for view in range(capture.views):
+        depth = np.where(labels[view] > 0, capture.depth[view], np.float32(0))
+        vote(None, depth, seen.cameras[view], None, masked)
+    foot = seen.foot((masked[0] >= 2) & ~seen.rim)
+    rim = RIM if capture.rgb is not None else GROUND
+    cells = np.where(seen.below & ~foot, GROUND, np.where(seen.rim & ~foot, rim, EMPTY)).astype(np.uint8)
+    kept = np.empty_like(labels)
+
+    def clear_view(view: int) -> None:
+        depth, classes = capture.depth[view], seen.classes[view]
+        kept[view] = clear(labels[view], depth, seen.cameras[view], classes, cells)
+        _drop_pixels_without_depth(kept[view], labels[view], depth, classes)
+
+    in_threads(clear_view, range(capture.views))
+    return Masks(kept, masks.source)
+
+
+def _add_pixels_without_depth(labels: NDArray[Any], classes: NDArray[Any]) -> NDArray[Any]:
+    """Return the labels with green patches without depth added where they border the plant and not green ground.
+
+    What is nearer than the sensor's least range has no depth, and neither has the stereo shadow beside a leaf: in
+    light without green that may be soil, as dark as a leaf.
+    """
+    ground = (labels == 0) & (classes == GREEN)
+    labels[_patches_of(classes == GREEN_NO_DEPTH, labels > 0, ground)] = PLANT
+    return labels
+
+
+def _drop_pixels_without_depth(
+    kept: NDArray[Any], labels: NDArray[Any], depth: NDArray[Any], classes: NDArray[Any]
+) -> None:
+    """Drop patches without depth (in place) that are not green and border more of what was dropped than of the rest."""
+    blind = (labels > 0) & (depth <= 0) & (classes != GREEN_NO_DEPTH)
+    stayed = (kept > 0) & ~blind
+    kept[blind & ~_patches_of(blind, stayed, (labels > 0) & (kept == 0))] = 0
+
+
+def _patches_of(blind: NDArray[np.bool_], plant: NDArray[np.bool_], ground: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the connected patches of `blind` (H, W) that border `plant`, and `ground` much less."""
+    count, numbered = cv2.connectedComponents(blind.astype(np.uint8), connectivity=8)
+    patch, window = np.asarray(numbered, dtype=np.int32), np.ones((5, 5), np.uint8)
+    beside_plant, beside_ground = (
+        np.bincount(patch[blind & (cv2.dilate(part.astype(np.uint8), window) > 0)], minlength=count)
+        for part in (plant, ground)
+    )
+    return blind & ((beside_plant > 0) & (beside_ground <= GROUND_BORDER * beside_plant))[patch]

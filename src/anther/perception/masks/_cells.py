@@ -1,0 +1,206 @@
+"""What each cell of the grid is: ground, green, a brown part of the plant, or a flower. X x Y x Z cells.
+
+Stakes and strings beside a plant are long straight upright lines of cells that are not green.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from anther.perception.capture import Capture
+from anther.perception.masks._light import GREEN, WHITE, YELLOW
+from anther.perception.masks._survey import Survey
+from anther.perception.masks._voting import (
+    BESIDE_FLOWER,
+    BROWN_CELL,
+    EMPTY,
+    FLOWER_CELL,
+    GREEN_CELL,
+    GROUND,
+    LAYERS,
+    PETAL_VIEWS,
+    RIM,
+    Grid,
+)
+
+GREEN_SHARE, PETAL_SHARE = 0.25, 0.35
+"""Least share of votes that makes a cell green, or petal."""
+
+PETAL_COVER = 0.4
+"""A petal cell has at least this share of the pixels that one view has on a cell's face, in all views together."""
+
+FLOWER_DISTANCE = 0.02
+"""A flower comes at least this close to green cells [m]."""
+
+FLOWER_EXTENT = 0.12
+"""Greatest extent of a flower cluster, a truss [m]."""
+
+SEEN_AS_PETAL = 3
+"""A petal cell is seen as petal from at least so many views."""
+
+ATTACH_DISTANCE = 0.012
+"""A part that is not green belongs to the plant if it comes this close to green ones [m]."""
+
+BROWN_EXTENT = 0.08
+"""Greatest second extent of a part that is not green [m]: stems and fruits are slender, walls are not."""
+
+LEAST_PART = 20
+"""Flowers are looked for beside green parts of at least this many cells."""
+
+
+def kinds(seen: Survey, capture: Capture) -> NDArray[np.uint8]:
+    """Return what each cell is, (X, Y, Z) uint8: see `_voting.EMPTY` and what follows."""
+    if len(seen.votes) < LAYERS:
+        return _by_geometry(seen)
+    return _by_colour(seen, *_enough_petals(capture, seen.grid))
+
+
+def _by_geometry(seen: Survey) -> NDArray[np.uint8]:
+    """Whatever is seen above the ground is a part of the plant."""
+    occupied = seen.votes[0] >= 2
+    foot = occupied & seen.foot(occupied & ~seen.rim)
+    return np.where((seen.below | seen.rim) & ~foot, GROUND, np.where(occupied, BROWN_CELL, EMPTY)).astype(np.uint8)
+
+
+def _enough_petals(capture: Capture, grid: Grid) -> tuple[float, int]:
+    """Return how many petal pixels, and from how many views, a petal cell needs."""
+    centre = grid.lower + np.multiply(grid.shape, grid.voxel) / 2
+    distance = float(np.median(np.linalg.norm(capture.T_world_cam[:, :3, 3] - centre, axis=1)))
+    pixels = (grid.voxel * capture.intrinsics.fx / max(distance, grid.voxel)) ** 2
+    return PETAL_COVER * pixels, min(SEEN_AS_PETAL, capture.views)
+
+
+def _by_colour(seen: Survey, least_votes: float, least_views: int) -> NDArray[np.uint8]:
+    """Most cells are empty: all but what needs their neighbours is decided in a list of the occupied ones."""
+    at = np.flatnonzero(seen.total >= 2)
+    votes, total = seen.votes.reshape(LAYERS, -1)[:, at], seen.total.ravel()[at]
+    below, rim = seen.below.ravel()[at], seen.rim.ravel()[at]
+
+    def grid_of(part: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        grid = np.zeros(seen.grid.shape, dtype=bool)
+        grid.ravel()[at] = part
+        return grid
+
+    likely = votes[GREEN - 1] >= np.maximum(2, GREEN_SHARE * total)
+    foot = seen.foot(grid_of(likely)).ravel()[at]
+    green = likely & (~below | foot)
+    free = ~below & ~rim
+    if foot.any():  # else a straight brown line may be the stem itself
+        free &= ~stake_cells(grid_of(free & (votes[GREEN - 1] <= 0.1 * total)), seen.grid.voxel).ravel()[at]
+    petal_votes = votes[YELLOW - 1].astype(np.int32) + votes[WHITE - 1]
+    seen_often = (petal_votes >= least_votes) & (votes[PETAL_VIEWS] >= least_views)
+    petals = free & seen_often & (petal_votes >= PETAL_SHARE * total)
+    leaves = _large_parts(grid_of(green & ~petals), LEAST_PART)
+    flowers = _parts_near(
+        grid_of(petals), leaves, distance=FLOWER_DISTANCE, extent=FLOWER_EXTENT, axis=0,
+        voxel=seen.grid.voxel,
+    )  # fmt: skip
+    brown = _parts_near(
+        grid_of(free & ~green & ~flowers.ravel()[at]), grid_of(green), distance=ATTACH_DISTANCE,
+        extent=BROWN_EXTENT, axis=1, voxel=seen.grid.voxel,
+    )  # fmt: skip
+    cells = np.where(seen.below | seen.rim, np.uint8(GROUND), np.uint8(EMPTY))
+    cells.ravel()[at[green]] = GREEN_CELL
+    cells.ravel()[at[green & rim]] = RIM
+    cells[brown] = BROWN_CELL
+    cells[dilated(flowers, 1) & (cells != GROUND)] = BESIDE_FLOWER
+    cells[flowers] = FLOWER_CELL
+    return cells
+
+
+def _numbered(part: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """Return the number (X, Y, Z) of the connected component of `part` each cell is in, corners connect; 0 outside."""
+    number = np.zeros(part.shape, dtype=np.int32)
+    for box in ndimage.find_objects(part.view(np.uint8)):  # one: labelling the whole grid would take longer
+        ndimage.label(part[box], np.ones((3, 3, 3)), output=number[box])
+    return number
+
+
+def _large_parts(part: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
+    """Return the connected components of `part` (X, Y, Z) with at least `least` cells."""
+    number = _numbered(part)
+    return part & (np.bincount(number.ravel()) >= least)[number]
+
+
+def _parts_near(
+    part: NDArray[np.bool_], plant: NDArray[np.bool_], *, distance: float, extent: float, axis: int, voxel: float
+) -> NDArray[np.bool_]:
+    """Return the connected components of `part` that come within `distance` [m] of `plant` and are small.
+
+    Of the three extents of the bounding box, sorted from the greatest, number `axis` may not exceed `extent` [m]: 0
+    bounds the size, 1 lets through slender parts of any length.
+    """
+    number = _numbered(part)
+    sizes = [sorted(side.stop - side.start for side in box)[2 - axis] for box in ndimage.find_objects(number)]
+    kept = np.zeros(len(sizes) + 1, dtype=bool)
+    kept[number[part & dilated(plant, max(1, round(distance / voxel)))]] = True
+    kept[1:] &= np.multiply(sizes, voxel) <= extent + voxel
+    return kept[number]
+
+
+def dilated(part: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
+    """Return the cells (X, Y, Z) within `reach` cells along every axis of one in `part`."""
+    square = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+    layers = np.stack([cv2.dilate(layer, square) for layer in np.ascontiguousarray(part).view(np.uint8)])
+    grown = cv2.dilate(layers.reshape(len(part), -1), square[:, :1])
+    return np.asarray(grown).reshape(part.shape).view(np.bool_)
+
+
+LENGTH = 0.20
+"""Least length of a stake [m]."""
+COVERED = 0.6
+"""Least share of the heights along a stake at which it is seen."""
+_TRIALS, _TAN_TILT, _RADIUS = 400, 0.35, 1.3  # lines tried, tangent of the greatest tilt, half width [cells]
+_MOST = 4  # stakes and strings looked for
+
+
+def stake_cells(bare: NDArray[np.bool_], voxel: float) -> NDArray[np.bool_]:
+    """Return the cells (X, Y, Z) in and beside a stake or string, from `bare` ones: seen, above ground, not green.
+
+    Lines through random pairs of cells, that through most heights is kept (RANSAC, Fischler and Bolles 1981).
+    """
+    cells = np.stack(np.unravel_index(np.flatnonzero(bare), bare.shape), axis=1).astype(np.float64)
+    found = np.zeros_like(bare)
+    rng = np.random.default_rng(0)
+    for _ in range(_MOST):
+        inside = _longest(cells, LENGTH / voxel, rng)
+        if not inside.any():
+            break
+        found[tuple(cells[inside].astype(int).T)] = True
+        cells = cells[~inside]
+    return dilated(found, 1)
+
+
+def _longest(cells: NDArray[Any], least: float, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Return which cells (n, 3) lie on the upright line that is seen at most heights; none if it is too short."""
+    best, most = np.zeros(len(cells), dtype=bool), COVERED * least
+    if len(cells) < most:
+        return best
+    for a, b in cells[rng.integers(len(cells), size=(_TRIALS, 2))]:
+        rise = b[2] - a[2]
+        if abs(rise) < 0.3 * least or np.hypot(*(b - a)[:2]) > _TAN_TILT * abs(rise):
+            continue
+        on_line = a[:2] + (cells[:, 2:] - a[2]) * ((b - a)[:2] / rise)
+        near = np.hypot(*(cells[:, :2] - on_line).T) <= _RADIUS
+        heights = np.unique(cells[near, 2])
+        span = _longest_run(heights, gap=0.25 * least)
+        if span is not None and span[1] - span[0] >= least:
+            inside = near & (cells[:, 2] >= span[0]) & (cells[:, 2] <= span[1])
+            seen = int(((heights >= span[0]) & (heights <= span[1])).sum())
+            if seen > most and seen >= COVERED * (span[1] - span[0]):
+                best, most = inside, seen
+    return best
+
+
+def _longest_run(heights: NDArray[Any], gap: float) -> tuple[float, float] | None:
+    """Return first and last of the longest stretch of sorted heights without a gap."""
+    if len(heights) == 0:
+        return None
+    runs = np.split(heights, np.nonzero(np.diff(heights) > gap)[0] + 1)
+    longest = max(runs, key=lambda run: run[-1] - run[0])
+    return float(longest[0]), float(longest[-1])

@@ -1,0 +1,158 @@
+"""A tree of shortest paths that prefer the middle of stems, from the farthest tips to the root.
+
+After TEASAR (Sato et al. 2000, "TEASAR: tree-structure extraction algorithm for accurate and robust skeletons"): the
+farthest voxel not yet covered is joined to the tree by its shortest path, until all is covered. Here a way across a
+blade costs more than along a stem, so that where blades touch branches the paths still run up the branch; and a path
+covers the level sets it goes through (Xu et al. 2007), so that a blade has one line. Last, lines on blades are moved to
+the middle of the blade's width. N voxels, J nodes on the tree, M of them on one chain.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.ndimage import gaussian_filter1d
+from scipy.sparse.csgraph import dijkstra
+
+from anther.core.geometry import Array
+from anther.perception.skeleton.raw_tree import RawTree, chains, with_extents
+from anther.perception.skeleton.voxel_solid import Voxels, components, nearest
+
+_AT_THE_EDGE = 0.4
+"""A voxel this far off the middle of its surroundings [of their reach] is at the surface (a half plane has 0.42)."""
+_DEEP = 4.0
+"""Depth of a level set [voxels]. On eight simulated captures 3 and 5 give junctions with an F1 of 0.813 and 0.814, 4 of
+0.822; with 6 and 10 short petioles merge with what is beside them."""
+FLAT, EDGE = 3.0, 3.0
+"""How many times its length a way across a blade costs more, and one along a surface than one through the middle;
+measured on simulated captures and labelled seedlings."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LevelSets:
+    """What lies equally far from the root and hangs together: a ring of a stem, a strip across a blade.
+
+    Attributes:
+        way: (N,) length of the shortest way from the root through the plant [m].
+        number: (N,) number of the level set that holds each voxel.
+    """
+
+    way: Array
+    number: NDArray[Any]
+
+
+def level_sets(voxels: Voxels, source: int) -> LevelSets:
+    """Return the level sets of the way from the voxel `source`."""
+    way, _ = shortest_paths(voxels.points, voxels.edges, np.ones(len(voxels.points)), source)
+    level = (way // (_DEEP * voxels.voxel)).astype(np.int64)
+    beside = voxels.edges[level[voxels.edges[:, 0]] == level[voxels.edges[:, 1]]]
+    return LevelSets(way, components(len(way), beside))
+
+
+def geodesic_tree(voxels: Voxels, source: int, levels: LevelSets, shortest: float) -> RawTree:
+    """Return the tree of shortest paths to the voxel `source`, whose level sets are given.
+
+    No path but the first has less than `shortest` [m] of its own.
+    """
+    cost = 1 + FLAT * voxels.flatness + EDGE * np.minimum(voxels.off_middle / _AT_THE_EDGE, 1) ** 2
+    distance, before = shortest_paths(voxels.points, voxels.edges, cost, source)
+    chosen = covering_paths(distance, before, levels, shortest)
+    rank = np.full(len(voxels.points), -1)
+    rank[chosen] = np.arange(len(chosen))
+    parent = np.where(before[chosen] >= 0, rank[before[chosen]], -1)
+    return with_extents(voxels.points[chosen], parent, voxels)
+
+
+def shortest_paths(points: Array, edges: NDArray[Any], cost: Array, source: int) -> tuple[Array, NDArray[Any]]:
+    """Return (N,) cost of the cheapest way from the source [m], and (N,) the voxel before each on it, -1 at the source.
+
+    `cost` (N,) >= 1 is how much longer a way seems at each voxel; the graph is connected.
+    """
+    length = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1) * cost[edges].mean(axis=1)
+    graph = sparse.coo_matrix((length, (edges[:, 0], edges[:, 1])), (len(points), len(points))).tocsr()
+    distance, before = dijkstra(graph, directed=False, indices=source, return_predecessors=True)
+    return distance, np.where(before < 0, -1, before)
+
+
+def covering_paths(distance: Array, before: NDArray[Any], levels: LevelSets, shortest: float) -> NDArray[Any]:
+    """Return the voxels (J,) on the paths that go through all level sets, nearest the source first.
+
+    Paths with less than `shortest` [m] of their own, in level sets that no path goes through, are left out.
+    """
+    tips = np.argsort(-distance, kind="stable")
+    chosen = np.flatnonzero(_walked(tips, before, levels.number, levels.way, shortest))
+    return chosen[np.lexsort((chosen, distance[chosen]))]
+
+
+@numba.njit(cache=True, nogil=True)
+def _walked(tips, before, number, way, shortest):
+    """Return (N,) which voxels are on a path."""
+    covered, on_tree = np.zeros(number.max() + 1, np.bool_), np.zeros(len(number), np.bool_)
+    for tip in tips:
+        n = tip
+        while n >= 0 and not covered[number[n]]:
+            n = before[n]
+        if n == tip or (n >= 0 and way[tip] - way[n] < shortest):
+            continue
+        n = tip
+        while n >= 0 and not on_tree[n]:
+            on_tree[n] = covered[number[n]] = True
+            n = before[n]
+    return on_tree
+
+
+_THINNEST = 2.0
+"""Least half depth of what is averaged [voxels]."""
+_DEPTH = 0.5
+"""Half depth of what is averaged, as a share of its spread: a broad blade has a smooth line."""
+_ROUND, _FLAT = 0.2, 0.5
+"""Nodes flatter than this begin to move, or move all the way: a stem scanned from one side has its axis elsewhere."""
+
+
+def middled(tree: RawTree, gain: Array, voxels: Voxels, levels: LevelSets) -> RawTree:
+    """Return the tree with its nodes, that are voxels, on blades in the middle of the blade's width.
+
+    A chain moves to the centroids of the level sets it goes through, each cut to what is nearer to this chain than to
+    another, so that blades that touch keep their own lines.
+    """
+    every = chains(tree.parent, gain)
+    home = np.zeros(len(tree.nodes), dtype=np.int64)
+    for number, chain in enumerate(every[1:], 1):
+        home[chain[1:]] = number
+    home = home[nearest(voxels.points, tree.nodes)[1]]
+    order = np.lexsort((levels.way, home))
+    first = np.searchsorted(home[order], np.arange(len(every) + 1))
+    at = nearest(tree.nodes, voxels.points)[1]
+    weight = np.clip((tree.flatness - _ROUND) / (_FLAT - _ROUND), 0, 1)[:, None]
+    nodes = tree.nodes.copy()
+    for number, chain in enumerate(every):
+        mine, own = chain[min(number, 1) :], order[first[number] : first[number + 1]]
+        own = own[np.isin(levels.number[own], levels.number[at[mine]])]
+        if len(own):
+            middle = _middle(voxels.points[own], levels.way[own], levels.way[at[mine]], voxels.voxel)
+            nodes[mine] += weight[mine] * (middle - nodes[mine])
+    return with_extents(nodes, tree.parent, voxels)
+
+
+def _middle(points: Array, way: Array, at: Array, voxel: float) -> Array:
+    """Return the middle (M, 3) of points, sorted by way, about `at` (M,): the broader they spread, the deeper."""
+    thinnest = np.full(len(at), _THINNEST * voxel)
+    _, spread = _mean(points, way, at, thinnest)
+    return _mean(points, way, at, np.maximum(_DEPTH * gaussian_filter1d(spread, 4, mode="nearest"), thinnest))[0]
+
+
+def _mean(points: Array, way: Array, at: Array, half: Array) -> tuple[Array, Array]:
+    """Return the mean (M, 3) of the points whose way is within `half` (M,) of `at`, and their spread about it (M,)."""
+    points, centre = points - points[0], points[0]
+    total = np.cumsum(np.column_stack([points, np.sum(points**2, axis=1)]), axis=0)
+    total = np.concatenate([np.zeros((1, 4)), total])
+    low = np.minimum(np.searchsorted(way, at - half), len(way) - 1)
+    high = np.maximum(np.searchsorted(way, at + half, side="right"), low + 1)
+    mean = (total[high] - total[low]) / (high - low)[:, None]
+    spread = np.sqrt(np.maximum(mean[:, 3] - np.sum(mean[:, :3] ** 2, axis=1), 0))
+    return centre + mean[:, :3], spread

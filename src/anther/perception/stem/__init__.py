@@ -1,0 +1,175 @@
+"""Stem: the main stem within the skeleton, and which organ each skeleton node belongs to. S stem samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anther.core.checks import check_array, check_parameters
+from anther.core.errors import StageFailure, bad_input
+from anther.core.files import read_npz, understood, write_npz
+from anther.core.geometry import Array
+from anther.perception.skeleton import Skeleton, nearest_node
+from anther.perception.skeleton.raw_tree import chains, edge_lengths, longest_way
+from anther.perception.stem._main_axis import SHORTEST, fork_at, growth_end, path_score
+from anther.perception.stem._organs import BRANCH, LEAF, ORGAN_NAMES, SPUR, STEM, TRUSS, classify, stem_breadth
+from anther.perception.stem.confidence import doubt, rise_share, second_stem, stem_confidence
+
+__all__ = ["BRANCH", "LEAF", "ORGAN_NAMES", "STEM", "TRUSS", "Params", "Stem", "find_stem"]
+
+_KIND, _SCHEMA = "stem", 3
+
+
+@dataclass(frozen=True, slots=True)
+class Params:
+    """What a person may know better. What makes a path the main stem stands as constants beside its use.
+
+    Attributes:
+        tip: where the main stem ends [m], by who knows better; None: it is found.
+    """
+
+    tip: tuple[float, float, float] | None = None
+
+    def __post_init__(self) -> None:
+        check_parameters(self, places=("tip",))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stem:
+    """The main stem as an ordered path of skeleton nodes, root first.
+
+    Attributes:
+        node_ids: (S,) skeleton nodes from the root to the stem's top.
+        arc_length: (S,) distance from the root along the stem [m].
+        attachments: (A,) positions within node_ids where a branch, petiole, truss or leaf leaves the stem.
+        organ: (J,) uint8 per skeleton node: STEM, BRANCH (also petioles), TRUSS or LEAF.
+        fork: position within node_ids of the first fork, above which the stem is one of several (pepper); the last
+            position when there is none.
+        notes: what the stage wants the user to know.
+        confidence: probability that at least 95 % of its length lies within 5 mm of the true main axis
+            (docs/confidence.md); None if unknown.
+    """
+
+    node_ids: NDArray[Any]
+    arc_length: Array
+    attachments: NDArray[Any]
+    organ: NDArray[Any]
+    fork: int = -1
+    notes: tuple[str, ...] = ()
+    confidence: float | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.node_ids)
+        shapes = {"node_ids": ((n,), "int64"), "arc_length": ((n,), "float64")}
+        shapes |= {"attachments": ((None,), "int64"), "organ": ((None,), "uint8")}
+        for name, (shape, dtype) in shapes.items():
+            object.__setattr__(self, name, check_array(f"stem {name}", getattr(self, name), shape, dtype=dtype))
+        if n < 2 or np.any(np.diff(self.arc_length) <= 0):
+            raise bad_input("stem", given=f"{n} nodes", allowed="two or more, root first", do="Order the nodes.")
+        if np.any(self.organ >= len(ORGAN_NAMES)):
+            given, allowed = f"kind {int(self.organ.max())}", f"0 to {len(ORGAN_NAMES) - 1}: {', '.join(ORGAN_NAMES)}"
+            raise bad_input("organ", given=given, allowed=allowed, do="Find the stem again.")
+        if not 0 <= self.node_ids.min() <= self.node_ids.max() < len(self.organ):
+            given, allowed = f"node {int(self.node_ids.max())}", f"one of the {len(self.organ)} with an organ"
+            raise bad_input("stem nodes", given=given, allowed=allowed, do="Find the stem again.")
+        if not -n <= self.fork < n:
+            raise bad_input("stem fork", given=self.fork, allowed=f"a position in {n} nodes", do="Find the stem again.")
+        object.__setattr__(self, "fork", int(self.fork) % n)
+
+    def organ_names(self) -> list[str]:
+        """Return "stem", "branch", "truss" or "leaf" for every skeleton node."""
+        return [ORGAN_NAMES[kind] for kind in self.organ]
+
+    def save(self, path: Path | str) -> None:
+        """Write an .npz (schema 3)."""
+        fields = {name: getattr(self, name) for name in self.__slots__}
+        write_npz(path, _KIND, _SCHEMA, **fields | {"notes": np.array(self.notes, dtype=np.str_)})
+
+    @classmethod
+    def load(cls, path: Path | str) -> Stem:
+        """Read what `save` wrote.
+
+        Raises:
+            InputError: missing, truncated, or of another kind or schema.
+        """
+        with understood(path):
+            a: dict[str, Any] = read_npz(path, _KIND, _SCHEMA)
+            notes = tuple(str(note) for note in a.pop("notes"))
+            sure = float(a.pop("confidence")) if "confidence" in a else None
+            return cls(fork=a.pop("fork"), **a, notes=notes, confidence=sure)
+
+
+def find_stem(skeleton: Skeleton, params: Params | None = None, *, flowers_at: Array | None = None) -> Stem:
+    """Return the main stem, the best root-to-tip path by score S up to where it leaves its growth axis, and all organs.
+
+    Where a plant forks (pepper), the better fork goes on as the main stem and the other is a branch.
+
+    Args:
+        skeleton: one rooted tree.
+        params: what is known better.
+        flowers_at: (F, 3) centres of flowers (`flowers.flower_centres`) [m]; without them no node is TRUSS.
+
+    Raises:
+        StageFailure: "no_stem_found" when no path rises far enough to be a stem.
+        InputError: `params.tip` is not on the plant.
+    """
+    params = params or Params()
+    size = float(np.linalg.norm(np.ptp(skeleton.nodes, axis=0)))
+    if params.tip is None:
+        path = chains(skeleton.parent, path_score(skeleton))[0]
+        node_ids = path[: growth_end(skeleton, path, size)]
+    else:
+        node_ids = path = skeleton.path_from_root(nearest_node("the main stem's tip", params.tip, skeleton.nodes))
+    nodes = skeleton.nodes[node_ids]
+    arc_length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(nodes, axis=0), axis=1))])
+    _plausible(nodes, arc_length, size)
+    flowers_at = np.zeros((0, 3)) if flowers_at is None else flowers_at
+    organ = classify(skeleton, node_ids, flowers_at)
+    attachments = _attachments(skeleton, node_ids, organ)
+    forked = [fork_at(skeleton, path, organ, int(i)) for i in attachments]
+    fork = min([len(node_ids) - 1, *(i for i in forked if i is not None)])
+    confidence = stem_confidence(skeleton, node_ids)
+    notes = (*_low(skeleton, node_ids), *second_stem(skeleton, node_ids), *doubt(confidence))
+    return Stem(node_ids, arc_length, attachments, organ, fork, notes, confidence)
+
+
+LOW = 0.25
+"""A main stem that rises by less than this share of the plant is doubted: a guess."""
+
+
+def _low(skeleton: Skeleton, node_ids: NDArray[Any]) -> tuple[str, ...]:
+    share, height = rise_share(skeleton, node_ids), 1e3 * (skeleton.nodes[:, 2].max() - skeleton.nodes[0, 2])
+    if share >= LOW:
+        return ()
+    return (f"main stem: it rises only {share * height:.0f} mm of the plant's {height:.0f} mm; is the root right?",)
+
+
+def _attachments(skeleton: Skeleton, node_ids: NDArray[Any], organ: NDArray[Any]) -> NDArray[Any]:
+    """Return the positions within the stem where more than a spur leaves it."""
+    way = longest_way(skeleton.parent, edge_lengths(skeleton.nodes, skeleton.parent))
+    long = way > SPUR * stem_breadth(skeleton, node_ids)
+    leaves = (organ[1:] != STEM) & (organ[skeleton.parent[1:]] == STEM) & ((organ[1:] != LEAF) | long[1:])
+    return np.flatnonzero(np.isin(node_ids, skeleton.parent[1:][leaves]))
+
+
+def _plausible(nodes: Array, arc_length: Array, size: float) -> None:
+    rise = nodes[:, 2].max() - nodes[0, 2]
+    if not 0.005 <= size <= 20:
+        problem = f"the plant measures {size:g} m (allowed: 0.005 to 20 m). Wrong units?"
+    elif arc_length[-1] < SHORTEST * size:
+        problem = (
+            f"the best candidate is {arc_length[-1] * 1e3:.1f} mm long on a plant of {size * 1e3:.0f} mm "
+            f"(allowed: {SHORTEST:g} of the plant or more). Is the stem in view?"
+        )
+    elif rise < 0.2 * arc_length[-1]:
+        problem = (
+            f"the best candidate of {arc_length[-1] * 1e3:.1f} mm rises only {rise * 1e3:.1f} mm "
+            "(allowed: a fifth of its length or more). Is z up?"
+        )
+    else:
+        return
+    raise StageFailure("no_stem_found", f"main stem: {problem}")

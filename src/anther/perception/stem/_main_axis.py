@@ -1,0 +1,155 @@
+"""The main stem's path through the skeleton (paper P10, P11). J nodes, S stem nodes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from anther.core.geometry import Array
+from anther.perception.skeleton import Skeleton
+from anther.perception.skeleton.raw_tree import edge_lengths, longest_way, path_gain
+from anther.perception.stem._organs import BRANCH, PLANAR_BLADE, SPUR, stem_breadth
+
+SHORTEST = 0.05
+"""A shorter stem is not believed (share of the plant's size)."""
+_WINDOW = 0.06  # length over which a step is judged (share of the plant's size)
+_BROADEST = 1.5
+"""A step broader than the narrowest below it by this factor, and than most below it, is none of a stem, which does not
+broaden upward; a leaf does after the neck at its base. Below the last limb it must be planar as well: leaves touch."""
+_THINNEST = 0.35  # nor is one thinner than this share of the median radius so far
+_DOUBT = 2.0  # how much a length that is not stem-like counts against one that is
+_LEAFLET = 0.2
+"""A side line shorter than this, relative to the longest limb, is a leaflet (tried on the labelled plants of
+evaluation/perception/real_plants.py: from 0.2 to 0.45 ever fewer stems end in a leaf, but simulated ones shorten)."""
+_TOGETHER = 3  # so many nodes side by side are no sign of two lines: limbs that part begin so
+_LONGER = 1.5  # internodes shorten upward; the youngest leaf of a grass, rolled, looks like a long one
+_FORKED = 2  # so many limbs show that a stem goes on; one line beside the path can be the blade's own
+_TURN = 45.0  # degrees: a step that turns from the growth axis by more is not stem-like
+_FORK_SHARE = 0.6
+"""A branch forks the stem when it is this share as thick as the stem beyond it and rises this share as high
+(docs/reports/skeletons.md: branches rise 0.85 times as high or more, petioles 0.48 times at most),"""
+_FORK_LEAN = 50.0
+"""and leans from the vertical by less than so many degrees."""
+_ROUND = 1.5  # sections up to this much broader than thick count as round: noise and one-sided views do that
+
+
+def fork_at(skeleton: Skeleton, path: NDArray[Any], organ: NDArray[Any], at: int) -> int | None:
+    """Return where a branch that leaves the stem at position `at` of the path forks it, None where none does.
+
+    A branch forks the stem when it is as much a stem as what goes on: it rises as high, leaves included, and its axis,
+    without them, is upright and as thick as the stem over the same nodes. The fork is where the two have parted: a
+    skeleton can have two lines side by side within one stem.
+    """
+    base = skeleton.nodes[path[at]]
+    beyond = path[at + 1 :]
+    if not len(beyond):
+        return None
+    rise = float(skeleton.nodes[beyond, 2].max() - base[2])
+    parted = []
+    for child in np.flatnonzero((skeleton.parent == path[at]) & (organ == BRANCH)):
+        limb = _highest_path(skeleton, int(child))
+        axis = limb[organ[limb] == BRANCH]
+        lean = _angle(skeleton.nodes[axis[-1]] - base, np.array([0.0, 0.0, 1.0]))
+        higher = skeleton.nodes[limb[-1], 2] - base[2] >= _FORK_SHARE * rise
+        thick = np.median(skeleton.radius[beyond[: len(axis)]])
+        thicker = np.median(skeleton.radius[axis]) >= _FORK_SHARE * thick
+        if higher and thicker and lean < _FORK_LEAN:
+            parted.append(at + _side_by_side(skeleton, path[at:], axis))
+    return min(parted, default=None)
+
+
+def _side_by_side(skeleton: Skeleton, path: NDArray[Any], axis: NDArray[Any]) -> int:
+    """Return up to which position of the path an axis that leaves its first node lies within the same stem."""
+    away, nearest = map(np.asarray, KDTree(skeleton.nodes[path]).query(skeleton.nodes[axis]))
+    within = away <= 2 * stem_breadth(skeleton, path)
+    last = len(axis) if within.all() else int(np.argmin(within))
+    return int(nearest[:last].max(initial=0)) if last > _TOGETHER else 0
+
+
+def _highest_path(skeleton: Skeleton, start: int) -> NDArray[Any]:
+    """Return the nodes from `start` to the highest node of its subtree."""
+    inside = np.zeros(len(skeleton.nodes), dtype=bool)
+    inside[start] = True
+    for j in range(start + 1, len(skeleton.nodes)):
+        inside[j] = inside[skeleton.parent[j]]
+    top = int(np.argmax(np.where(inside, skeleton.nodes[:, 2], -np.inf)))
+    whole = skeleton.path_from_root(top)
+    return whole[np.flatnonzero(whole == start)[0] :]
+
+
+def path_score(skeleton: Skeleton) -> Array:
+    """Return what each edge adds to the path score (P10); less on a blade, by how much broader than thick it is."""
+    gain = path_gain(skeleton.nodes, skeleton.parent, skeleton.radius)
+    return gain * np.minimum(_ROUND * skeleton.radius / skeleton.breadth, 1)
+
+
+def growth_end(skeleton: Skeleton, path: NDArray[Any], size: float) -> int:
+    """Return how many nodes of the path belong to the stem (P11).
+
+    A step is stem-like unless it turns from the growth axis (root to here), thins, or is a blade: planar, and broader
+    than the stem below. The stem ends where the length that is stem-like, less `_DOUBT` times the rest, is
+    largest: a leaf that touches the stem does not end it, but the blade after which nothing stem-like comes does.
+
+    A stem bears limbs. What goes on above the last one bears nothing, so nothing shows that it is a stem: if any of it
+    is broader than the stem, or not stem-like, or if it is much longer than every internode, it is the youngest leaf,
+    however round its petiole, its neck or its rolled blade. If it is longer than every limb, or if `_FORKED` or more
+    limbs leave the path further on, limbs were missed: a leaf bears none.
+    """
+    nodes = skeleton.nodes[path]
+    length = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
+    arc = np.concatenate([[0], np.cumsum(length)])
+    straight, slim, solid = _stem_like(skeleton, path, arc, _WINDOW * size)
+    gain = np.cumsum(length * np.where(straight & (slim | solid), 1.0, -_DOUBT))
+    end = int(np.argmax(gain)) + 2
+    limbs, further, longest = _limbs(skeleton, path, end)
+    last, bare = int(limbs[-1]), arc[end - 1] - arc[limbs[-1]]
+    believed = last > 0 and arc[last] >= SHORTEST * size and bare <= longest and further < _FORKED
+    stem_like = (straight & slim)[last:].all() and bare <= _LONGER * np.diff(arc[limbs]).max(initial=0)
+    return last + 1 if believed and not stem_like else end
+
+
+def _limbs(skeleton: Skeleton, path: NDArray[Any], end: int) -> tuple[NDArray[np.int64], int, float]:
+    """Return 0 and which of the first `end` positions of the path a limb leaves; how many leave it further on; and the
+    longest limb of those first ones [m].
+
+    Leaflets are no limbs: the way up the youngest compound leaf bears them too.
+    """
+    way = longest_way(skeleton.parent, edge_lengths(skeleton.nodes, skeleton.parent))
+    way[path] = 0
+    side = np.isin(skeleton.parent, path[1:]) & (way > SPUR * stem_breadth(skeleton, path[:end]))
+    at, way = np.searchsorted(path, skeleton.parent[side]), way[side]  # a child's number is larger than its parent's
+    longest = float(way[at < end].max(initial=0))
+    limbs = at[way > _LEAFLET * longest]
+    return np.union1d(0, limbs[limbs < end]), int(np.sum(limbs >= end)), longest
+
+
+def _stem_like(
+    skeleton: Skeleton, path: NDArray[Any], arc: Array, window: float
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return for each step of the path, over the window ahead of it, (S - 1,) each: whether it keeps the growth axis
+    and is not thin; whether it is not broader than the stem below; whether its surroundings are not a plane."""
+    nodes, radius = skeleton.nodes[path], skeleton.radius[path]
+    width = skeleton.breadth[path]
+    flatness = np.ones(len(path)) if skeleton.flatness is None else skeleton.flatness[path]
+    ahead = np.minimum(np.searchsorted(arc, arc + window), len(path) - 1)
+    coming = [slice(i, max(ahead[i], i + 1) + 1) for i in range(len(path) - 1)]
+    breadth = np.array([np.median(width[there]) for there in coming])
+    narrowest = np.minimum.accumulate(breadth)
+    straight, slim, solid = np.ones((3, len(path) - 1), dtype=bool)
+    for i in np.flatnonzero(arc[:-1] >= window):
+        turned = _angle(nodes[i] - nodes[0], nodes[coming[i]][-1] - nodes[i]) > _TURN
+        thin = np.median(radius[coming[i]]) < _THINNEST * np.median(radius[: i + 1])
+        straight[i] = not (turned or thin)
+        slim[i] = breadth[i] <= max(_BROADEST * narrowest[i], np.median(width[: i + 1]))
+        round_ = breadth[i] <= _ROUND * np.median(radius[coming[i]])  # the wall of a thick trunk is a plane, and round
+        solid[i] = round_ or np.median(flatness[coming[i]]) < PLANAR_BLADE
+    return straight, slim, solid
+
+
+def _angle(one: Array, other: Array) -> float:
+    """Return the angle between two vectors [degrees]."""
+    cosine = one @ other / max(float(np.linalg.norm(one) * np.linalg.norm(other)), 1e-12)
+    return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))

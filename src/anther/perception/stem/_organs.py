@@ -1,0 +1,123 @@
+"""Which organ each skeleton node belongs to: main stem, branch or petiole, truss, or leaf. J nodes, F flowers.
+
+Four observations tell organs apart, whatever the plant and its size:
+
+- An axis (stem, branch, petiole, peduncle) is about as thick as broad, and not broader than the main stem that carries
+  it; a blade is broader than the stem and many times broader than thick.
+- An axis is some stem widths long; the lines of a blade may begin with a shorter piece that looks like one.
+- Nothing grows out of a blade: the axes of a plant are a connected part of the tree that holds the root.
+- A limb of a leafy plant ends in leaves or flowers. One that carries flowers and no leaf is a truss; one that carries
+  neither is itself a narrow leaf, a stump or an error of the skeleton, and counts as leaf.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from anther.core.geometry import Array
+from anther.perception.skeleton import Skeleton
+from anther.perception.skeleton.raw_tree import chains, edge_lengths, sum_below
+
+STEM, BRANCH, TRUSS, LEAF = range(4)
+ORGAN_NAMES = ("stem", "branch", "truss", "leaf")
+"""A petiole is a branch; peduncle and pedicels are truss; blade, midrib and veins are leaf, a rachis either."""
+
+PLANAR_BLADE, _PLANAR_DOUBT = 0.68, 0.25
+"""Where the skeleton's flatness (planarity of the surroundings) is the first, blade is as likely as axis; where it is
+less by the second there is no doubt (both read off the development plants)."""
+_NARROW = 4.0  # a section as broad as the main stem tells nothing, one narrower by this factor leaves no doubt
+_STUB = 2.5  # an axis that leaves another is leaf when it is shorter than this, relative to the stem's half width
+SPUR = 3.0  # a leaf that leaves the stem counts as attached when longer than this, relative to the stem's half width
+_TRUSS_BREADTH = 4.0  # only a node not broader than this times the stem bears flowers: pedicels broaden a truss
+_FLOWER_REACH = 0.03
+"""And only when it is so near to the flower's centre [m]: a pedicel (9 to 22 mm; facts: pollination), a few millimetres
+of flower, and half the distance between nodes."""
+_LEAF_PER_FLOWER = 0.02  # a limb is a truss when it bears more flowers than it has leaf, at so much length each [m]
+
+
+def classify(skeleton: Skeleton, main: NDArray[Any], flowers_at: Array) -> NDArray[np.uint8]:
+    """Return (J,) the organ of every node, with the main stem's nodes and the centres of flowers (F, 3) [m] given."""
+    breadth = skeleton.breadth / stem_breadth(skeleton, main)
+    bears, beside = _flower_bearers(skeleton.nodes, flowers_at, breadth < _TRUSS_BREADTH, _FLOWER_REACH)
+    axis = _axes(skeleton, main, breadth)
+    organ = np.where(axis, BRANCH, LEAF).astype(np.uint8)
+    organ[main] = STEM
+    length = edge_lengths(skeleton.nodes, skeleton.parent)
+    is_truss = sum_below(skeleton.parent, _LEAF_PER_FLOWER * bears - length * ((organ == LEAF) & ~beside)) > 0
+    is_truss &= sum_below(skeleton.parent, bears) > 0
+    is_bare = (organ == BRANCH) & (sum_below(skeleton.parent, organ == LEAF) == 0)
+    is_bare &= length[is_bare].sum() < length[organ == LEAF].sum()  # else the plant has lost its leaves
+    return _limbs_named(skeleton.parent, organ, is_truss, is_bare)
+
+
+def stem_breadth(skeleton: Skeleton, main: NDArray[Any]) -> float:
+    """Return the median half width of the main stem [m]."""
+    return float(np.median(skeleton.breadth[main]))
+
+
+def _flower_bearers(
+    nodes: Array, flowers_at: Array, may_bear: NDArray[np.bool_], reach: float
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Return (J,) how many flowers each node bears, being the nearest within reach, and which are in reach of one."""
+    bears, beside = np.zeros(len(nodes)), np.zeros(len(nodes), dtype=bool)
+    if len(flowers_at):
+        some = np.flatnonzero(may_bear)
+        away, nearest = map(np.asarray, KDTree(nodes[some]).query(flowers_at))
+        np.add.at(bears, some[nearest[away <= reach]], 1)
+        beside[some] = KDTree(flowers_at).query(nodes[some])[0] <= reach
+    return bears, beside
+
+
+def _axes(skeleton: Skeleton, main: NDArray[Any], breadth: Array) -> NDArray[np.bool_]:
+    """Return (J,) which nodes lie on an axis: the rooted part of the tree with the most evidence of being slender.
+
+    Every edge gives its length times a number from -1 (blade) to 1 (axis), the sum of two: the logarithm of how much
+    narrower it is than the stem, and how little its surroundings are a plane. The rooted part with the largest sum is
+    found from the tips down, so a contact with a neighbouring leaf does not end a branch that goes on beyond it.
+    """
+    if skeleton.width is None or skeleton.flatness is None:  # of another program: no leaf can be told
+        return np.ones(len(breadth), dtype=bool)
+    length = edge_lengths(skeleton.nodes, skeleton.parent)
+    narrow = -np.log(breadth) / np.log(_NARROW)
+    gain = length * np.clip(narrow + (PLANAR_BLADE - skeleton.flatness) / _PLANAR_DOUBT, -1, 1)
+    axis = np.isin(np.arange(len(gain)), main)
+    for j in range(len(gain) - 1, 0, -1):
+        gain[skeleton.parent[j]] += max(gain[j], 0)
+    for j in range(1, len(gain)):
+        axis[j] |= axis[skeleton.parent[j]] and gain[j] > 0
+    axis[_stubs(skeleton.parent, length, axis, _STUB * stem_breadth(skeleton, main))] = False
+    axis[main] = True
+    return axis
+
+
+def _stubs(parent: NDArray[Any], length: Array, axis: NDArray[np.bool_], least: float) -> NDArray[Any]:
+    """Return the nodes of the limbs whose axes are not as long as `least` [m].
+
+    Lines of a blade that part at its base begin so, and so do lines that run into a stem from a blade that touches it.
+    """
+    limbs = (chain[1:] for chain in chains(parent, length * axis)[1:])
+    return np.concatenate([np.zeros(0, dtype=np.int64), *(j for j in limbs if length[j][axis[j]].sum() < least)])
+
+
+def _limbs_named(
+    parent: NDArray[Any], organ: NDArray[np.uint8], is_truss: NDArray[np.bool_], is_bare: NDArray[np.bool_]
+) -> NDArray[np.uint8]:
+    """Return the organs with limbs that are trusses, or bare and then leaf, named so from their first node on."""
+    organ = organ.copy()
+    side = np.bincount(parent[1:], weights=organ[1:] != STEM, minlength=len(parent))
+    for j in range(1, len(parent)):
+        below = organ[parent[j]]
+        begins = below == STEM or (below == BRANCH and side[parent[j]] > 1)
+        if organ[j] == STEM:
+            continue
+        if below in (TRUSS, LEAF):
+            organ[j] = below
+        elif begins and is_truss[j]:
+            organ[j] = TRUSS
+        elif begins and is_bare[j]:
+            organ[j] = LEAF
+    return organ

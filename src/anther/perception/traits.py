@@ -1,0 +1,134 @@
+"""Traits of a plant for phenotyping: the main stem, its internodes, and what leaves it. All in SI units and degrees."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anther.core.geometry import Array
+from anther.perception.skeleton import Skeleton
+from anther.perception.skeleton.raw_tree import edge_lengths, sum_above
+from anther.perception.stem import LEAF, ORGAN_NAMES, Stem
+
+LEVELS = (10, 25, 50, 75, 90)
+"""Where the stem's radius is told [% of its length]."""
+REACH = 0.03
+"""An insertion angle is that of a limb's first so many metres, or of all of a shorter one."""
+
+
+class Limb(NamedTuple):
+    """What leaves the main stem.
+
+    Attributes:
+        organ: "branch", "truss" or "leaf": what most of its length is.
+        arc_length_m: where on the stem.
+        length_m: of its longest way, from the stem's axis to a tip.
+        total_length_m: of all its axes.
+        radius_m: median radius of its first `REACH`.
+        angle_deg: between the stem's upward direction there and the limb's first `REACH`.
+        azimuth_deg: of that piece about the vertical, from x to y, in [0, 360).
+    """
+
+    organ: str
+    arc_length_m: float
+    length_m: float
+    total_length_m: float
+    radius_m: float
+    angle_deg: float
+    azimuth_deg: float
+
+
+class Traits(NamedTuple):
+    """What is measured of one plant.
+
+    Attributes:
+        plant_height_m: from the root to the highest node.
+        stem_length_m: along the main stem.
+        stem_lean_deg: of the line from its root to its top, off the vertical.
+        radius_m: (5,) median radius of the stem about each of `LEVELS`.
+        internode_m: (I,) distances along the stem from one place where something leaves it to the next.
+        limbs: what leaves it, root first.
+        total_length_m: of all axes of the skeleton.
+        stem_confidence: see `Stem.confidence`; None if unknown.
+    """
+
+    plant_height_m: float
+    stem_length_m: float
+    stem_lean_deg: float
+    radius_m: Array
+    internode_m: Array
+    limbs: tuple[Limb, ...]
+    total_length_m: float
+    stem_confidence: float | None
+
+    def count(self, organ: str) -> int:
+        """Return how many limbs are "branch", "truss" or "leaf"."""
+        return sum(limb.organ == organ for limb in self.limbs)
+
+
+def measure(skeleton: Skeleton, stem: Stem) -> Traits:
+    """Return the traits of a plant; only what `Stem.attachments` names counts as a limb."""
+    length = edge_lengths(skeleton.nodes, skeleton.parent)
+    line, arc = skeleton.nodes[stem.node_ids], stem.arc_length
+    on_stem = np.zeros(len(length), dtype=bool)
+    on_stem[stem.node_ids] = True
+    origin = _origins(skeleton.parent, on_stem)
+    way = sum_above(skeleton.parent, np.where(on_stem, 0, length))
+    position = {int(node): k for k, node in enumerate(stem.node_ids)}
+    wanted = {int(stem.node_ids[k]) for k in stem.attachments}
+    limbs = [
+        _limb(skeleton, stem, length, way, np.flatnonzero(origin == base), position[int(skeleton.parent[base])])
+        for base in np.flatnonzero(~on_stem & np.isin(skeleton.parent, list(wanted)))
+    ]
+    rise = line[-1] - line[0]
+    places = np.unique(arc[np.sort(stem.attachments)])
+    return Traits(
+        plant_height_m=float(skeleton.nodes[:, 2].max() - line[0, 2]),
+        stem_length_m=float(arc[-1] - arc[0]),
+        stem_lean_deg=float(np.degrees(np.arctan2(np.linalg.norm(rise[:2]), rise[2]))),
+        radius_m=np.array([_radius_about(skeleton.radius[stem.node_ids], arc, share / 100) for share in LEVELS]),
+        internode_m=np.diff(places),
+        limbs=tuple(sorted(limbs, key=lambda limb: limb.arc_length_m)),
+        total_length_m=float(length.sum()),
+        stem_confidence=stem.confidence,
+    )
+
+
+def _origins(parent: NDArray[np.int64], on_stem: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return (J,) for each node off the stem the first one of its limb, else -1."""
+    origin = np.full(len(parent), -1)
+    for j in np.flatnonzero(~on_stem):
+        origin[j] = j if parent[j] < 0 or on_stem[parent[j]] else origin[parent[j]]
+    return origin
+
+
+def _limb(skeleton: Skeleton, stem: Stem, length: Array, way: Array, nodes: NDArray[np.int64], at: int) -> Limb:
+    """Return the limb of these nodes, its first one first, that leaves the stem at its position `at`.
+
+    `length` (J,) is of the edge above each node, `way` (J,) from the stem to it [m].
+    """
+    tip = int(nodes[way[nodes].argmax()])
+    axis = np.intersect1d(skeleton.path_from_root(tip), nodes)
+    first = axis[: max(np.count_nonzero(way[axis] <= REACH), 1)]
+    out = skeleton.nodes[first[-1]] - skeleton.nodes[stem.node_ids[at]]
+    below, above = skeleton.nodes[stem.node_ids[[max(at - 2, 0), min(at + 2, len(stem.node_ids) - 1)]]]
+    up = above - below
+    share = np.bincount(stem.organ[nodes], weights=length[nodes], minlength=LEAF + 1)
+    cosine = float(out @ up / max(np.linalg.norm(out) * np.linalg.norm(up), 1e-12))
+    return Limb(
+        ORGAN_NAMES[int(share.argmax())],
+        float(stem.arc_length[at]),
+        float(way[tip]),
+        float(length[nodes].sum()),
+        float(np.median(skeleton.radius[first])),
+        float(np.degrees(np.arccos(np.clip(cosine, -1, 1)))),
+        float(np.degrees(np.arctan2(out[1], out[0])) % 360),
+    )
+
+
+def _radius_about(radius: Array, arc: Array, share: float) -> float:
+    """Return the median radius of the stem's tenth about a share of its length [m]."""
+    away = np.abs((arc - arc[0]) / (arc[-1] - arc[0]) - share)
+    return float(np.median(radius[away <= max(0.05, float(away.min()))]))

@@ -1,0 +1,341 @@
+"""Plant model: the scanned tree as elastic rods that carry leaves and flowers and hang still under gravity (P16-P23).
+
+N rod nodes: the J skeleton nodes first, under their own numbers, then the pedicels.
+F flowers, S stem nodes, B branches.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anther.core.checks import check_array, check_parameters, check_range
+from anther.core.errors import StageFailure, bad_input
+from anther.core.files import read_npz, understood, write_npz
+from anther.core.geometry import Array
+from anther.perception.cloud import Cloud
+from anther.perception.flowers import Flowers, supposed_flowers
+from anther.perception.skeleton import Skeleton
+from anther.perception.stem import Stem
+from anther.plant._material import LEARNED, PEPPER, TOMATO, Material
+from anther.plant._shape import branch_stiffening, edge_radii, hang_flowers, in_blade, leaf_mass, least_youngs
+from anther.rods import Clamp, NaturalShape, Rods, standing, with_gravity_equilibrium
+
+__all__ = [
+    "LEARNED", "MARGIN", "PEPPER", "TOMATO", "Material", "Params", "PlantModel", "build_plant", "plant_with_flowers",
+]  # fmt: skip
+
+SCHEMA = 3
+PEDICEL_PIECES = 3  # edges per pedicel
+BLADE_STIFFNESS = 10.0
+"""Bending stiffness of a blade with its rib over that of the rib alone [-]. An estimate: a strip 60 mm wide, 0.25 mm
+thick, of 75 MPa, folded by 2 to 5 mm, has 10 to 70 times that of a rib of 0.8 mm."""
+FLOWER_RADIUS = 5e-3
+"""Of a flower's mass, taken as a ball for its moment of inertia [m] (facts: pollination 2, corolla 10 mm)."""
+PEDICEL_SPREAD = 0.2
+"""Standard deviation of ln of the pedicels' stiffness [-]: ln 2 / sqrt 12 for the range of `Params.pedicel_youngs`."""
+MARGIN = 1.5
+"""Least ratio of Young's modulus to the value at which the plant buckles [-]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Params:
+    """What the scan does not show.
+
+    Attributes:
+        areal_density: of a leaf blade [kg/m2]. A prior of ours; no source found.
+        flower_mass: [kg] (facts: pollination 2 [R]: 0.05-0.15 g).
+        pedicel_length, pedicel_radius: [m] (facts: 9-22 mm long, about 1 mm thick).
+        pedicel_youngs: [Pa] (facts: 50-100 MPa gives the 23-33 Hz at which tomato flowers answer stem shaking best).
+        stiffen: raise Young's modulus to `MARGIN`, with a note, since the plant evidently stands; False refuses.
+    """
+
+    areal_density: float = 0.25
+    flower_mass: float = 1e-4
+    pedicel_length: float = 0.015
+    pedicel_radius: float = 0.5e-3
+    pedicel_youngs: float = 70e6
+    stiffen: bool = True
+
+    def __post_init__(self) -> None:
+        check_parameters(self)
+        check_range("areal_density", self.areal_density, 0, 5, "kg/m2")
+        check_range("flower_mass", self.flower_mass, 1e-6, 0.1, "kg")
+        check_range("pedicel_length", self.pedicel_length, 1e-3, 0.2, "m")
+        check_range("pedicel_radius", self.pedicel_radius, 1e-5, 0.02, "m")
+        check_range("pedicel_youngs", self.pedicel_youngs, 1e5, 1e11, "Pa")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlantModel:
+    """A plant ready to be shaken in simulation: it stands still under gravity in the scanned shape.
+
+    Attributes:
+        rods: the N rods without damping; `rods_at` gives them the material's damping.
+        stem_nodes: (S,) rod nodes of the main stem, root first.
+        arc_length: (S,) distance from the root along the stem [m].
+        flower_nodes: (F,) rod node of each flower.
+        branch_bases: (B,) first node of every branch or petiole that leaves the main stem.
+        is_pedicel: (N,) whether the edge to the parent is modelled pedicel; its stiffness is not the stem's.
+        material: what the rods were made of.
+        pedicel_spread: spread of the pedicels' stiffness, standard deviation of ln [-].
+        least_youngs: Young's modulus at which the plant buckles under its own weight [Pa].
+        notes: what the stage wants the user to know.
+    """
+
+    rods: Rods
+    stem_nodes: NDArray[Any]
+    arc_length: Array
+    flower_nodes: NDArray[Any]
+    branch_bases: NDArray[Any]
+    is_pedicel: NDArray[np.bool_]
+    material: Material
+    pedicel_spread: float
+    least_youngs: float
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        n, s = len(self.rods.nodes), len(self.stem_nodes)
+        if self.rods.natural is None:
+            raise bad_input("rods", given="no natural shape", allowed="rods at rest", do="Use build_plant.")
+        for name in ("stem_nodes", "flower_nodes", "branch_bases"):
+            nodes = check_array(name, getattr(self, name), (None,), dtype="int64")
+            object.__setattr__(self, name, nodes)
+            if np.any((nodes < 0) | (nodes >= n)):
+                raise bad_input(name, given=f"{nodes}", allowed=f"0 <= node < {n}", do="Use rod node numbers.")
+        object.__setattr__(self, "arc_length", check_array("arc_length", self.arc_length, (s,)))
+        object.__setattr__(self, "is_pedicel", check_array("is_pedicel", self.is_pedicel, (n,), dtype="bool"))
+
+    @property
+    def clamp(self) -> Clamp:
+        """The root and the direction in which the stem leaves the soil are held."""
+        return Clamp.root(self.rods)
+
+    def rods_at(self, frequency: float) -> Rods:
+        """Return the rods with the material's damping ratio for motion at `frequency` [Hz].
+
+        Plant tissue is taken as hysteretic, with the loss factor 2 zeta at every frequency. A Kelvin-Voigt time of
+        zeta / (pi f) is that at f; slower motion is then damped less, faster motion more.
+        """
+        check_range("frequency", frequency, 1e-3, 1e4, "Hz")
+        return replace(self.rods, viscous_time=self.material.damping_ratio / (np.pi * frequency))
+
+    def with_material(self, material: Material, *, pedicel_factor: float = 1.0) -> PlantModel:
+        """Return the same plant of another material, again at rest in the scanned shape.
+
+        Args:
+            material: its youngs and radius scale replace those of stem and branches.
+            pedicel_factor: multiplies Young's modulus of the pedicels [-].
+
+        Raises:
+            StageFailure: kind "no_convergence": the plant would buckle.
+        """
+        stiffer = np.where(self.is_pedicel, pedicel_factor, material.youngs / self.material.youngs)
+        heavier = material.density / self.material.density
+        thicker = material.radius_scale / self.material.radius_scale
+        rods = replace(
+            self.rods,
+            edge_radius=np.asarray(self.rods.edge_radius) * np.where(self.is_pedicel, 1.0, thicker),
+            youngs=np.asarray(self.rods.youngs) * stiffer,
+            density=np.asarray(self.rods.density) * heavier,
+            bend_over_twist=material.bend_over_twist,
+            natural=None,
+        )
+        at_rest = standing(rods, self.clamp)
+        if at_rest is None:
+            raise _buckles(material.youngs, self.least_youngs / thicker**4)
+        return replace(
+            self,
+            rods=at_rest,
+            material=material,
+            least_youngs=self.least_youngs / thicker**4,
+        )
+
+    def save(self, path: Path | str) -> None:
+        """Write an .npz (kind 'plant model')."""
+        rods, natural = self.rods, self.rods.natural
+        assert natural is not None
+        arrays = {name: getattr(rods, name) for name in _ROD_ARRAYS} | {n: getattr(self, n) for n in _PLANT_ARRAYS}
+        arrays |= {f"natural_{name}": getattr(natural, name) for name in _NATURAL_ARRAYS}
+        numbers = {"pedicel_spread": self.pedicel_spread, "least_youngs": self.least_youngs}
+        material = [getattr(self.material, name) for name in _MATERIAL]
+        write_npz(path, "plant model", SCHEMA, **arrays, **numbers, material=material, notes=np.array(self.notes, "U"))
+
+    @classmethod
+    def load(cls, path: Path | str) -> PlantModel:
+        """Read what `save` wrote.
+
+        Raises:
+            InputError: missing, truncated, or not a plant model of this schema.
+        """
+        with understood(path):
+            stored: dict[str, Any] = read_npz(path, "plant model", SCHEMA)
+            natural = NaturalShape(**{name: stored[f"natural_{name}"] for name in _NATURAL_ARRAYS})
+            return cls(
+                rods=Rods(**{name: stored[name] for name in _ROD_ARRAYS}, natural=natural),
+                **{name: stored[name] for name in _PLANT_ARRAYS},
+                material=Material(**dict(zip(_MATERIAL, stored["material"].tolist(), strict=True))),
+                pedicel_spread=float(stored["pedicel_spread"]),
+                least_youngs=float(stored["least_youngs"]),
+                notes=tuple(stored["notes"].tolist()),
+            )
+
+
+def build_plant(
+    skeleton: Skeleton,
+    stem: Stem,
+    flowers: Flowers,
+    cloud: Cloud | None = None,
+    material: Material = TOMATO,
+    *,
+    params: Params = Params(),
+) -> PlantModel:
+    """Turn a scanned plant into rods that stand still under gravity.
+
+    Args:
+        skeleton: the tree with radii.
+        stem: which of its nodes are main stem.
+        flowers: each gets a modelled pedicel, which no sensor resolves.
+        cloud: gives the leaf area, hence the leaf mass; None means bare branches.
+        material: prior (`TOMATO`, `PEPPER`) or refined.
+        params: what the scan does not show.
+
+    Raises:
+        InputError: a plant of impossible size, or a flower on a node that does not exist.
+        StageFailure: kind "no_convergence": it cannot stand (see `Params.stiffen`).
+    """
+    _check(skeleton, stem, flowers)
+    rods, is_pedicel, tips, leaves = _rods(skeleton, stem, flowers, cloud, material, params=params)
+    edge = np.arange(len(rods.nodes))
+    on_stem, blade = (np.isin(edge, ids) for ids in (stem.node_ids, np.flatnonzero(in_blade(skeleton, stem))))
+    stiffening = branch_stiffening(rods, on_stem, is_pedicel, blade, BLADE_STIFFNESS)
+    least = least_youngs(rods, Clamp.root(rods), is_pedicel, stiffening)
+    if least is None:
+        raise StageFailure(
+            "no_convergence",
+            "plant model: no stiffness of the stem holds the plant up, so a modelled pedicel is too soft for its "
+            "flower. Raise pedicel_youngs or pedicel_radius.",
+        )
+    chosen, note = _youngs_that_holds(material, least, params)
+    rods = replace(rods, youngs=np.where(is_pedicel, rods.youngs, chosen.youngs * stiffening))
+    return PlantModel(
+        rods=with_gravity_equilibrium(rods, Clamp.root(rods)),
+        stem_nodes=stem.node_ids,
+        arc_length=stem.arc_length,
+        flower_nodes=tips,
+        branch_bases=_branch_bases(skeleton, stem),
+        is_pedicel=is_pedicel,
+        material=chosen,
+        pedicel_spread=PEDICEL_SPREAD,
+        least_youngs=least,
+        notes=(_mass_note(rods, leaves, cloud), *note),
+    )
+
+
+def plant_with_flowers(
+    skeleton: Skeleton,
+    stem: Stem,
+    found: Flowers,
+    cloud: Cloud | None,
+    material: Material,
+    *,
+    params: Params = Params(),
+) -> PlantModel:
+    """Return the plant as rods with the flowers found or, where none was, with those supposed; a note says so.
+
+    Arguments and errors are those of `build_plant`.
+    """
+    if len(found.positions):
+        return build_plant(skeleton, stem, found, cloud, material, params=params)
+    hung = supposed_flowers(skeleton, stem)
+    plant = build_plant(skeleton, stem, hung, cloud, material, params=params)
+    return replace(plant, notes=(*hung.notes, *plant.notes))
+
+
+def _rods(
+    skeleton: Skeleton, stem: Stem, flowers: Flowers, cloud: Cloud | None, material: Material, *, params: Params
+) -> tuple[Rods, NDArray[np.bool_], NDArray[Any], float]:
+    """Return the rods in the scanned shape, which edges are pedicel, the flowers' nodes, and the leaf mass [kg]."""
+    radius = material.radius_scale * edge_radii(skeleton, stem)
+    stalks = hang_flowers(
+        skeleton, flowers, length=params.pedicel_length, radius=params.pedicel_radius, pieces=PEDICEL_PIECES
+    )
+    new = len(stalks.nodes)
+    mass = np.zeros(len(radius) + new)
+    if cloud is not None:
+        mass[: len(radius)] = leaf_mass(skeleton, stem, cloud, areal_density=params.areal_density)
+    leaves, inertia = float(mass.sum()), 0 * mass
+    mass[stalks.tips] += params.flower_mass
+    inertia[stalks.tips] = 0.4 * params.flower_mass * FLOWER_RADIUS**2
+    is_pedicel = np.concatenate([np.zeros(len(radius), dtype=bool), stalks.is_pedicel])
+    rods = Rods(
+        nodes=np.concatenate([skeleton.nodes, stalks.nodes]),
+        parent=np.concatenate([skeleton.parent, stalks.parent]),
+        edge_radius=np.concatenate([radius, stalks.radius]),
+        youngs=np.where(is_pedicel, params.pedicel_youngs, material.youngs),
+        density=material.density,
+        bend_over_twist=material.bend_over_twist,
+        lumped_mass=mass,
+        lumped_inertia=inertia,
+    )
+    return rods, is_pedicel, stalks.tips, leaves
+
+
+def _youngs_that_holds(material: Material, least: float, params: Params) -> tuple[Material, tuple[str, ...]]:
+    """Return the material, stiffened where the plant would not stand with it, and a note that says so.
+
+    Raises:
+        StageFailure: it would not stand and may not be stiffened.
+    """
+    if material.youngs >= MARGIN * least:
+        return material, ()
+    if not params.stiffen:
+        raise _buckles(material.youngs, least)
+    held = MARGIN * least
+    note = (
+        f"Young's modulus raised from {material.youngs / 1e6:.3g} to {held / 1e6:.3g} MPa: below {least / 1e6:.3g} MPa "
+        "the plant would buckle under its own weight, and it stands."
+    )
+    return replace(material, youngs=held), (note,)
+
+
+def _buckles(youngs: float, least: float) -> StageFailure:
+    return StageFailure(
+        "no_convergence",
+        f"plant model: with a Young's modulus of {youngs / 1e6:.3g} MPa the plant buckles under its own weight; "
+        f"about {least / 1e6:.3g} MPa would just hold it. Raise youngs, or check radii, units and leaf mass.",
+    )
+
+
+def _branch_bases(skeleton: Skeleton, stem: Stem) -> NDArray[Any]:
+    on_stem = np.isin(np.arange(len(skeleton.nodes)), stem.node_ids)
+    return 1 + np.flatnonzero(on_stem[skeleton.parent[1:]] & ~on_stem[1:])
+
+
+def _mass_note(rods: Rods, leaves: float, cloud: Cloud | None) -> str:
+    total = f"plant model: {1e3 * rods.node_mass.sum():.3g} g above the soil"
+    if cloud is None:
+        return f"{total}, no leaves: without a cloud their mass is unknown, and frequencies come out too high."
+    return f"{total}, {1e3 * leaves:.3g} g of it leaves."
+
+
+def _check(skeleton: Skeleton, stem: Stem, flowers: Flowers) -> None:
+    size = float(np.ptp(skeleton.nodes, axis=0).max())
+    check_range("plant size", size, 0.02, 20, "m")
+    count = len(skeleton.nodes)
+    for name, nodes in (("stem nodes", stem.node_ids), ("flower attachment", flowers.attachment)):
+        if len(nodes) and not (nodes.min() >= 0 and nodes.max() < count):
+            raise bad_input(name, given=f"node {nodes.max()}", allowed=f"0 <= node < {count}", do="Same skeleton?")
+
+
+_ROD_ARRAYS = (
+    "nodes", "parent", "edge_radius", "youngs", "density", "bend_over_twist", "joint_compliance", "lumped_mass",
+    "lumped_inertia", "node_drag",
+)  # fmt: skip
+_NATURAL_ARRAYS = ("length", "curvature", "twist")
+_PLANT_ARRAYS = ("stem_nodes", "arc_length", "flower_nodes", "branch_bases", "is_pedicel")
+_MATERIAL = tuple(Material.__dataclass_fields__)

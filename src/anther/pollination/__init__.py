@@ -1,0 +1,5 @@
+"""Pollination: grasp -> shake -> execution -> response -> escalation, learning; `pollinate` does it all."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,397 @@
+"""Grasp: where and how the gripper takes the main stem. C candidates, K stations along the stem."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from anther.core.checks import check_array, check_range, check_transform
+from anther.core.errors import StageFailure, bad_input
+from anther.core.files import read_object, understood, write_json
+from anther.core.geometry import Array, inverse, pose7, transform, transform_from_pose7
+from anther.perception.cloud import Cloud
+from anther.perception.masks import FLOWER
+from anther.perception.skeleton import Skeleton
+from anther.perception.stem import Stem
+from anther.pollination.grasp._candidates import Candidates, candidates_along, place_confidence
+from anther.pollination.grasp._clearance import (
+    BRANCH,
+    FLOWER_POINT,
+    LEAF,
+    OBSTACLE,
+    STEM,
+    Clearance,
+    clearance,
+    surroundings_of,
+)
+from anther.robot.arm.gripper_shape import GripperShape
+
+__all__ = [
+    "STAND_OFF", "Grasp", "Params", "Reach", "grasp_of", "grasp_row", "load_grasps", "plan_grasps",
+    "save_grasps",
+]  # fmt: skip
+
+STROKE_MARGIN = 0.008
+"""The stem must be thinner than the stroke by this [m]."""
+STAND_OFF = 0.12
+"""The straight way in begins this far back along the approach axis [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Params:
+    """How grasps are searched and weighed.
+
+    Attributes:
+        gripper: its geometry.
+        fit_gripper: True refuses what this gripper cannot do. False gives the best place on the stem whatever its size:
+            the plant is looked at as if shrunk until its stem fits, and a collision only lowers the score.
+    """
+
+    gripper: GripperShape = field(default_factory=GripperShape)
+    fit_gripper: bool = True
+
+
+SCHEMA = 4
+OFF_BY = 0.002
+"""How far a closing gripper may pull the stem aside [m]: what is left of calibration and registration errors."""
+ROOT_STRAIN = 0.01
+"""Bending strain a stem bears (facts: pollination 6); pulled aside by d at height L, its root sees 3 r d / L^2."""
+
+SPACING, DIRECTIONS = 0.005, 24
+"""Of the stations along the stem [m], and approach directions at each; with an arm, those that lead away from it."""
+STRAIGHT = 0.014
+"""Half length of the stem piece that gives its direction [m]: little more than the pads hold. With 30 mm the pads bent
+stems that change direction at a node nearly twice as much (measured)."""
+ROOT_MARGIN, TOP_MARGIN = 0.065, 0.05
+"""Stem left out at its root and its tip [m]; each at most a quarter of the stem."""
+TOWARD_TIPS = 0.006
+"""The stem stands this far from the pads' middle towards their tips [m], so that less of them reaches into the petioles
+behind it. With 8 mm closing strained the stem by 0.65 instead of 0.72 % in the mean (61 grasps of eight dense peppers,
+simulated), but lost it in 6 of 32 instead of 2 of 29."""
+OPENINGS = 1.0, 0.576
+"""Of the pads on the way in, shares of the stroke, all tried: wide open forgives errors, half open fits between
+petioles."""
+DOUBT = 0.003
+"""How far skeleton and cloud may lie beside the truth [m]: of petioles 1.8 to 3.2 mm in 90 of 100 places (measured on
+peppers); what comes this near the closing pads counts as between them."""
+
+WANTED = 3
+"""Grasps that the arm must confirm."""
+ASKED = 150
+"""So often is the arm asked before what it has confirmed is enough; `PATIENCE` times as often while that is nothing."""
+PATIENCE = 4
+"""A tomato with every leaf twice: the arm reached none of the 150 best, and asking on found one that succeeded."""
+NEAR_FORK = 0.025
+"""So far below a fork [m] the skeleton cuts the corner: 5 mm below, by 6 mm and 11 to 15 degrees (two peppers)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Grasp:
+    """A grasp of the main stem. The gripper approaches along the flange's +z; its fingers close along +-y.
+
+    Attributes:
+        T_world_flange: (4, 4) flange (`right_hand`) pose with the stem between the finger pads.
+        point: (3,) grasped point on the stem's centreline, world [m].
+        tangent: (3,) unit stem direction there, root to tip.
+        approach: (3,) unit approach direction n, world (the flange's +z).
+        arc_length: distance from the root along the stem [m].
+        stem_diameter: [m], as measured by perception.
+        clearance: smallest distance between the open gripper on its way in and plant, pot or bench [m], at most 0.03;
+            negative when it brushes leaves.
+        score: higher is better; comparable within one ranked list only.
+        reason: why it ranks where it does, for people.
+        joints: (J,) arm joints at the grasp [rad], or None when no arm was asked.
+        confidence: probability that it is the main stem that closes between the fingers (pepper: below the first fork;
+            docs/confidence.md), or None when the skeleton's confidence is unknown.
+        opening: between the pads on the way in and out [m].
+        squeezed: petioles between the closing pads reach so far beyond the stem's surface [m]; None if unknown.
+    """
+
+    T_world_flange: Array
+    point: Array
+    tangent: Array
+    approach: Array
+    arc_length: float
+    stem_diameter: float
+    clearance: float
+    score: float
+    reason: str
+    joints: NDArray[Any] | None = None
+    confidence: float | None = None
+    opening: float = GripperShape().stroke
+    squeezed: float | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "T_world_flange", check_transform("T_world_flange", self.T_world_flange))
+        for name in ("point", "tangent", "approach"):
+            object.__setattr__(self, name, check_array(name, getattr(self, name), (3,)))
+        if self.joints is not None:
+            object.__setattr__(self, "joints", check_array("joints", self.joints, (None,)))
+        check_range("grasp arc length", self.arc_length, 0, 20, "m")
+        if self.confidence is not None:
+            check_range("grasp confidence", self.confidence, 0, 1)
+
+    @property
+    def pose7(self) -> Array:
+        """The flange pose as x, y, z [m], qx, qy, qz, qw."""
+        return pose7(self.T_world_flange)
+
+    def pregrasp(self, distance: float) -> Array:
+        """Return T_world_flange `distance` [m] back along the approach."""
+        return self.T_world_flange @ transform(np.eye(3), [0, 0, -distance])
+
+    def carried(self, forward: Callable[[Array], Array]) -> Callable[[Array], Array]:
+        """Return what tells where the held point is: joints (T, J) [rad] -> (T, 3) [m], carried along by the flange.
+
+        Args:
+            forward: joints (T, J) -> T_world_flange (T, 4, 4).
+        """
+        middle = np.append((inverse(self.T_world_flange) @ np.append(self.point, 1))[:3], 1)
+        return lambda joints: (forward(joints) @ middle)[:, :3]
+
+
+Reach = Callable[[Array, Array], Array | None]
+"""What grasp planning asks of an arm: T_world_flange (4, 4) before the grasp and at it -> joints (J,) at the grasp if
+both, and the line between them, can be reached, else None."""
+
+
+def plan_grasps(
+    stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params = Params(), reach: Reach | None = None
+) -> list[Grasp]:
+    """Return grasps of the main stem, best first, at different heights.
+
+    Stations along the stem times directions around it are scored by what the open gripper meets on its straight way
+    in, what its pads squeeze beside the stem when they close, the stem's thickness and straightness, the distance from
+    attachments, and how sure it is that the main stem stands there.
+
+    Args:
+        stem, skeleton, cloud: the plant and, in the cloud, pot and bench.
+        params: see `Params`.
+        reach: the arm, asked down the ranking until `WANTED` grasps are confirmed; None asks no arm.
+
+    Raises:
+        StageFailure: "no_grasp_found" (no candidate is clear of pot, bench and stem) or "unreachable" (the arm
+            confirmed none); the message counts what fell by which criterion.
+    """
+    if len(stem.organ) != len(skeleton.nodes):
+        given = f"a stem of {len(stem.organ)} nodes"
+        raise bad_input("stem", given=given, allowed=f"of this skeleton ({len(skeleton.nodes)})", do="Find it again.")
+    scale = 1.0
+    if not params.fit_gripper:  # shrunk until the stem fills no more than half the stroke
+        scale = max(1.0, float(2 * np.median(skeleton.radius[stem.node_ids]) / (0.5 * params.gripper.stroke)))
+    if scale > 1:
+        smaller = 1 / scale
+        stem = replace(stem, arc_length=stem.arc_length * smaller)
+        skeleton = replace(skeleton, nodes=skeleton.nodes * smaller, radius=skeleton.radius * smaller)
+        cloud = replace(cloud, points=cloud.points * smaller, obstacles=cloud.obstacles * smaller)
+    ranking = _rank(stem, skeleton, cloud, params, toward_base=reach is not None)
+    return [_enlarged(grasp, scale) for grasp in _first_reached(ranking, reach)]
+
+
+def save_grasps(path: Path | str, grasps: Sequence[Grasp]) -> None:
+    """Write the ranked list as JSON: a "grasps" list of `grasp_row`."""
+    write_json(path, {"kind": "grasps", "schema": SCHEMA, "grasps": [grasp_row(g) for g in grasps]})
+
+
+def load_grasps(path: Path | str) -> list[Grasp]:
+    """Read a list written by `save_grasps`.
+
+    Raises:
+        InputError: missing, not JSON, or not a list of grasps of this schema.
+    """
+    stored = read_object(path)
+    if (stored.get("kind"), stored.get("schema")) != ("grasps", SCHEMA):
+        raise bad_input(str(path), given="another kind of JSON", allowed=f"grasps, schema {SCHEMA}", do="Plan again.")
+    with understood(path, str(_SAVED), "Plan again."):
+        return [grasp_of(row) for row in stored["grasps"]]
+
+
+def grasp_row(grasp: Grasp) -> dict[str, Any]:
+    """Return all of a grasp for a JSON file; the flange's pose as 7 numbers: x, y, z [m], qx, qy, qz, qw."""
+    return {"pose": grasp.pose7, **{name: getattr(grasp, name) for name in _SAVED}}
+
+
+def grasp_of(row: dict[str, Any]) -> Grasp:
+    """Return the grasp of a `grasp_row`.
+
+    Raises:
+        KeyError, TypeError: something is missing, or of another type.
+    """
+    return Grasp(transform_from_pose7(row["pose"]), **{name: row[name] for name in _SAVED})
+
+
+_SAVED = tuple(name for name in Grasp.__dataclass_fields__ if name != "T_world_flange")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Ranking:
+    """Candidates with what they cost and how sure they are; `fell` counts those refused, by criterion."""
+
+    candidates: Candidates
+    met: Clearance
+    costs: dict[str, NDArray[Any]]
+    order: NDArray[Any]
+    fell: Counter[str]
+    confidence: Array | None
+
+
+def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, toward_base: bool) -> _Ranking:
+    gripper, length = params.gripper, float(stem.arc_length[-1])
+    candidates = candidates_along(
+        stem,
+        skeleton,
+        directions=DIRECTIONS,
+        spacing=max(SPACING, length / 60),
+        window=min(STRAIGHT, length / 8),
+        ends=(min(ROOT_MARGIN, length / 4), min(TOP_MARGIN, length / 4)),
+        depth=gripper.depth + TOWARD_TIPS,
+    )
+    if toward_base:
+        few = (candidates.arc_length <= stem.arc_length[stem.fork]) | (candidates.station % 4 == 0)
+        candidates = candidates.only(few & (candidates.outward() > 0))
+    around, poses = surroundings_of(stem, skeleton, cloud), candidates.T_world_flange
+    openings = tuple(share * gripper.stroke for share in OPENINGS)
+    open_ = [(gripper.boxes(STAND_OFF, o), gripper.closing(DOUBT, o)) for o in openings]
+    with ThreadPoolExecutor() as pool:
+        met = Clearance.of(list(pool.map(lambda shape: clearance(poses, around, *shape), open_)))
+    candidates = candidates.opened(openings)
+    confidence = place_confidence(stem, skeleton, candidates.arc_length)
+    if confidence is not None:
+        confidence = confidence * (1 - cloud.seen_through)  # it was fitted on views that agree
+    refusals = _refusals(candidates, met, confidence, params)
+    costs = _costs(candidates, met, cloud, params, length)
+    below = stem.arc_length[stem.fork] - candidates.arc_length  # above its first fork it is no longer the main stem
+    costs["near or above a fork"] = 10.0 * np.clip(1 - below / NEAR_FORK, 0, 1)
+    if confidence is not None:
+        costs["perhaps not the main stem"] = 6.0 * (1 - confidence)
+    if toward_base:
+        costs["comes from behind the plant"] = 0.25 * (1 - candidates.outward())
+    refused = np.any(list(refusals.values()), axis=0)
+    if not params.fit_gripper:
+        costs |= {name: 3.0 * yes for name, yes in refusals.items()}
+        refused[:] = False
+    total = np.sum(list(costs.values()), axis=0)
+    order = np.argsort(np.where(refused, np.inf, total), kind="stable")[: int((~refused).sum())]
+    fell = Counter({name: int(yes.sum()) for name, yes in refusals.items() if yes.any()})
+    return _Ranking(candidates, met, costs, order, fell, confidence)
+
+
+STEM_CLEARANCE, OBSTACLE_CLEARANCE = 0.003, 0.015
+"""Least distance of the open fingers from the stem's surface, and of the gripper from pot, soil and bench [m]."""
+APART = 0.012
+"""Along the stem, so that the next grasp differs when one fails [m]; at most a twentieth of the stem."""
+SLACK = 0.6
+"""A grasp whose score is lower than the best's by more is a last resort: it is tried when the better ones failed."""
+DOUBTED = "probably not the main stem"
+
+
+def _refusals(c: Candidates, met: Clearance, confidence: Array | None, params: Params) -> dict[str, NDArray[np.bool_]]:
+    """Return per criterion which candidates (C,) can never be taken."""
+    doubtful = np.zeros(len(c.station), dtype=bool) if confidence is None else confidence < 0.5
+    return {
+        DOUBTED: doubtful,
+        "thicker than the stroke": 2 * c.radius > params.gripper.stroke - STROKE_MARGIN,
+        "would hit pot or bench": met.distance[:, OBSTACLE] < OBSTACLE_CLEARANCE,
+        "would hit the stem": met.distance[:, STEM] < STEM_CLEARANCE,
+    }
+
+
+def _costs(c: Candidates, met: Clearance, cloud: Cloud, params: Params, length: float) -> dict[str, NDArray[Any]]:
+    """Return what speaks against each candidate (C,), by name; 1 is clearly bad. The weights are our judgement."""
+    flowers = cloud.points[cloud.labels == FLOWER] if cloud.labels is not None else np.zeros((0, 3))
+    flower_distance = KDTree(flowers).query(c.points)[0] if len(flowers) else np.full(len(c.points), np.inf)
+    squeezed = met.squeezed(c.radius)
+    aside = OFF_BY + np.minimum(squeezed / 2, 0.004)
+    pushed = met.push * c.arc_length / (np.pi / 4 * np.maximum(c.radius, 1e-4) ** 3)  # strain at the root, M r / (E I)
+    return {
+        "brushes leaves": np.minimum(met.touched[:, LEAF] / 60, 1.5),  # they press with 0.5 N at most (measured)
+        "brushes a flower": met.touched[:, FLOWER_POINT] / 3,
+        "near a petiole": 0.7 * np.clip(1 - met.distance[:, BRANCH] / DOUBT, 0, 1),
+        "pushes a petiole": np.minimum(4.0 * pushed / ROOT_STRAIN, 6),
+        "a branch between the fingers": np.minimum(squeezed / 0.002, 6),
+        "crowded with petioles": met.enclosed[:, BRANCH] / 6,  # 18 mm of them, in balls 3 mm apart
+        "leaves between the fingers": np.minimum(met.enclosed[:, LEAF] / 10, 1),
+        "near a flower": np.exp(-flower_distance / 0.03),
+        "near the root": 4.0 * (3 * c.radius * aside / np.maximum(c.arc_length, 1e-3) ** 2) / ROOT_STRAIN,
+        "near an attachment": 0.3 * np.exp(-c.attachment_distance / 0.015),
+        "bent stem": c.bend / 0.0007,
+        "half open": 0.3 * (c.opening < max(OPENINGS) * params.gripper.stroke),
+        "thick for the gripper": 2.5 * np.maximum(2 * c.radius / params.gripper.stroke - 0.6, 0),
+        "far from the stem's middle": 0.4 * np.abs(c.arc_length / length - 0.5),
+    }
+
+
+def _first_reached(ranking: _Ranking, reach: Reach | None) -> list[Grasp]:
+    """Return the best candidates, `APART` from each other, that the arm confirms, until enough are found."""
+    found, asked, refused = list[Grasp](), 0, set[bytes]()
+    apart = min(APART, float(ranking.candidates.arc_length.max(initial=0)) / 20) - 1e-9
+    for i in ranking.order:
+        if reach is not None and (len(found) == WANTED or asked >= ASKED * (1 if found else PATIENCE)):
+            break
+        pose = ranking.candidates.T_world_flange[i].tobytes()  # the arm reaches it with either opening or with none
+        if pose in refused or any(abs(ranking.candidates.arc_length[i] - g.arc_length) < apart for g in found):
+            continue
+        grasp = _grasp(ranking, int(i))
+        if reach is not None:
+            asked += 1
+            joints = reach(grasp.pregrasp(STAND_OFF), grasp.T_world_flange)
+            if joints is None:
+                refused.add(pose)
+                continue
+            grasp = replace(grasp, joints=joints)
+        found.append(grasp)
+    if not found:
+        raise _nothing(ranking, asked)
+    return found
+
+
+def _nothing(ranking: _Ranking, asked: int) -> StageFailure:
+    total = len(ranking.candidates.station)
+    fell = ", ".join(f"{count} {name}" for name, count in ranking.fell.items()) or "none refused"
+    if asked:
+        message = f"the arm reaches none of the {asked} best of {total} grasps ({fell}). Move the plant or the base."
+        return StageFailure("unreachable", message)
+    do = "Give the gripper more room."
+    if ranking.fell[DOUBTED] == total:
+        do = "Take more views, or name what is right with --root and --stem-tip."
+    return StageFailure("no_grasp_found", f"none of {total} grasps is free: {fell}. {do}")
+
+
+def _grasp(ranking: _Ranking, i: int) -> Grasp:
+    c, free = ranking.candidates, float(ranking.met.distance[i].min())
+    cost = {name: float(values[i]) for name, values in ranking.costs.items()}
+    against = [name for name, value in sorted(cost.items(), key=lambda item: -item[1]) if value >= 0.15][:3]
+    reason = f"stem {2e3 * c.radius[i]:.1f} mm thick, clearance {1e3 * free:.0f} mm"
+    return Grasp(
+        T_world_flange=c.T_world_flange[i],
+        point=c.points[i],
+        tangent=c.tangents[i],
+        approach=c.approach[i],
+        arc_length=float(c.arc_length[i]),
+        stem_diameter=float(2 * c.radius[i]),
+        clearance=free,
+        score=-sum(cost.values()),
+        reason="; ".join([reason, *against]),
+        confidence=None if ranking.confidence is None else float(ranking.confidence[i]),
+        opening=float(c.opening[i]),
+        squeezed=float(ranking.met.squeezed(c.radius)[i]),
+    )
+
+
+def _enlarged(grasp: Grasp, scale: float) -> Grasp:
+    if scale == 1:
+        return grasp
+    T = grasp.T_world_flange.copy()
+    T[:3, 3] *= scale
+    lengths = ("point", "arc_length", "stem_diameter", "clearance", "opening", "squeezed")
+    larger = {name: getattr(grasp, name) * scale for name in lengths}
+    reason = f"for a gripper {scale:.1f} times as large: {grasp.reason}"
+    return replace(grasp, T_world_flange=T, reason=reason, **larger)

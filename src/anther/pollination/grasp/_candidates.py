@@ -1,0 +1,176 @@
+"""Where along the stem and from which side a gripper could come, and how sure it is that the main stem stands there.
+
+C candidates, K places along the stem.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anther.core.geometry import Array
+from anther.perception.skeleton import Skeleton
+from anther.perception.skeleton.support import probability
+from anther.perception.stem import Stem
+from anther.perception.stem.confidence import plant_evidence, rise_share
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidates:
+    """Stations times directions times the two rolls about the approach (camera towards tip or root). C candidates.
+
+    Attributes:
+        station: (C,) index of the station along the stem.
+        arc_length: (C,) distance from the root along the stem [m].
+        points: (C, 3) on the centreline [m].
+        tangents: (C, 3) unit stem direction, root to tip.
+        approach: (C, 3) unit approach direction.
+        T_world_flange: (C, 4, 4).
+        radius: (C,) stem radius [m].
+        bend: (C,) rms distance of the centreline from its straight fit [m].
+        attachment_distance: (C,) along the stem to the nearest attachment [m]; infinite without any.
+        opening: (C,) between the pads on the way in [m].
+    """
+
+    station: NDArray[Any]
+    arc_length: Array
+    points: Array
+    tangents: Array
+    approach: Array
+    T_world_flange: Array
+    radius: Array
+    bend: Array
+    attachment_distance: Array
+    opening: Array
+
+    def outward(self) -> Array:
+        """Return (C,) the cosine between approach and the horizontal direction from the base, the world's origin."""
+        away = self.points[:, :2] / np.maximum(np.linalg.norm(self.points[:, :2], axis=1, keepdims=True), 1e-9)
+        return np.sum(self.approach[:, :2] * away, axis=1)
+
+    def opened(self, openings: tuple[float, ...]) -> Candidates:
+        """Return them all with the first opening [m], then all with the second, and so on."""
+        every = self.only(np.tile(np.arange(len(self.station)), len(openings)))
+        return replace(every, opening=np.repeat(openings, len(self.station)))
+
+    def only(self, which: NDArray[Any]) -> Candidates:
+        """Return those candidates of these (C,), or of these numbers."""
+        return Candidates(*(getattr(self, f.name)[which] for f in fields(self)))
+
+
+def candidates_along(
+    stem: Stem,
+    skeleton: Skeleton,
+    *,
+    directions: int,
+    spacing: float,
+    window: float,
+    ends: tuple[float, float],
+    depth: float,
+) -> Candidates:
+    """Return every grasp to be considered.
+
+    Args:
+        stem, skeleton: the plant.
+        directions: evenly around the stem.
+        spacing: of stations along the stem [m].
+        window: half length of the stem piece fitted [m].
+        ends: lengths left out at root and tip [m].
+        depth: from the flange to the middle of the pads [m].
+    """
+    arcs = np.arange(ends[0], stem.arc_length[-1] - ends[1] + 1e-9, spacing)
+    free = np.abs(np.append(stem.arc_length[stem.attachments], np.inf) - arcs[:, None]).min(axis=1)
+    fits = zip(*_fits(stem, skeleton, arcs, window), strict=True)
+    points, tangents, radius, bend = (np.array(column) for column in fits)
+    around = np.stack([directions_across(tangent, directions) for tangent in tangents])
+    rolls = np.stack([tangents, -tangents], axis=1)
+    station, direction, roll = (i.ravel() for i in np.indices((len(arcs), directions, 2)))
+    n, up = around[station, direction], rolls[station, roll]
+    pose = flange_pose(points[station], up, n, depth)
+    return Candidates(
+        station,
+        arcs[station],
+        points[station],
+        tangents[station],
+        n,
+        pose,
+        radius[station],
+        bend[station],
+        free[station],
+        np.full(len(station), np.nan),
+    )
+
+
+def _fits(stem: Stem, skeleton: Skeleton, arcs: Array, window: float) -> list[tuple[Array, Array, float, float]]:
+    """Return point, tangent, radius and bend of a straight fit to the stem around each arc length.
+
+    No place of a stem is much thinner than the stem about it: one that seems to be is half hidden.
+    """
+    s, nodes = stem.arc_length, skeleton.nodes[stem.node_ids]
+    dense = np.linspace(s[0], s[-1], max(int(10 * (s[-1] - s[0]) / window), 20))
+    line = np.stack([np.interp(dense, s, nodes[:, i]) for i in range(3)], axis=1)
+    radius = np.interp(dense, s, skeleton.radius[stem.node_ids])
+    fits = []
+    for arc in arcs:
+        near, about = np.abs(dense - arc) <= window, np.abs(dense - arc) <= 4 * window
+        point, tangent, bend = _straight_fit(dense[near] - arc, line[near])
+        fits.append((point, tangent, float(max(np.median(radius[near]), np.median(radius[about]))), bend))
+    return fits
+
+
+def _straight_fit(t: Array, points: Array) -> tuple[Array, Array, float]:
+    """Return value and unit slope at t = 0 and rms residual [m] of the least-squares line through points (N, 3)."""
+    slope, offset = np.polyfit(t, points, 1)
+    residual = points - np.outer(t, slope) - offset
+    return offset, slope / np.linalg.norm(slope), float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
+
+
+def directions_across(tangent: Array, count: int) -> Array:
+    """Return (count, 3) unit directions evenly around the stem, perpendicular to its `tangent` (3,)."""
+    first = np.cross(tangent, [0.0, 0.0, 1.0])
+    if np.linalg.norm(first) < 0.1:
+        first = np.cross([0.0, 1.0, 0.0], tangent)
+    first /= np.linalg.norm(first)
+    angles = 2 * np.pi * np.arange(count) / count
+    return np.outer(np.cos(angles), first) + np.outer(np.sin(angles), np.cross(tangent, first))
+
+
+def flange_pose(point: Array, tangent: Array, approach: Array, depth: float) -> Array:
+    """Return T_world_flange (..., 4, 4): `point` (..., 3) is `depth` [m] along +z = `approach`, +x = `tangent`."""
+    T = np.zeros((*np.shape(point)[:-1], 4, 4))
+    T[..., 3, 3] = 1
+    T[..., :3, :3] = np.stack([tangent, np.cross(approach, tangent), approach], axis=-1)
+    T[..., :3, 3] = point - depth * approach
+    return T
+
+
+FITTED = (-6.67, 8.66, 1.13, 1.26, 3.08)
+"""Constant and weights of `place_evidence` in the log-odds: `python -m evaluation.perception.fit_confidence`."""
+
+LITTLE, LITTLE_RIGHT = 0.1, 0.4
+"""A stem that rises by less than this share of the plant's height is a leaf's tip, or too short to be held for sure: of
+twelve such grasps on the development plants five were right."""
+
+
+def place_confidence(stem: Stem, skeleton: Skeleton, arcs: Array) -> Array | None:
+    """Return (K,) the probability that what stands at these arc lengths [m] is the main stem.
+
+    That is: the true main stem (pepper: below its first fork) passes within 5 mm of the place on the centreline.
+    None when the skeleton's own confidence is unknown.
+    """
+    if skeleton.confidence is None:
+        return None
+    sure = probability(FITTED, place_evidence(stem, skeleton, arcs))
+    return np.minimum(sure, LITTLE_RIGHT) if rise_share(skeleton, stem.node_ids) < LITTLE else sure
+
+
+def place_evidence(stem: Stem, skeleton: Skeleton, arcs: Array) -> Array:
+    """Return (K, 4), larger is better: below a fork or not, and what the plant says of its stem (`plant_evidence`).
+
+    The nodes' confidence and the best rival path add nothing to that (measured).
+    """
+    below = arcs <= stem.arc_length[stem.fork] + 1e-9
+    return np.column_stack([below, np.tile(plant_evidence(skeleton, stem.node_ids), (len(arcs), 1))])

@@ -1,0 +1,323 @@
+"""The whole way through the house: views -> masks -> cloud -> skeleton -> stem -> grasp -> shake -> response."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from anther.core.errors import FailureKind, InputError, StageFailure
+from anther.core.geometry import Array, Box
+from anther.core.runs import Advance, Run
+from anther.perception import cloud, flowers, masks, skeleton, stem
+from anther.perception.capture import Capture
+from anther.perception.cloud import Cloud, likely_cause
+from anther.perception.flowers import Flowers
+from anther.perception.masks import Masks, by_words, without_ground
+from anther.perception.skeleton import Skeleton
+from anther.perception.stem import Stem
+from anther.plant import model as plant
+from anther.plant.belief import EarlierShake
+from anther.plant.model import Material, PlantModel
+from anther.pollination import escalation, execution, grasp, shake
+from anther.pollination.escalation import SHORTEST, Escalation, foresee, watch_points
+from anther.pollination.execution import Arrive, Trial, early_reach
+from anther.pollination.grasp import Grasp
+from anther.pollination.learning import ObservedShake, feel, refine
+from anther.pollination.response import Response, measure_response, stem_near
+from anther.pollination.response.thresholds import FEWEST_FRAMES
+from anther.pollination.shake import Pads, ShakePlan
+from anther.robot.cell import ActuatorName, Cell, MotionPlanner
+from anther.robot.safety import shake_amplitude
+
+TRY_THE_NEXT: tuple[FailureKind, ...] = (
+    "nothing_grasped", "branch_or_leaf_grasped", "unreachable", "collision", "limits_exceeded",
+)  # fmt: skip
+"""How one grasp can fail so that another may still succeed, if nothing was shaken yet."""
+
+
+@dataclass(frozen=True)
+class Params:
+    """Every stage's parameters; each stage documents its own."""
+
+    masks: masks.Params = field(default_factory=masks.Params)
+    by_words: by_words.Params = field(default_factory=by_words.Params)
+    cloud: cloud.Params = field(default_factory=cloud.Params)
+    skeleton: skeleton.Params = field(default_factory=skeleton.Params)
+    stem: stem.Params = field(default_factory=stem.Params)
+    grasp: grasp.Params = field(default_factory=grasp.Params)
+    plant: plant.Params = field(default_factory=plant.Params)
+    shake: shake.Params = field(default_factory=shake.Params)
+    escalation: escalation.Params = field(default_factory=escalation.Params)
+    actuator: ActuatorName = "arm"
+    """What shakes the closed pads: the arm, or a motor in the gripper, which is always watched."""
+    escalate: bool = True
+    """Whether the shake is raised by what the side camera sees, or done as planned."""
+
+
+MaskSource = Literal["colour", "grounded-sam2", "sam3"]
+FindMasks = Callable[[Capture, Box | None, Advance], Masks]
+"""Another way to masks than `masks.segment`: (capture, workspace, progress) -> Masks."""
+
+
+def mask_finder(source: MaskSource, models: Path, params: Params, cache: Path | None) -> FindMasks | None:
+    """Return what finds the masks by networks, whose weights are in `models` and whose masks are kept in `cache`.
+
+    None for colour and geometry, which is the pipeline's own way.
+
+    Raises:
+        MissingExtra: torch or transformers is not installed.
+        InputError: weights are missing. Both are said before any other work is done.
+    """
+    if source == "colour":
+        return None
+    by_words.find_models(models, source)
+
+    def find(capture: Capture, workspace: Box | None, progress: Advance) -> Masks:
+        seen = by_words.segment(capture, models, params.by_words, method=source, cache=cache, progress=progress)
+        return without_ground(seen, capture, workspace, params.masks)
+
+    return find
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """What perception made of the views."""
+
+    masks: Masks
+    cloud: Cloud
+    skeleton: Skeleton
+    stem: Stem
+    flowers: Flowers
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Done:
+    """What a trial did: the shake, its execution, how the flowers answered, and what that taught of the material.
+
+    Attributes:
+        material: what is believed of the plant afterwards.
+        believed: what the shake was planned with; None if unknown.
+        pads: what is believed of the gripper's pads afterwards; None if unknown.
+        alone: why the plan alone was to be carried out; None where the shake was to be raised.
+    """
+
+    shake: ShakePlan
+    trial: Trial
+    response: Response | None
+    material: Material
+    believed: Material | None = None
+    pads: Pads | None = None
+    alone: str | None = None
+
+
+def perceive(
+    capture: Capture, workspace: Box | None, run: Run, params: Params, find_masks: FindMasks | None = None
+) -> Seen:
+    """Turn views into a labelled cloud, a rooted skeleton, its main stem and its flowers.
+
+    The workspace is where the plant may stand, world [m]; None: about where the cameras look.
+
+    Raises:
+        StageFailure: no plant or no stem was found.
+    """
+    find_masks = find_masks or (lambda views, box, _: masks.segment(views, box, params.masks))
+    with cause_named(capture):
+        labels = run.stage("masks", Masks.load, lambda advance: find_masks(capture, workspace, advance))
+        fused = run.stage(
+            "cloud", Cloud.load, lambda advance: cloud.fuse(capture, labels, workspace, params.cloud, progress=advance)
+        )
+        tree = run.stage("skeleton", Skeleton.load, lambda _: skeleton.skeletonize(fused, params.skeleton))
+        centres = flowers.flower_centres(fused)
+        main = run.stage("stem", Stem.load, lambda _: stem.find_stem(tree, params.stem, flowers_at=centres))
+    found = run.stage("flowers", Flowers.load, lambda _: flowers.find_flowers(fused, tree, main, centres=centres))
+    return Seen(labels, fused, tree, main, found)
+
+
+_UNSEEN = ("no_plant_found", "no_stem_found", "no_grasp_found")
+
+
+@contextmanager
+def cause_named(capture: Capture) -> Iterator[None]:
+    """Add to a failure to find the plant, its stem or a grasp what is probably wrong with the views."""
+    try:
+        yield
+    except StageFailure as failure:
+        cause = likely_cause(capture) if failure.kind in _UNSEEN else ""
+        if cause and cause not in str(failure):
+            raise StageFailure(failure.kind, f"{failure} {cause}") from failure
+        raise
+    except InputError as error:
+        if cause := likely_cause(capture):
+            raise InputError(f"{error} {cause}") from error
+        raise
+
+
+def rank_grasps(seen: Seen, reach: grasp.Reach | None, run: Run, params: Params) -> list[Grasp]:
+    """Rank the grasps of the main stem, best first; with `reach`, only those the arm can take.
+
+    Raises:
+        StageFailure: there is none.
+    """
+    return run.stage(
+        "grasp",
+        grasp.load_grasps,
+        lambda _: grasp.plan_grasps(seen.stem, seen.skeleton, seen.cloud, params.grasp, reach=reach),
+        save=lambda ranked, path: grasp.save_grasps(path, ranked),
+    )
+
+
+def model_plant(seen: Seen, material: Material, params: Params) -> PlantModel:
+    """Return the plant as rods with the flowers that were seen, or else with those supposed; a note says so."""
+    return plant.plant_with_flowers(seen.skeleton, seen.stem, seen.flowers, seen.cloud, material, params=params.plant)
+
+
+def pollinate(
+    cell: Cell,
+    material: Material,
+    run: Run,
+    params: Params,
+    find_masks: FindMasks | None = None,
+    earlier: EarlierShake | None = None,
+) -> Done:
+    """See, grasp and shake one plant, and measure how its flowers answer.
+
+    The shake is chosen among the grasps about as good as the best. When the gripper holds nothing or the wrong thing,
+    or a motion is refused, another place on the stem is tried. `material` is what is believed of the plant.
+
+    Raises:
+        StageFailure: a stage before the execution cannot go on; its kind says why.
+    """
+    capture = run.stage("capture", Capture.load, cell.take_views)
+    seen = perceive(capture, cell.workspace, run, params, find_masks)
+    planner = cell.plan_around(seen.cloud)
+    grasps = rank_grasps(seen, planner.reach, run, params)
+    with ThreadPoolExecutor(1) as beside:  # the plant is modelled while the early reach is planned
+        modelled = beside.submit(model_plant, seen, material, params)
+        with early_reach(planner, grasps[0], cell.robot, cell.limits) as arrive:
+            rods = run.stage("plant model", PlantModel.load, lambda _: modelled.result())
+            shake, trial, alone = _shaken(cell, planner, rods, grasps, seen, run, arrive, params, earlier)
+    answer = _watched(cell, trial, shake, seen, run)
+    if answer is None:
+        return Done(shake, trial, answer, rods.material, rods.material, params.shake.pads, alone)
+    felt = feel(trial, shake, cell.limits.forward)
+    told = [ObservedShake.of(shake, answer, felt)]
+    learned = run.timed("learning", lambda _: refine(rods, told, pads=params.shake.pads))
+    return Done(shake, trial, answer, learned.material, rods.material, learned.pads, alone)
+
+
+def _watched(cell: Cell, trial: Trial, plan: ShakePlan, seen: Seen, run: Run) -> Response | None:
+    """Measure the motion of flowers and stem in the side camera's frames; None when there are too few."""
+    camera, pose = cell.robot.side_camera, cell.robot.T_world_side_camera
+    if camera is None or pose is None or not trial.frames or not len(seen.flowers.positions):
+        return None
+    begin, end = trial.steady
+    frames = [f for f in trial.frames if not trial.steps or begin <= f.time <= end] or trial.frames
+    if len(frames) < FEWEST_FRAMES:  # a shake that was cut short
+        return None
+    ids = seen.stem.node_ids
+    nodes, radius = seen.skeleton.nodes[ids], seen.skeleton.radius[ids]
+    beside = stem_near(nodes, seen.stem.arc_length, radius, plan.grasp.arc_length)
+    return run.stage(
+        "response",
+        Response.load,
+        lambda _: measure_response(frames, camera.intrinsics, pose, seen.flowers, plan.frequency, stem=beside),
+    )
+
+
+def _shaken(
+    cell: Cell,
+    planner: MotionPlanner,
+    rods: PlantModel,
+    grasps: list[Grasp],
+    seen: Seen,
+    run: Run,
+    arrive: Arrive | None,
+    params: Params,
+    earlier: EarlierShake | None,
+) -> tuple[ShakePlan, Trial, str | None]:
+    """Shake at one of the best grasps; where that fails and leaves the plant unharmed, at one of the others.
+
+    `arrive` waits for the arm that has gone before the best. Return also why the plan alone was to be carried out.
+    """
+
+    def arm_limit(at: Grasp, direction: Array, hertz: Array) -> Array:
+        assert at.joints is not None
+        return np.minimum(planner.shake_limit(at.joints, direction, hertz), shake_amplitude(hertz, cell.limits))
+
+    by_arm = params.actuator == "arm"
+    actuator = shake.arm_shaker(arm_limit) if by_arm else shake.VIBRATING_GRIPPER
+    robot, pressing = replace(cell.robot, motor=None) if by_arm else cell.robot, cell.limits.pressing
+
+    def told(advance: Advance) -> execution.Progress:
+        def begins(done: int, phases: int, phase: str) -> None:
+            advance(done, phases)
+            run.told("phase", phase)
+
+        return begins
+
+    while True:
+        offered = [g for g in grasps if g.score >= grasps[0].score - grasp.SLACK]
+        try:
+            plan = run.stage(
+                "shake plan",
+                ShakePlan.load,
+                lambda _, offered=offered: shake.plan_shake(rods, offered, actuator, params.shake, pressing, earlier),
+            )
+        except StageFailure as failure:
+            if failure.kind not in TRY_THE_NEXT or len(offered) == len(grasps):
+                raise
+            grasps = grasps[len(offered) :]
+            continue
+        way = _watching(cell, rods, plan, seen, params)
+        watched, alone = (None, way) if isinstance(way, str) else (way, None)
+        if watched is None and not by_arm:
+            why = "a motor shakes only what a side camera watches, and flowers it knows."
+            raise StageFailure("limits_exceeded", why)
+        run.told("watched", watched)
+        commanded = plan if watched is None else watched.plan
+        trial = run.stage(
+            "execution",
+            Trial.load,
+            lambda advance, plan=commanded, arrive=arrive, watched=watched: execution.execute(
+                planner, plan, robot, cell.limits, progress=told(advance), arrive=arrive, watched=watched
+            ),
+        )
+        arrive, planned = None, plan.grasp_index
+        if watched is not None:
+            plan = watched.executed(trial.steps)
+        grasps = [g for i, g in enumerate(grasps) if i != planned]
+        if trial.failure not in TRY_THE_NEXT or len(trial.shake_times) or not grasps:
+            return plan, trial, alone
+
+
+def _watching(cell: Cell, rods: PlantModel, plan: ShakePlan, seen: Seen, params: Params) -> Escalation | str:
+    """Return what raises the shake by what the side camera sees; where it cannot, why not."""
+    camera, pose = cell.robot.side_camera, cell.robot.T_world_side_camera
+    seconds = min(params.escalation.most_seconds, cell.limits.shake_duration)
+    if not (params.escalate or params.actuator == "gripper"):
+        paper = not params.shake.keeps_limits
+        return "the paper's shake is done as it is" if paper else "it was not to be watched, as asked"
+    if camera is None or pose is None:
+        return "there is no side camera"
+    if seconds < SHORTEST:
+        return f"the cell's shake_duration is less than the {SHORTEST:g} s that watching takes"
+    if not len(seen.flowers.positions):
+        return "no flower was found that could be watched"
+    points = watch_points(rods)
+    pressing = float(cell.limits.pressing.most(plan.grasp.stem_diameter))
+    return Escalation(
+        replace(plan, press=max(plan.press, pressing)),
+        foresee(rods, plan.grasp.point, plan.tones.frequencies, points, pads=params.shake.pads),
+        seen.flowers.positions,
+        rods.rods.nodes[points],
+        camera=(camera.intrinsics, pose),
+        middle=plan.grasp.carried(cell.limits.forward) if params.actuator == "arm" else None,
+        limits=params.shake,
+        params=replace(params.escalation, most_seconds=seconds),
+    )

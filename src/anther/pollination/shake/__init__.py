@@ -1,0 +1,183 @@
+"""The shake: which grasp to hold, and in which direction, how fast and how far to shake it (P24).
+
+F flowers, G grip heights, Q frequencies, D directions, M scenarios.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from anther.core.errors import StageFailure, bad_input
+from anther.core.geometry import Array
+from anther.plant.belief import EarlierShake
+from anther.plant.model import PlantModel
+from anther.pollination.grasp import Grasp
+from anther.pollination.shake._actuators import VIBRATING_GRIPPER, Actuator, arm_shaker, sawyer_limit
+from anther.pollination.shake._plan import ResponseMap, RunnerUp, ShakePlan
+from anther.pollination.shake._verification import Checked, best_that_holds
+from anther.pollination.shake.choice import (
+    Place,
+    Search,
+    as_earlier,
+    best,
+    closest,
+    grips_of,
+    limit_rows,
+    press,
+    search,
+    tones_at,
+)
+from anther.pollination.shake.pads import PADS, Pads
+from anther.pollination.shake.params import Params, with_preset
+from anther.pollination.shake.search import gains, scenarios
+from anther.robot.pressing import PRESSING, Pressing
+
+__all__ = [
+    "PADS", "VIBRATING_GRIPPER", "Actuator", "Pads", "Params", "ResponseMap", "RunnerUp", "ShakePlan", "arm_shaker",
+    "plan_shake", "sawyer_limit", "with_preset",
+]  # fmt: skip
+
+
+SAWYER, DEFAULTS = arm_shaker(), Params()
+
+DRAWS = 6
+"""Scenarios drawn from the material's spread, beside the best guess: quasi-random ones, few of which cover it."""
+
+
+def plan_shake(
+    plant: PlantModel,
+    grasps: Sequence[Grasp],
+    actuator: Actuator = SAWYER,
+    params: Params = DEFAULTS,
+    pressing: Pressing = PRESSING,
+    earlier: EarlierShake | None = None,
+) -> ShakePlan:
+    """Choose grasp, direction, frequency and amplitude, and predict what every flower will do.
+
+    Linear theory (complex tree solves about the gravity equilibrium) gives the response of every flower to a shake of
+    one metre at every grip, direction and frequency, for the plant as believed and for `DRAWS` scenarios drawn from the
+    spread of its material. Each shake is as large as actuator and plant allow, with the one margin that `Params.risk`
+    states; it is ranked by what three flowers of four feel in them. The winner is checked by the nonlinear solver,
+    whose amplitudes are the prediction, and made smaller where that says a limit is passed; the interval is that of the
+    scenarios, widened by how far one flower differs from its plant.
+
+    Args:
+        plant: from `build_plant`.
+        grasps: ranked grasps.
+        actuator: what shakes the grip.
+        params: limits and search.
+        pressing: what gripper and stem bear; a shake that needs more is made smaller.
+        earlier: an earlier visit's shake of this plant; where it can be done again, a watched shake begins with its
+            frequency alone, and larger.
+
+    Raises:
+        InputError: the frequencies asked for are outside the actuator's band.
+        StageFailure: "no_flowers_found"; "no_grasp_found" when there is no grasp; "limits_exceeded" when no shake is
+            allowed; "no_convergence" when the plant cannot be simulated.
+    """
+    if not len(plant.flower_nodes):
+        raise StageFailure("no_flowers_found", "no flower was found, so there is nothing to shake for.")
+    if not grasps:
+        raise StageFailure("no_grasp_found", "no grasp to choose from: the shake needs at least one.")
+    grips = grips_of(plant, grasps, params, pressing, closing=actuator.closing)
+    frequencies = _frequencies(actuator, params)
+    response = gains(scenarios(plant, DRAWS, pads=params.pads), grips.nodes, grips.directions, frequencies)
+    found = search(response, grips, grasps, frequencies, actuator, params)
+    if not np.any(found.score >= 0):
+        raise _nothing_allowed(found, len(grasps), actuator)
+    again = None if earlier is None else as_earlier(found, earlier)
+    found, earlier = (found, None) if again is None else (again, earlier)
+    found, at, done = best_that_holds(plant, found, params)
+    notes = plant.notes + done.notes
+    if earlier is not None:
+        begins = f"{1e3 * earlier.amplitude:.2g} mm at {earlier.frequency:.3g} Hz"
+        notes += (f"shake: begins as an earlier visit ended, {begins}.",)
+    other = _runner_up(found, at)
+    _, g, d = at
+    score, pressed = float(found.score[at]), press(done.limits)
+    acceleration = (2 * np.pi * done.shake.frequency) ** 2 * done.amplitude
+    return ShakePlan(
+        grasp_index=g,
+        grasp=grasps[g],
+        direction=grips.directions[g, d],
+        amplitude=done.shake.amplitude,
+        frequency=done.shake.frequency,
+        duration=params.lasts(done.shake.frequency),
+        press=pressed,
+        predicted_amplitude=done.amplitude,
+        predicted_amplitude_interval=done.amplitude[:, None] * done.spread,
+        predicted_acceleration=acceleration,
+        predicted_acceleration_interval=acceleration[:, None] * done.spread,
+        score=score,
+        limits=done.limits,
+        runner_up=other,
+        reason=_reason(done, other, float(grips.arc_length[g]), pressed, score, kept=params.keeps_limits),
+        response_map=_map(found, len(grasps)),
+        tones=tones_at(found, at, actuator.tones, earlier),
+        pads=params.pads,
+        notes=notes,
+    )
+
+
+def _frequencies(actuator: Actuator, params: Params) -> Array:
+    lowest = max(actuator.lowest, params.lowest or 0)
+    highest = min(actuator.highest, params.highest or np.inf)
+    if lowest > highest:
+        asked = f"{params.lowest or actuator.lowest:g} to {params.highest or actuator.highest:g} Hz"
+        band = f"frequencies within {actuator.lowest:g} to {actuator.highest:g} Hz, the band of the {actuator.name}"
+        raise bad_input("frequencies", given=asked, allowed=band, do="Change lowest or highest.")
+    return np.geomspace(lowest, highest, params.frequencies if lowest < highest else 1)
+
+
+def _nothing_allowed(found: Search, grasps: int, actuator: Actuator) -> StageFailure:
+    """Say how far from allowed the nearest shake is, and by which limit."""
+    size = found.amplitude[:, :grasps]
+    q, g, d = np.unravel_index(int(np.argmax(size)), size.shape)
+    at = (int(q), int(g), int(d))
+    return StageFailure(
+        "limits_exceeded",
+        f"no shake of {1e3 * found.least:.2g} mm or more is allowed at any grasp, direction and frequency of the"
+        f" {actuator.name}; the largest is {1e3 * float(size[at]):.2g} mm at {found.frequencies[q]:.3g} Hz. "
+        f"{closest(limit_rows(found, at))} Allow a smaller least_amplitude, or another grasp.",
+    )
+
+
+def _runner_up(found: Search, at: Place) -> RunnerUp | None:
+    other = best(found, avoid=at)
+    if found.score[other] <= 0 or other == at:
+        return None
+    q, g, _ = other
+    return RunnerUp(g, float(found.frequencies[q]), float(found.amplitude[other]), float(found.score[other]))
+
+
+def _reason(
+    done: Checked, other: RunnerUp | None, arc_length: float, pressed: float, score: float, *, kept: bool
+) -> str:
+    shake = done.shake
+    acceleration = np.median((2 * np.pi * shake.frequency) ** 2 * done.amplitude)
+    text = (
+        f"Held {100 * arc_length:.0f} cm up the stem with {pressed:.2g} N and shaken"
+        f" {1e3 * shake.amplitude:.2g} mm at {shake.frequency:.3g} Hz, the flowers should move"
+        f" {1e3 * np.median(done.amplitude):.2g} mm (median) with {acceleration:.3g} m/s2. Of all grasps, directions"
+        f" and frequencies compared this gives the most that three flowers of four should feel ({score:.3g} m/s2), over"
+        f" {DRAWS} further drawings of the plant's stiffness and damping. {closest(done.limits[:-1], kept=kept)}"
+    )
+    if other is None:
+        return text
+    return text + (
+        f" Runner-up: grasp {other.grasp_index + 1} at {other.frequency:.3g} Hz with"
+        f" {1e3 * other.amplitude:.2g} mm ({other.score:.3g})."
+    )
+
+
+def _map(found: Search, grasps: int) -> ResponseMap:
+    """Return the best direction's response at the map's heights."""
+    rows = np.arange(grasps, len(found.grips.nodes))
+    mean = found.flower.mean(axis=(0, -1))[:, rows]
+    size = found.amplitude[:, rows]
+    acceleration = np.where(size < found.least, 0, mean * size * (2 * np.pi * found.frequencies[:, None, None]) ** 2)
+    at = acceleration.argmax(axis=2)[..., None]
+    pick = [np.take_along_axis(values, at, axis=2)[..., 0].T for values in (acceleration, mean, size)]
+    return ResponseMap(found.frequencies, found.grips.arc_length[rows], *pick)

@@ -1,0 +1,244 @@
+"""Which shake of all: the largest that every limit allows, for each frequency, grip and direction.
+
+F flowers, G grips, D directions, Q frequencies, M scenarios.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from anther.core.geometry import Array
+from anther.plant.belief import EarlierShake
+from anther.plant.limits import FLOWERS, PEAKS
+from anther.plant.model import PlantModel
+from anther.pollination.grasp import Grasp
+from anther.pollination.shake._actuators import Actuator
+from anther.pollination.shake._plan import LimitRow, Tones
+from anther.pollination.shake.pads import grip_rows, pad_nodes
+from anther.pollination.shake.params import Params, load_error
+from anther.pollination.shake.search import Gains
+from anther.robot.pressing import Pressing
+
+Place = tuple[int, int, int]
+"""(q, g, d): one shake of the search."""
+
+HEIGHTS, DIRECTIONS = 8, 8
+"""Grip heights of the response map, beside the grasps; directions over half a turn of the horizontal plane: the best of
+eight is at most 11 degrees off."""
+PRESS = "force of the pads, against slip [N]"
+"""The limit that says how hard they must press."""
+LEAST_PRESS = 8.0
+"""With which the pads press at least, if the stem bears it [N]. On 24 sides of peppers 10-15 and 30-35 gentle pads that
+met a petiole beside the stem held that instead: one at 2 N, none from 4 N on."""
+MOST_SPEED = 0.3
+"""Of the grip [m/s]."""
+FLOWER_ACCELERATION = 200.0
+"""Of the flowers on average; more than this is not useful [m/s2]."""
+ROBUST = 0.25
+"""A shake is ranked by the acceleration that all but this share of the flowers reach, over all scenarios of the plant.
+What pollen or fruit that is worth is not well enough known to choose by (`anther.history.fruit_set`)."""
+
+
+class Grips(NamedTuple):
+    """Where the stem may be held: the grasps' nodes first, then others for the map."""
+
+    nodes: list[NDArray[Any]]  # G lists of rod nodes between the pads, the middle one first
+    arc_length: Array  # (G,) [m]
+    grasp: NDArray[Any]  # (G,) index of the grasp itself or, for the map, of the nearest one
+    directions: Array  # (G, D, 3)
+    press: Array  # (G, 1) the most that pads may press the stem with there [N]
+
+
+class Bound(NamedTuple):
+    """Something that grows with the amplitude, and how large it may be."""
+
+    value: Array  # (Q, G, D) per metre of amplitude, with the margin
+    limit: Array  # of a shape that goes with it
+    believed: Array  # (Q, G, D) the same of the plant as believed, without the margin
+
+    def margin(self, at: Place) -> float:
+        """Return how many times as large as believed it counts."""
+        return float(self.value[at] / self.believed[at]) if self.believed[at] > 0 else 1.0
+
+
+class Search(NamedTuple):
+    """The search space, and how far and how well each of its shakes (Q, G, D) goes."""
+
+    grips: Grips
+    flower: Array  # (M, Q, G, D, F), see `Gains`
+    frequencies: Array  # (Q,) [Hz]
+    amplitude: Array  # (Q, G, D) largest allowed [m]
+    score: Array  # (Q, G, D) what three flowers of four feel [m/s2]; -1 where it is not allowed, or for the map alone
+    bounds: dict[str, Bound]  # by name; in the first `OF_THE_MACHINE` the plant has no part
+    least: float  # a shake of less amplitude is none [m]
+
+
+OF_THE_MACHINE = 3
+
+
+def grips_of(plant: PlantModel, grasps: Sequence[Grasp], params: Params, pressing: Pressing, *, closing: bool) -> Grips:
+    """Return the grasps' places on the stem, and others for the map, with the directions across the stem.
+
+    `closing`: the only one is that of the gripper's closing axis, the flange's y.
+    """
+    held = grip_rows(plant, np.array([g.point for g in grasps]))
+    usable = np.flatnonzero(~np.isin(plant.stem_nodes, plant.clamp.nodes))
+    others = usable[np.unique(np.linspace(0, len(usable) - 1, HEIGHTS).round().astype(int))]
+    rows = np.concatenate([held, others])
+    nodes, arc = pad_nodes(plant, rows, params.pads.width), plant.arc_length[rows]
+    nearest = np.abs(arc[len(held) :, None] - arc[: len(held)]).argmin(axis=1)
+    near = np.concatenate([np.arange(len(held)), nearest])
+    if closing:
+        directions = np.array([grasp.T_world_flange[:3, 1] for grasp in grasps])[near, None]
+    else:
+        directions = _directions(plant, plant.stem_nodes[rows])
+    diameter = 2 * np.asarray(plant.rods.edge_radius)[plant.stem_nodes[rows], None]
+    return Grips(nodes, arc, near, directions, pressing.most(diameter))
+
+
+def _directions(plant: PlantModel, nodes: NDArray[Any]) -> Array:
+    """Return (G, D, 3) unit vectors across the stem, above `DIRECTIONS` of the horizontal half circle."""
+    angle = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
+    flat = np.stack([np.cos(angle), np.sin(angle), np.zeros(DIRECTIONS)], axis=1)
+    tangent = plant.rods.nodes[nodes] - plant.rods.nodes[plant.rods.parent[nodes]]
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    across = flat - np.einsum("dk,gk->gd", flat, tangent)[..., None] * tangent[:, None]
+    size = np.linalg.norm(across, axis=2, keepdims=True)
+    return np.where(size > 0.3, across / np.maximum(size, 1e-9), flat)  # along a lying stem: leave it horizontal
+
+
+def search(
+    response: Gains, grips: Grips, grasps: Sequence[Grasp], frequencies: Array, actuator: Actuator, params: Params
+) -> Search:
+    """Return every shake at the largest amplitude that all limits allow, and its worth; see `Params.keeps_limits`.
+
+    The plant's loads are lognormal, where and as wide as scenarios and `LOAD_ERROR` say. A limit must hold but for a
+    share `Params.risk` of that.
+    """
+    hertz = frequencies[:, None, None]
+    omega = 2 * np.pi * hertz
+    near = [[actuator.amplitude(grasp, d, frequencies) for d in ds] for grasp, ds in zip(grasps, grips.directions)]  # noqa: B905
+    most = np.moveaxis(np.asarray(near, dtype=float), 2, 0)[:, grips.grasp]  # the map: as at the nearest grasp
+    acceleration = response.flower * omega[..., None] ** 2
+
+    def unsure(values: Array, limit: float | Array, kind: str) -> Bound:
+        return Bound(margined(values, load_error(kind, hertz), params.risk), np.atleast_2d(limit), values[0])
+
+    bounds = {
+        f"{actuator.name} amplitude [share of its limit]": _sure(1 / np.maximum(most, 1e-12), 1.0),
+        "grip amplitude [m]": _sure(np.ones_like(most), params.most_amplitude),
+        "grip speed [m/s]": _sure(np.ones_like(most) * omega, MOST_SPEED),
+        PRESS: unsure(response.grip_force / params.held(1.0), grips.press, "grip_force"),
+        FLOWERS: _sure(acceleration.mean(axis=(0, -1)), FLOWER_ACCELERATION),
+    }
+    for kind, limit in params.plant.at(hertz).items():
+        bounds[PEAKS[kind]] = unsure(getattr(response, kind), limit, kind)
+    kept = list(bounds.values())[: None if params.keeps_limits else OF_THE_MACHINE]
+    amplitude = np.min([one.limit / np.maximum(one.value, 1e-12) for one in kept], axis=0)
+    least = actuator.least_amplitude if params.least_amplitude is None else params.least_amplitude
+    score = np.where(amplitude < least, -1.0, amplitude * np.quantile(acceleration, ROBUST, axis=(0, -1)))
+    score[:, len(grasps) :] = -1.0
+    return Search(grips, response.flower, frequencies, amplitude, score, bounds, least)
+
+
+def _sure(value: Array, limit: float) -> Bound:
+    return Bound(value, np.atleast_2d(limit), value)
+
+
+def margined(values: Array, error: tuple[float | Array, float | Array], risk: float) -> Array:
+    """Return (...) what a lognormal load of which scenarios have values (M, ...) passes with probability `risk`.
+
+    `error`: see `load_error`.
+    """
+    median, spread = error
+    logs = np.log(np.maximum(values, 1e-12))
+    return median * np.exp(logs.mean(axis=0) + norm.isf(risk) * np.hypot(logs.std(axis=0), spread))
+
+
+def best(found: Search, *, avoid: Place | None = None) -> Place:
+    """Return (q, g, d) of the highest score; with `avoid`, at another grip or a fifth or more away in frequency."""
+    score = found.score.copy()
+    if avoid is not None:
+        ratio = found.frequencies / found.frequencies[avoid[0]]
+        score[(ratio > 0.8) & (ratio < 1.25), avoid[1]] = -1
+    q, g, d = np.unravel_index(int(np.argmax(score)), score.shape)
+    return int(q), int(g), int(d)
+
+
+QUICK = 2.0
+"""Slower frequencies are not tried beside the plan's own [Hz]: watching one takes two seconds and more."""
+ROOM = 1e-5
+"""A line along which the actuator can move less than this [m] is none."""
+APART = 1.15
+"""Frequencies worth trying are this factor from each other: responses lose their likeness within 40 %."""
+
+
+def tones_at(found: Search, at: Place, most: int, earlier: EarlierShake | None) -> Tones:
+    """Return up to `most` frequencies at which a sine moves flowers most by the model, along any line across a grip.
+
+    Of an earlier visit it is that visit's alone, as large as it was there. Where the actuator has no room along one of
+    the lines, the shake's own is the only one.
+    """
+    q, g, d = at
+    machine = list(found.bounds.values())[:OF_THE_MACHINE]
+    reach = np.min([(one.limit / np.maximum(one.value, 1e-12))[:, g] for one in machine], axis=0)
+    lines = np.roll(np.arange(reach.shape[1]), -d) if reach.min() >= ROOM else np.array([d])
+    reach = reach[:, lines]
+    directions, size = found.grips.directions[g, lines], found.amplitude[:, g, lines]
+    if earlier is not None:
+        own = reach[[q], :1]
+        return Tones(found.frequencies[[q]], directions[:1], np.minimum(earlier.amplitude, own), own)
+    moved = (2 * np.pi * found.frequencies[:, None]) ** 2 * size * found.flower[:, :, g, lines].mean(axis=(0, -1))
+    worth = np.where(size >= found.least, moved, 0.0).max(axis=1)
+    chosen = [q]
+    for k in np.argsort(-worth, kind="stable"):
+        far = np.abs(np.log(found.frequencies[chosen] / found.frequencies[k])).min() >= np.log(APART)
+        if far and found.frequencies[k] >= QUICK and worth[k] > 0 and len(chosen) < most:
+            chosen.append(int(k))
+    return Tones(found.frequencies[chosen], directions, size[chosen], reach[chosen])
+
+
+SAME_PLACE = 0.02
+"""A grip is the one of an earlier visit up to this along the stem [m]: the pads are 16 mm wide."""
+
+
+def as_earlier(found: Search, earlier: EarlierShake) -> Search | None:
+    """Return the search with no other shakes than an earlier visit's, or None where none of them is allowed."""
+    ratio = np.abs(np.log(found.frequencies / earlier.frequency))
+    score, q = np.full_like(found.score, -1.0), int(ratio.argmin())
+    if ratio[q] > 0.5 * np.log(APART):
+        return None
+    for g in np.flatnonzero(np.abs(found.grips.arc_length - earlier.arc_length) <= SAME_PLACE):
+        d = int(np.abs(found.grips.directions[g] @ earlier.direction).argmax())
+        score[q, g, d] = found.score[q, g, d]
+    return found._replace(score=score) if np.any(score >= 0) else None
+
+
+def limit_rows(found: Search, at: Place) -> list[LimitRow]:
+    """Return (name, value, limit, share used) of every limit that there is at one shake."""
+    size, rows = float(found.amplitude[at]), list[LimitRow]()
+    for name, one in found.bounds.items():
+        value, limit = size * float(one.value[at]), float(np.broadcast_to(one.limit, one.value.shape)[at])
+        if np.isfinite(limit):
+            rows.append((name, value, limit, value / limit))
+    return rows
+
+
+def press(limits: Sequence[LimitRow]) -> float:
+    """Return how hard the pads are to press [N]: as the shake needs, at least `LEAST_PRESS`, at most as allowed."""
+    needed, most = next((value, limit) for name, value, limit, _ in limits if name == PRESS)
+    return min(max(needed, LEAST_PRESS), most)
+
+
+def closest(rows: Sequence[LimitRow], *, kept: bool = True) -> str:
+    """Say which limit is the closest, or, of limits that are not kept, which is passed the furthest."""
+    name, value, limit, share = max(rows, key=lambda row: row[3])
+    if not kept:
+        how = f"passed most is {name}" if share > 1 else f"nevertheless none is passed; the closest is {name}"
+        return f"No limit of the plant is kept and slip is not prevented; {how}: {value:.3g} of {limit:.3g}."
+    return f"The limit that binds is {name}: {value:.3g} of {limit:.3g}."

@@ -1,0 +1,259 @@
+"""The linear search behind a shake plan: response of every scenario at every grip, direction and frequency.
+
+M scenarios, Q frequencies, G grip nodes, D directions, F flowers, N rod nodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import vstack
+from scipy.stats import qmc
+
+from anther.core.errors import StageFailure
+from anther.plant.limits import PEAKS
+from anther.plant.model import Material, PlantModel
+from anther.pollination.shake.observables import ComplexArray, branch_of, observables
+from anther.pollination.shake.pads import PADS, Pads, friction_force
+from anther.pollination.shake.params import LOADS
+from anther.rods import Array, Observed, displacements, observed_response
+
+NO_POINTS = np.zeros(0, dtype=np.int64)
+
+
+class Gains(NamedTuple):
+    """What one metre of grip amplitude does, within linear theory. Leading axes (M, Q, G, D).
+
+    Attributes:
+        flower: (M, Q, G, D, F) amplitude of each flower, the semi-major axis of its path, with the material's gain of
+            what it moves relative to the grip [m/m].
+        stem_strain, joint_strain, base_strain: (M, Q, G, D) largest bending strain of main stem, of pedicels and of
+            branch bases [1/m].
+        leaf_load: (M, Q, G, D) largest equivalent acceleration at a branch base [1/s2].
+        grip_force: (M, Q, G, D) largest force that friction between pads and stem must bear, what turns and twists the
+            stem between them counted in, see `friction_force` [N/m].
+    """
+
+    flower: Array
+    stem_strain: Array
+    joint_strain: Array
+    base_strain: Array
+    leaf_load: Array
+    grip_force: Array
+
+
+class Version(NamedTuple):
+    """A plant as it may be, between pads as they may be."""
+
+    plant: PlantModel
+    pads: Pads = PADS
+
+
+def scenarios(
+    plant: PlantModel, count: int, seed: int = 0, *, pads: Pads = PADS, branch_spread: float = 0.0
+) -> list[Version]:
+    """Return plant and pads as believed, and `count` versions of them drawn from the spreads of what is believed.
+
+    Stiffness, damping, EI/GJ, the pedicels' stiffness, the radius (at the same bending stiffness), the gain of the
+    response and the pads' two stiffnesses are lognormal and independent, drawn by a scrambled Halton sequence so that
+    few draws cover the range evenly. A draw in which the plant would buckle is stiffened until it stands, because it
+    stands; one that still cannot (its pedicels are too soft) is left out.
+
+    Args:
+        plant: as believed.
+        count: of the draws.
+        seed: of the draws.
+        pads: that hold it.
+        branch_spread: standard deviation of ln of what the stiffness of each branch is drawn off besides, one by one.
+    """
+    versions = (drawn_version(plant, pads, z, branch_spread) for z in deviates(plant, count, seed))
+    return [Version(plant, pads), *(version for version in versions if version is not None)]
+
+
+def deviates(plant: PlantModel, count: int, seed: int = 0) -> Array:
+    """Return (count, 8 + B) standard normal deviates for `drawn_version`, B branches."""
+    generator = np.random.default_rng(seed)
+    engine = qmc.MultivariateNormalQMC(np.zeros(8), engine=qmc.Halton(8, rng=generator), rng=generator)
+    shared = engine.random(count)
+    return np.concatenate([shared, generator.normal(size=(count, len(plant.branch_bases)))], axis=1)
+
+
+def drawn_version(plant: PlantModel, pads: Pads, z: Array, branch_spread: float) -> Version | None:
+    """Return plant and pads at deviates z (8 + B,), see `deviates`; None if the plant cannot stand.
+
+    They are of `drawn_material` (6,), the pads (2,), and ln of each branch's stiffness (B,).
+    """
+    own, material = plant, drawn_material(plant.material, z[:6], plant.least_youngs)
+    if branch_spread:
+        factor = np.where(plant.is_pedicel, 1.0, np.exp(np.append(branch_spread * z[8:], 0.0))[branch_of(plant)])
+        own = replace(plant, rods=replace(plant.rods, youngs=np.asarray(plant.rods.youngs) * factor))
+    for stiffer in 1.25 ** np.arange(8):
+        tried = replace(material, youngs=material.youngs * float(stiffer))
+        try:
+            stands = own.with_material(tried, pedicel_factor=float(np.exp(plant.pedicel_spread * z[3])))
+        except StageFailure:
+            continue
+        return Version(stands, pads.drawn(z[6:8]))
+    return None
+
+
+def drawn_material(material: Material, z: Sequence[float] | Array, least_youngs: float) -> Material:
+    """Return the material at standard normal deviates z (6,), stiff enough to stand.
+
+    They are of ln E, ln damping, ln EI/GJ, (the pedicels',) ln radius at the same bending stiffness, and ln gain.
+    """
+    drawn = replace(
+        material,
+        youngs=float(np.clip(material.youngs * np.exp(material.youngs_spread * z[0]), 1.1 * least_youngs, 1e11)),
+        damping_ratio=float(np.clip(material.damping_ratio * np.exp(material.damping_spread * z[1]), 1e-3, 0.9)),
+        bend_over_twist=float(np.clip(material.bend_over_twist * np.exp(material.twist_spread * z[2]), 0.2, 500)),
+    )
+    return drawn.changed(
+        radius_scale=material.radius_scale * float(np.exp(material.radius_spread * z[4])),
+        response_gain=material.response_gain * float(np.exp(material.response_spread * z[5])),
+    )
+
+
+def gains(versions: Sequence[Version], grips: Sequence[NDArray[Any]], directions: Array, frequencies: Array) -> Gains:
+    """Return the linear response of every scenario.
+
+    Args:
+        versions: M scenarios of one plant and its pads.
+        grips: G lists of the rod nodes between the pads, see `pad_nodes`.
+        directions: (G, D, 3) unit shake directions at each grip.
+        frequencies: (Q,) [Hz].
+    """
+    parts = [_gains_of(version, grips, directions, frequencies) for version in versions]
+    return Gains(*(np.stack(a) for a in zip(*parts, strict=True)))
+
+
+def _gains_of(
+    version: Version, grips: Sequence[NDArray[Any]], directions: Array, frequencies: Array
+) -> tuple[Array, ...]:
+    """Return the gains of one scenario."""
+    plant = version.plant
+    moved, pads = motions(version, grips, frequencies)
+    flowers = _sizes(_answered(plant, grips, moved["flowers"], pads), directions)
+    *loads, wrench = (_sizes(moved[kind], directions) for kind in LOADS)
+    largest = (size.max(axis=-1, initial=0.0) for size in loads)
+    radius = held_radius(plant, grips)[:, None]
+    borne = friction_force(*np.moveaxis(wrench, -1, 0), radius=radius, width=version.pads.width)
+    return flowers, *largest, borne
+
+
+def motions(
+    version: Version,
+    grips: Sequence[NDArray[Any]],
+    frequencies: Array,
+    like: PlantModel | None = None,
+    points: NDArray[np.int64] = NO_POINTS,
+) -> tuple[dict[str, ComplexArray], ComplexArray]:
+    """Return what one metre of gripper motion along each axis does, (Q, G, K, 3, 3) by kind, and to the pads.
+
+    Without the material's gain. "flowers" and "points" [m/m]; of `LOADS` what their length is the load of [1/m, leaves
+    1/s2], of the grip its force, pivoting moment and twist, as `friction_force` takes them [N/m, N].
+
+    Args:
+        version: one scenario.
+        grips: G lists of the rod nodes between the pads, see `pad_nodes`.
+        frequencies: (Q,) [Hz].
+        like: see `observables`.
+        points: (P,) rod nodes that are observed too.
+    """
+    rods, seen = version.plant.rods, observables(version.plant, like)
+    operator = vstack([seen.operator, displacements(points, len(rods.nodes))], format="csr")
+    response = _observed(version, grips, operator, frequencies)
+    moved, held = response.vectors, np.array([grip[0] for grip in grips])
+    stem = rods.nodes[held] - rods.nodes[rods.parent[held]]
+    stem /= np.linalg.norm(stem, axis=1, keepdims=True)
+    twist = stem[:, :, None] * stem[:, None] @ response.moment
+    parts = {"flowers": moved[:, :, seen.flowers], "points": moved[:, :, moved.shape[2] - len(points) :]}
+    parts |= {kind: moved[:, :, getattr(seen, kind)] for kind in PEAKS}
+    parts["leaf_load"] = (2 * np.pi * frequencies[:, None, None, None, None]) ** 2 * parts["leaf_load"]
+    parts["grip_force"] = np.stack([response.force, response.moment - twist, twist], axis=2)
+    return parts, response.pads
+
+
+def held_radius(plant: PlantModel, grips: Sequence[NDArray[Any]]) -> Array:
+    """Return (G,) the stem's radius between the pads [m]."""
+    return np.asarray(plant.rods.edge_radius)[[grip[0] for grip in grips]]
+
+
+class Phasors(NamedTuple):
+    """What one metre of gripper motion along one direction does, as phasors. S points of the main stem.
+
+    Attributes:
+        flowers: (Q, G, F, 3) [m/m], with the material's gain.
+        stem: (Q, G, S, 3) [m/m].
+        force: (Q, G, 3) of the grip on the stem [N/m].
+    """
+
+    flowers: ComplexArray
+    stem: ComplexArray
+    force: ComplexArray
+
+
+def answer(
+    version: Version,
+    grips: Sequence[NDArray[Any]],
+    direction: Array,
+    frequencies: Array,
+    stem: Sequence[int] | NDArray[Any] = (),
+) -> Phasors:
+    """Return the linear answer of one scenario.
+
+    Args:
+        version: one scenario.
+        grips: G lists of the rod nodes between the pads, see `pad_nodes`.
+        direction: (3,) of the shake.
+        frequencies: (Q,) [Hz].
+        stem: (S,) rod nodes that are observed beside the flowers.
+    """
+    plant = version.plant
+    nodes, count = np.concatenate([plant.flower_nodes, np.asarray(stem, dtype=np.int64)]), len(plant.flower_nodes)
+    response = _observed(version, grips, displacements(nodes, len(plant.rods.nodes)), frequencies)
+    flowers = _answered(plant, grips, response.vectors[:, :, :count], response.pads)
+    return Phasors(flowers @ direction, response.vectors[:, :, count:] @ direction, response.force @ direction)
+
+
+def flower_motion(
+    version: Version, grips: Sequence[NDArray[Any]], direction: Array, frequencies: Array
+) -> ComplexArray:
+    """Return (Q, G, F, 3) the motion of the flowers alone of what `answer` returns; its arguments are the same."""
+    return answer(version, grips, direction, frequencies).flowers
+
+
+def _observed(version: Version, grips: Sequence[NDArray[Any]], operator: Any, frequencies: Array) -> Observed:
+    """Return what an operator sees of one scenario. The damping ratio is the same at every frequency (hysteretic)."""
+    plant, loss = version.plant, 2 * version.plant.material.damping_ratio
+    springs = version.pads.springs
+    return observed_response(plant.rods, plant.clamp, grips, operator, frequencies, loss_factor=loss, springs=springs)
+
+
+def _answered(plant: PlantModel, grips: Sequence[NDArray[Any]], vectors: ComplexArray, pads: ComplexArray) -> Any:
+    """Return flowers' motion (Q, G, F, 3, 3) per axis of the shake, with the gain of what they do relative to the pads.
+
+    Far below resonance a plant is carried along by the pads (Q, G, 6, 3) as one body, turned with them.
+    """
+    nodes = plant.rods.nodes
+    lever = nodes[plant.flower_nodes] - nodes[[grip[0] for grip in grips]][:, None]
+    turned = np.cross(pads[:, :, None, 3:], lever[None, ..., None], axisa=3, axisb=3, axisc=3)
+    carried = pads[:, :, None, :3] + turned
+    return carried + plant.material.response_gain * (vectors - carried)
+
+
+def _sizes(vectors: ComplexArray, directions: Array) -> Array:
+    """Return (Q, G, D, K) the `semi_major` of V d for V (Q, G, K, 3, 3) and directions d (G, D, 3).
+
+    |V d|^2 and V d . V d are forms in d: their matrices are found once for all directions.
+    """
+    pairs = (directions[:, :, :, None] * directions[:, :, None]).reshape(*directions.shape[:2], 9)
+    square, product = (
+        (part @ vectors).reshape(*vectors.shape[:3], 9) @ np.swapaxes(pairs, 1, 2)
+        for part in (np.swapaxes(vectors.conj(), -1, -2), np.swapaxes(vectors, -1, -2))
+    )
+    return np.swapaxes(np.sqrt(np.maximum(0.5 * (square.real + np.abs(product)), 0)), 2, 3)

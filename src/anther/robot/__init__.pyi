@@ -1,0 +1,63 @@
+"""The public names of the room, and where they stand; `__init__.py` finds them when they are asked for."""
+
+from .arm.arms import named
+from .arm.model import ArmModel
+from .arm.planner import Planner
+from .arm.urdf import from_urdf
+from .arm.views import Viewpoints, Views, plan_views
+from .calibration import CharucoBoard, HandEye, calibrate, estimate_intrinsics
+from .cell import Cell, MotionPlanner, TrajectoryPlanner
+from .cells import CellFile, read_cell
+from .cells.hardware import connected, hardware_cell
+from .devices import (
+    LEAD,
+    Arm,
+    ArmRecord,
+    ArmSample,
+    Camera,
+    DeviceError,
+    Frame,
+    Gripper,
+    GripperState,
+    JointTrajectory,
+    Robot,
+    SafetyLimits,
+)
+from .safety import GuardedArm, guard
+from .swing import Swing
+
+__all__ = [
+    "LEAD",
+    "Arm",
+    "ArmModel",
+    "ArmRecord",
+    "ArmSample",
+    "Camera",
+    "Cell",
+    "CellFile",
+    "CharucoBoard",
+    "DeviceError",
+    "Frame",
+    "Gripper",
+    "GripperState",
+    "GuardedArm",
+    "HandEye",
+    "JointTrajectory",
+    "MotionPlanner",
+    "Planner",
+    "Robot",
+    "SafetyLimits",
+    "Swing",
+    "TrajectoryPlanner",
+    "Viewpoints",
+    "Views",
+    "calibrate",
+    "connected",
+    "estimate_intrinsics",
+    "from_urdf",
+    "guard",
+    "hardware_cell",
+    "named",
+    "plan_views",
+    "read_cell",
+]

@@ -1,0 +1,347 @@
+"""A cell file: which machines stand where, and what they may do. docs/cell_file.md has every key.
+
+One owner for a cell: two processes of this machine cannot command one arm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from anther.core.checks import check_range
+from anther.core.errors import StageFailure, bad_input
+from anther.core.geometry import Array, Box, transform_from_pose7
+from anther.robot.arm.arms import named
+from anther.robot.arm.model import ArmModel, outline
+from anther.robot.arm.plausible import FARTHEST
+from anther.robot.arm.sawyer import SAWYER, TOOL
+from anther.robot.calibration import HandEye
+from anther.robot.cells import _parts
+from anther.robot.cells._lock import owned
+from anther.robot.cells._reading import Keys, Point, Pose, TomlFile, box, built, checked, fitted, read_toml
+from anther.robot.devices import JointTrajectory, SafetyLimits
+from anther.robot.drivers.apart import ArmApart
+from anther.robot.safety import check_trajectory
+
+__all__ = ["CellFile", "Limits", "Part", "ToolSection", "kept_open", "owned", "read_cell"]
+
+MODELLED = 0.005, 0.1
+"""A tool may differ from the one that plans are made for by so much of its length [m] and mass [kg]."""
+
+
+@dataclass(frozen=True, slots=True)
+class ToolSection:
+    """What is on the flange: plans are made for Rethink's gripper with narrow fingers and a D455 beside it.
+
+    Attributes:
+        tip: from the flange to the fingertips [m].
+        mass: of gripper, camera and bracket [kg].
+    """
+
+    tip: float = TOOL.tip
+    mass: float = TOOL.mass + TOOL.camera_mass
+
+    def __post_init__(self) -> None:
+        check_range("tip", self.tip, TOOL.tip - MODELLED[0], TOOL.tip + MODELLED[0], "m")
+        check_range("mass", self.mass, 0.0, TOOL.mass + TOOL.camera_mass + MODELLED[1], "kg")
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What no command may exceed: see `devices.SafetyLimits`, whose defaults hold where nothing is said.
+
+    Attributes:
+        speed_ratio: of all speeds and accelerations of arm and flange; a shake is so much smaller too. Begin low.
+    """
+
+    speed_ratio: float = 0.1
+    flange_speed: float | None = None
+    contact_force: float | None = None
+    tracking: float | None = None
+    joint_margin: float | None = None
+    shake_speed: float | None = None
+    shake_acceleration: float | None = None
+    shake_duration: float | None = None
+    grip_force: float | None = None
+
+    def __post_init__(self) -> None:
+        check_range("speed_ratio", self.speed_ratio, 0.01, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One machine: its driver, and what the driver is told.
+
+    Attributes:
+        driver: a name that Anther knows, or "package.module:callable" of one's own.
+        make: builds it.
+        table: the driver's own keys.
+        keys: where it stands in the file.
+    """
+
+    driver: str
+    make: Callable[..., Any]
+    table: dict[str, Any]
+    keys: Keys
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CellFile:
+    """A cell file that was read and checked; nothing is connected yet.
+
+    Attributes:
+        source: the file.
+        arm, gripper, wrist_camera, side_camera, shaker: the machines; the last two may be missing.
+        T_flange_cam: hand-eye calibration of the wrist camera.
+        T_world_side_camera: where the side camera stands; None without one.
+        tool, limits: see there.
+        model: the arm's description.
+        workspace: where the plant stands.
+        region: what the views look at; nothing enters it while they are taken.
+        arm_space: where the flange may be.
+        keep_out: where no part of arm and tool may be.
+    """
+
+    source: TomlFile
+    arm: Part
+    gripper: Part
+    wrist_camera: Part
+    T_flange_cam: Array
+    workspace: Box
+    region: Box
+    arm_space: Box
+    keep_out: tuple[Box, ...] = ()
+    side_camera: Part | None = None
+    T_world_side_camera: Array | None = None
+    shaker: Part | None = None
+    tool: ToolSection = field(default_factory=ToolSection)
+    limits: Limits = field(default_factory=Limits)
+    model: ArmModel = SAWYER
+
+    @property
+    def owner_name(self) -> str:
+        """What is owned with its arm: its address, so that two drivers cannot have it; its driver where it has none."""
+        table = self.arm.table
+        place = table.get("master") or table.get("host")
+        return str(place or f"{self.arm.driver} {str(table.get('controller', '')).strip('/')}".strip())
+
+    def connect(self, part: Part, **given: Any) -> Any:
+        """Return a part's driver, connected; nothing moves.
+
+        Args:
+            part: of this cell.
+            given: what the driver may want of the rest, such as the `arm`; it takes what it has arguments for.
+
+        Raises:
+            InputError: one of its keys is not possible.
+            MissingExtra, DeviceError: it cannot be had.
+        """
+        return built(self.source, part.keys, part.table, part.make, **self._given(part, given))
+
+    def arm_apart(self) -> ArmApart:
+        """Return the arm, connected in a process of its own, behind a guard of its own.
+
+        Raises:
+            AntherError: see `connect`.
+        """
+        given = self._given(self.arm, {})
+        options = fitted(self.source, self.arm.keys, self.arm.table, self.arm.make, given) | given
+        return ArmApart(self.arm.make, options, self.safety_limits())
+
+    def _given(self, part: Part, given: dict[str, Any]) -> dict[str, Any]:
+        rest = {
+            "speed_ratio": self.limits.speed_ratio,
+            "arm_master": self.arm.table.get("master", ""),
+            "arm_model": self.model,
+            **given,
+        }
+        return {name: value for name, value in rest.items() if _parts.takes(part.make, name)}
+
+    def safety_limits(self) -> SafetyLimits:
+        """Return what no command may exceed.
+
+        Raises:
+            InputError: a limit is out of the range it may be set to.
+        """
+        ratio = self.limits.speed_ratio
+        said: dict[str, Any] = {name: value for name, value in asdict(self.limits).items() if value is not None}
+        del said["speed_ratio"]
+        said.setdefault("flange_speed", ratio * SafetyLimits.__dataclass_fields__["flange_speed"].default)
+        with self.source.located(("limits",)):
+            return SafetyLimits(
+                forward=self.model.forward,
+                outline=partial(outline, self.model),
+                joint_lower=self.model.lower,
+                joint_upper=self.model.upper,
+                joint_speed=ratio * self.model.velocity,
+                joint_acceleration=ratio * self.model.acceleration,
+                workspace=self.arm_space,
+                keep_out=self.keep_out,
+                **said,
+            )
+
+
+def read_cell(path: Path | str) -> CellFile:
+    """Read and check a cell file.
+
+    Raises:
+        InputError: the first thing that is wrong, with its line.
+    """
+    source = read_toml(path)
+    table = dict(source.table)
+    known = ("arm", "gripper", "wrist_camera", "side_camera", "shaker", "tool", "workspace", "region", "arm_space",
+             "keep_out", "limits")  # fmt: skip
+    for key in table:
+        if key not in known:
+            raise source.error((key,), given=f"an unknown key '{key}'", allowed=", ".join(known), do="Remove it.")
+    for key in ("arm", "gripper", "wrist_camera", "workspace", "region", "arm_space"):
+        if key not in table:
+            do = "docs/cell_file.md has one."
+            raise bad_input(str(path), given=f"no [{key}]", allowed="a table of that name", do=do)
+    own, side = table["wrist_camera"], table.get("side_camera")
+    cell = CellFile(
+        source=source,
+        arm=_part(source, "arm", _parts.ARMS, besides=("model",)),
+        model=_model(source),
+        gripper=_part(source, "gripper", _parts.GRIPPERS),
+        T_flange_cam=_hand_eye(source, own),
+        wrist_camera=_part(source, "wrist_camera", _parts.CAMERAS, besides=("T_flange_cam", "calibration")),
+        T_world_side_camera=None if side is None else _pose(source, "side_camera", "T_world_cam", side),
+        side_camera=None if side is None else _part(source, "side_camera", _parts.CAMERAS, besides=("T_world_cam",)),
+        shaker=_part(source, "shaker", _parts.SHAKERS) if "shaker" in table else None,
+        tool=built(source, ("tool",), table.get("tool", {}), ToolSection),
+        limits=built(source, ("limits",), table.get("limits", {}), Limits),
+        **{name: checked(source, (name,), table[name], Box) for name in ("workspace", "region", "arm_space")},
+        keep_out=_keep_outs(source),
+    )
+    _check_places(cell)
+    return cell
+
+
+def _check_places(cell: CellFile) -> None:
+    """Check that cameras and boxes lie where those of an arm can lie, and that the arm may be where it is ready.
+
+    Raises:
+        InputError: one does not, as of a file in millimetres.
+    """
+    source, arm, limits = cell.source, cell.model, cell.safety_limits()
+    keep_out: dict[Keys, Box] = {("keep_out", str(i)): place for i, place in enumerate(cell.keep_out)}
+    places: dict[Keys, Box] = {("workspace",): cell.workspace, ("region",): cell.region, ("arm_space",): cell.arm_space}
+    for keys, place in (places | keep_out).items():
+        with source.located(keys):
+            check_range("farthest coordinate", float(np.abs([place.lower, place.upper]).max()), 0, FARTHEST, "m")
+    with source.located(("wrist_camera",)):
+        _check_distance("the flange", cell.T_flange_cam, arm.reach)
+    if cell.T_world_side_camera is not None:
+        with source.located(("side_camera", "T_world_cam")):
+            _check_distance("the base", cell.T_world_side_camera, FARTHEST)
+    still = JointTrajectory.standstill(arm.ready, 1.0)
+    boxes: dict[Keys, tuple[Box, ...]] = {("arm_space",): ()} | {keys: (place,) for keys, place in keep_out.items()}
+    for keys, some in boxes.items():
+        try:
+            check_trajectory(still, arm.ready, replace(limits, keep_out=some))
+        except StageFailure as failure:
+            given = f"a box with which the arm may not be where it is ready ({failure})"
+            raise source.error(keys, given=given, allowed="any other, in metres", do="Move it.") from failure
+    _check_plant(cell, keep_out)
+
+
+def _check_distance(what: str, T: Array, most: float) -> None:
+    check_range(f"distance of the camera from {what}", float(np.linalg.norm(T[:3, 3])), 0, most, "m")
+
+
+def _check_plant(cell: CellFile, keep_out: dict[Keys, Box]) -> None:
+    """Check that the arm can get to where the plant stands, and may."""
+    source, plant, shoulder, tip = cell.source, cell.workspace, cell.model.shoulder, cell.model.tool.tip
+    gap = float(np.linalg.norm(np.clip(shoulder, plant.lower, plant.upper) - shoulder))
+    with source.located(("workspace",)):
+        check_range("distance from the arm's shoulder", gap, 0, cell.model.reach + tip, "m")
+    for name, place, room in (("arm_space", cell.arm_space, tip), ("region", cell.region, 0.0)):
+        if np.any((place.lower - room > plant.upper) | (place.upper + room < plant.lower)):
+            allowed = f"a box that meets the workspace {plant.lower} .. {plant.upper} m"
+            raise source.error((name,), given=_corners(place), allowed=allowed, do="Check signs and units.")
+    for keys, place in keep_out.items():
+        if place.contains(np.stack([plant.lower, plant.upper])).all():
+            allowed = "a box that leaves some of the workspace free"
+            raise source.error(keys, given=_corners(place), allowed=allowed, do="Make it smaller.")
+
+
+def _corners(place: Box) -> str:
+    return f"{place.lower} .. {place.upper} m"
+
+
+def _part(source: TomlFile, name: str, drivers: dict[str, Callable[..., Any]], besides: tuple[str, ...] = ()) -> Part:
+    table = source.table[name]
+    if not isinstance(table, dict) or not isinstance(table.get("driver"), str):
+        choices = ", ".join(f'"{driver}"' for driver in drivers)
+        allowed = f'a table with driver = {choices} or "package.module:callable"'
+        raise source.error((name,), given="no driver", allowed=allowed, do="docs/cell_file.md has examples.")
+    driver, keys = table["driver"], (name, "driver")
+    make = drivers.get(driver)
+    if make is None:
+        if ":" not in driver:
+            allowed = ", ".join(f'"{known}"' for known in drivers) + ', "package.module:callable"'
+            raise source.error(keys, given=f'"{driver}"', allowed=allowed, do="Choose one.")
+        make = _parts.own_driver(driver, source.where(keys), source.path.parent)
+    rest = {key: value for key, value in table.items() if key not in ("driver", *besides)}
+    fitted(source, (name,), rest, make, _parts.GIVEN)
+    return Part(driver, make, rest, (name,))
+
+
+def _model(source: TomlFile) -> ArmModel:
+    told, keys = source.table["arm"].get("model", "sawyer"), ("arm", "model")
+    if isinstance(told, dict):
+        return built(source, keys, told, _parts.arm_of_urdf)
+    with source.located(keys):
+        return named(str(told))
+
+
+def _hand_eye(source: TomlFile, table: dict[str, Any]) -> Array:
+    """Return T_flange_cam, from the file or from a calibration.json."""
+    if ("calibration" in table) == ("T_flange_cam" in table):
+        given = "both calibration and T_flange_cam" if "calibration" in table else "no calibration and no T_flange_cam"
+        do = "anther calibrate writes a calibration.json."
+        raise source.error(("wrist_camera",), given=given, allowed="one of the two", do=do)
+    if "T_flange_cam" in table:
+        return _pose(source, "wrist_camera", "T_flange_cam", table)
+    return HandEye.load(checked(source, ("wrist_camera", "calibration"), table["calibration"], Path)).T_flange_cam
+
+
+def _pose(source: TomlFile, name: str, key: str, table: dict[str, Any]) -> Array:
+    if key not in table:
+        raise source.error((name,), given=f"no '{key}'", allowed="7 numbers: x y z [m] qx qy qz qw", do="Add it.")
+    numbers = checked(source, (name, key), table[key], Pose)
+    with source.located((name, key)):
+        return transform_from_pose7(np.array(numbers))
+
+
+def _keep_out(lower: Point, upper: Point, name: str = "") -> Box:
+    del name  # for who reads the file
+    return box(lower, upper)
+
+
+def _keep_outs(source: TomlFile) -> tuple[Box, ...]:
+    tables = source.table.get("keep_out", [])
+    if not isinstance(tables, list):
+        do = "Write [[keep_out]] above each."
+        raise source.error(("keep_out",), given="one table", allowed="a list of tables", do=do)
+    return tuple(built(source, ("keep_out", str(i)), table, _keep_out) for i, table in enumerate(tables))
+
+
+@contextmanager
+def kept_open(file: CellFile) -> Iterator[Callable[[Any], Any]]:
+    """Own the cell's arm for the block; yield what is told each machine, and closes it at the end."""
+    with ExitStack() as stack:
+        stack.enter_context(owned(file.owner_name))
+
+        def keep(machine: Any) -> Any:
+            stack.callback(getattr(machine, "close", lambda: None))
+            return machine
+
+        yield keep

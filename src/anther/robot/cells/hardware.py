@@ -1,0 +1,134 @@
+"""The machines of a cell file as `robot.Cell`: connected, owned by this process, behind the guard."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from anther.core.geometry import Array
+from anther.core.runs import Advance
+from anther.perception.capture import Capture
+from anther.perception.cloud import Cloud
+from anther.robot.arm.model import ArmModel
+from anther.robot.arm.planner import Params as MotionParams
+from anther.robot.arm.planner import Planner
+from anther.robot.arm.sawyer import SAWYER
+from anther.robot.arm.views import Params as ViewParams
+from anther.robot.arm.views import Views, plan_views
+from anther.robot.cell import Cell
+from anther.robot.cells import CellFile, Part, kept_open
+from anther.robot.devices import JointTrajectory, Robot, Tap, untapped
+from anther.robot.safety import guard
+
+CALM = 0.5
+"""The arm stands for so long before a picture is taken [s]: it swings a little when it stops. A guess."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HardwareCell:
+    """Attributes: `robot_side`, what the pipeline is given. There is no simulated world in it."""
+
+    robot_side: Cell
+    world: None = None
+    capture_seconds: None = None
+
+
+class SlowPlanner(Planner):
+    """A planner, made as `Planner`, of an arm that may use only the share `ratio` of its speeds and accelerations."""
+
+    def __init__(self, ratio: float, *words: Any, **options: Any) -> None:
+        super().__init__(*words, **options)
+        self._ratio = ratio
+
+    def line(self, q_from: ArrayLike, T_world_to: ArrayLike, speed: float | None = None) -> JointTrajectory:
+        """See `Planner.line`; the speed is the ratio's share of it."""
+        speed = self.params.approach_speed if speed is None else speed
+        return super().line(q_from, T_world_to, self._ratio * speed)
+
+    def shake_limit(self, q: ArrayLike, direction: ArrayLike, frequencies: ArrayLike) -> Array:
+        """See `Planner.shake_limit`: amplitudes go with speeds and accelerations."""
+        return self._ratio * super().shake_limit(q, direction, frequencies)
+
+
+def motion_params(ratio: float, home: Array | None = None) -> MotionParams:
+    """Return how an arm moves that may use this share of its speeds."""
+    return MotionParams(
+        velocity_share=max(0.9 * ratio, 0.01),
+        acceleration_share=max(0.7 * ratio, 0.01),
+        flange_speed=1.45 * ratio,
+        home=None if home is None else tuple(home.tolist()),
+    )
+
+
+@contextmanager
+def connected(file: CellFile) -> Iterator[Robot]:
+    """Own the cell's arm and connect all its machines, for the block; nothing moves. The arm is in its own process.
+
+    Raises:
+        AntherError: the first that cannot be had.
+    """
+    with kept_open(file) as keep:
+        arm = keep(file.arm_apart())
+
+        def part(entry: Part | None) -> Any:
+            return None if entry is None else keep(file.connect(entry, arm=arm))
+
+        yield Robot(
+            arm=arm,
+            gripper=part(file.gripper),
+            wrist_camera=part(file.wrist_camera),
+            side_camera=part(file.side_camera),
+            T_world_side_camera=file.T_world_side_camera,
+            motor=part(file.shaker),
+        )
+
+
+@contextmanager
+def hardware_cell(file: CellFile, views: ViewParams, tap: Tap = untapped) -> Iterator[HardwareCell]:
+    """Connect a cell for one trial; see `connected`. `tap` listens to the bare machines."""
+    limits, ratio, arm = file.safety_limits(), file.limits.speed_ratio, file.model
+    boxes = file.keep_out
+    with connected(file) as bare:
+        robot = guard(tap(bare, limits, file.T_flange_cam, time.monotonic), limits)
+
+        def take_views(advance: Advance) -> Capture:
+            begin, motion = robot.arm.joints(), motion_params(ratio)
+            hand_eye = file.T_flange_cam
+            planned = plan_views(file.region, boxes, views, start=begin, T_flange_cam=hand_eye, motion=motion, arm=arm)
+            return look_around(robot, planned, hand_eye, advance, arm)
+
+        def plan_around(cloud: Cloud) -> Planner:
+            params = motion_params(ratio, robot.arm.joints())
+            return SlowPlanner(
+                ratio, cloud.points, cloud.obstacles, boxes, space=file.arm_space, params=params, arm=arm
+            )
+
+        yield HardwareCell(Cell(take_views, plan_around, robot, file.workspace, limits))
+
+
+def look_around(robot: Robot, views: Views, T_flange_cam: Array, advance: Advance, model: ArmModel = SAWYER) -> Capture:
+    """Go to each view, stand still, take a picture; return them with the poses that the arm read.
+
+    Raises:
+        StageFailure: what arm and camera raise.
+    """
+    frames, joints = [], []
+    for number, motion in enumerate(views.motions):
+        robot.arm.follow(motion)
+        robot.arm.follow(JointTrajectory.standstill(motion.positions[-1], CALM))
+        frames.append(robot.wrist_camera.read())
+        joints.append(robot.arm.joints())
+        advance(number + 1, len(views.motions))
+    return Capture(
+        np.stack([frame.depth for frame in frames]),
+        robot.wrist_camera.intrinsics,
+        model.forward(np.array(joints)) @ T_flange_cam,
+        np.stack([frame.rgb for frame in frames]),
+        np.array(joints),
+    )

@@ -1,0 +1,133 @@
+"""What an arm tells of its joints, put in order and on this machine's clock. J joints."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from anther.core.geometry import Array
+from anther.robot.devices import DeviceError
+
+STALE = 0.05
+"""Joints read longer ago than this are not believed [s]."""
+RECENT = 40
+"""Readings that are kept: a rate is measured between them, at up to 500 a second."""
+DRIFT = 1e-4
+"""Clocks drift apart by less than this [s/s]: an order more than quartz does."""
+SPANS = (0.02, 0.06)
+"""A rate is measured between readings so far apart [s]: two at 100 Hz and more, before the rate is another."""
+
+
+class Reading(NamedTuple):
+    """Joints (J,) [rad] read at `time` [s] on this machine's clock, by the robot's stamp."""
+
+    time: float
+    joints: Array
+
+
+def rate_of(readings: list[Reading]) -> Array | None:
+    """Return the rates (J,) [rad/s] of readings in order, at the last; None where too few are close enough."""
+    last = readings[-1]
+    before = next((r for r in readings if SPANS[0] <= last.time - r.time <= SPANS[1]), None)
+    return None if before is None else (last.joints - before.joints) / (last.time - before.time)
+
+
+def check_fresh(age: float, stale: float = STALE) -> None:
+    """Refuse joints that were read longer ago than `stale` [s]."""
+    if not age <= stale:
+        given = f"the newest joints are {1e3 * age:.0f} ms old; allowed: {1e3 * stale:.0f} ms"
+        raise DeviceError(f"{given}. Check network, robot, and both clocks; then start anew.")
+
+
+def check_told(joints: Array) -> Array:
+    """Return joints (J,) [rad] that are numbers."""
+    if not np.isfinite(joints).all():
+        raise DeviceError(f"joints: got {joints} rad. The arm does not tell where it is.")
+    return joints
+
+
+class RobotClock:
+    """A robot's clock, set behind this machine's by the message that came quickest.
+
+    Attributes:
+        offset: this machine's time less the robot's [s]; NaN before the first message.
+    """
+
+    def __init__(self) -> None:
+        self.offset = self._heard = float("nan")
+
+    def hear(self, stamp: float, arrival: float) -> None:
+        """Take the stamp of a message [s], and when it arrived on this machine's clock [s]."""
+        lag, drifted = arrival - stamp, self.offset + DRIFT * (arrival - self._heard)
+        self.offset = lag if np.isnan(drifted) else min(lag, drifted)
+        self._heard = arrival
+
+
+class Readings:
+    """The joints as they come in, put in order by their names.
+
+    Attributes:
+        recent: the newest ones, in order; empty before the first.
+        trouble: why what comes in cannot be used; empty while it can.
+        others: names of the joints that came in without any of the arm's.
+        rate: readings a second, of the last hundred.
+        clock: the robot's.
+    """
+
+    def __init__(self, names: Sequence[str], clock: Callable[[], float]) -> None:
+        self.recent = list[Reading]()
+        self.trouble, self.rate = "", float("nan")
+        self.others: tuple[str, ...] = ()
+        self._names, self._clock, self._arrivals = tuple(names), clock, list[float]()
+        self.clock = RobotClock()
+
+    def hear(self, message: Any) -> None:
+        """Take a sensor_msgs/JointState; one of other joints only is passed over."""
+        arrival, stamp = self._clock(), message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        places = {name: i for i, name in enumerate(message.name)}
+        if not any(name in places for name in self._names):
+            self.others = tuple(places)
+            return
+        missing = [name for name in self._names if name not in places]
+        if missing or len(places) != len(message.name) or len(message.position) != len(message.name):
+            told = f"{', '.join(missing)} missing" if missing else f"{len(message.position)} angles, names twice"
+            self.trouble = f"joints: got {', '.join(message.name)}: {told}; allowed: {', '.join(self._names)}"
+            return
+        joints = np.array([message.position[places[name]] for name in self._names], dtype=float)
+        if not np.isfinite(joints).all():
+            self.trouble = f"joints: got {joints} rad"
+            return
+        self.clock.hear(stamp, arrival)
+        self._arrivals = [*self._arrivals[-99:], arrival]
+        if len(self._arrivals) > 1:
+            self.rate = (len(self._arrivals) - 1) / max(arrival - self._arrivals[0], 1e-9)
+        self.trouble = ""
+        self.take(Reading(stamp + self.clock.offset, joints))
+
+    @property
+    def last(self) -> Reading | None:
+        """The newest; None before the first."""
+        return self.recent[-1] if self.recent else None
+
+    def take(self, reading: Reading) -> None:
+        """Take a reading, unless a newer one is there."""
+        if not self.recent or reading.time > self.recent[-1].time:
+            self.recent = [*self.recent[-RECENT:], reading]
+
+    def speed(self) -> Array | None:
+        """Return rates (J,) [rad/s] at the newest reading, by those before; None: there are too few."""
+        return rate_of(self.recent) if self.recent else None
+
+    def age(self) -> float:
+        """Return how old the newest is [s]; infinite before the first."""
+        return float("inf") if self.last is None else self._clock() - self.last.time
+
+    def newest(self, stale: float) -> Reading:
+        """Return the newest reading; refuse one that is older than `stale` [s], or cannot be used."""
+        if self.trouble:
+            raise DeviceError(f"{self.trouble}. Check the robot's description, and start anew.")
+        check_fresh(self.age(), stale)
+        assert self.last is not None
+        return self.last

@@ -1,0 +1,47 @@
+"""The public names of the room, and where they stand; `__init__.py` finds them when they are asked for."""
+
+from ._equilibrium import equilibrium, least_stiffness, standing, stands, with_gravity_equilibrium
+from ._linear import Modes, base_response, natural_frequencies
+from ._motion import RIGID, Burst, Chirp, Clamp, Drive, Motion, Rocking, SampledDrive, Springs, unit_direction
+from ._response import Observed, displacements, frequency_response, observed_response, response_map, steady_motion
+from ._rods import GRAVITY, Array, Discretisation, NaturalShape, Rods
+from ._simulation import Trajectory, simulate
+from ._strains import joints, strain_changes
+from ._vectors import compiled
+
+__all__ = [
+    "GRAVITY",
+    "RIGID",
+    "Array",
+    "Burst",
+    "Chirp",
+    "Clamp",
+    "Discretisation",
+    "Drive",
+    "Modes",
+    "Motion",
+    "NaturalShape",
+    "Observed",
+    "Rocking",
+    "Rods",
+    "SampledDrive",
+    "Springs",
+    "Trajectory",
+    "base_response",
+    "compiled",
+    "displacements",
+    "equilibrium",
+    "frequency_response",
+    "joints",
+    "least_stiffness",
+    "natural_frequencies",
+    "observed_response",
+    "response_map",
+    "simulate",
+    "standing",
+    "stands",
+    "steady_motion",
+    "strain_changes",
+    "unit_direction",
+    "with_gravity_equilibrium",
+]

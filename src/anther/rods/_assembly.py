@@ -1,0 +1,288 @@
+"""Energy, gradient and tree-structured Hessian of all springs, in walks over the edges.
+
+Springs see edges: x_j = x_parent + d_j. The matrix is gathered in the unknowns (d_j, spin_j), where a joint couples an
+edge with the near one alone; `on_nodes` turns it into that in node positions, which masses and drag want. By edges the
+matrix of a line of N edges has the condition number of N^2, by nodes that of N^4: there doubles leave nothing of the
+lowest modes of some thousand nodes.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anther.rods import _springs
+from anther.rods._model import Frames, Model, joint_ends
+from anther.rods._rods import Array
+from anther.rods._vectors import (
+    LANES,
+    compiled,
+    get,
+    get3,
+    halves,
+    load,
+    merged,
+    norm,
+    put,
+    put3,
+    put6,
+    six,
+    store,
+    subtract,
+    twist_angle,
+)
+
+
+class Blocks(NamedTuple):
+    """The tree-structured symmetric matrix and a right-hand side; of `diagonal` only the upper triangles are used."""
+
+    diagonal: NDArray[Any]  # (N, 4, 4) block (j, j)
+    near: NDArray[Any]  # (N, 4, 4) block (j, near[j])
+    far: NDArray[Any]  # (N, 4, 4) block (j, far[j]), 0 by edges; no spring reaches the spin of the far edge
+    gradient: NDArray[Any]  # (N, 4)
+    lanes: Array  # scratch
+
+
+def new_blocks(n: int, dtype: Any = np.float64) -> Blocks:
+    """Return zeroed storage for N nodes."""
+    diagonal, near, far = np.zeros((3, n, 4, 4), dtype)
+    return Blocks(diagonal, near, far, np.zeros((n, 4), dtype), new_lanes())
+
+
+def new_lanes() -> Array:
+    """Return an empty buffer for the springs' lanes."""
+    return np.zeros(_springs.ROWS * LANES)
+
+
+@compiled
+def move_frames(model: Model, x_old: Any, m1_old: Any, x: Any, turn: Any, m1: Any, buffer: Any) -> None:
+    """Carry the directors m1_old from positions x_old to x, turn edge j by turn[j] (Cayley, `spin`), into m1."""
+    parent = model.parent
+    for first in range(1, len(x), LANES):
+        count = min(LANES, len(x) - first)
+        for i in range(count):
+            j = first + i
+            p = parent[j]
+            put3(buffer, _springs.OLD_EDGE, i, subtract(load(x_old, j), load(x_old, p)))
+            put3(buffer, _springs.NEW_EDGE, i, subtract(load(x, j), load(x, p)))
+            put3(buffer, _springs.OLD_DIRECTOR, i, load(m1_old, j))
+            put(buffer, _springs.TURN, i, turn[j])
+        _springs.frame_lanes(buffer)
+        for i in range(count):
+            store(m1, first + i, get3(buffer, _springs.NEW_DIRECTOR, i))
+
+
+@compiled
+def elastic_energy(model: Model, x: Any, frames: Frames) -> float:
+    """Return the stored elastic energy [J]."""
+    total, m1 = 0.0, frames.m1
+    for j in range(1, len(x)):
+        strain = norm(subtract(load(x, j), load(x, model.parent[j]))) / model.length[j] - 1
+        total += 0.5 * model.stretch[j] * model.length[j] * strain * strain
+        if model.joint[j, 0] > 0:
+            e, m1e, f = joint_ends(model, x, m1, j)
+            k1, k2, tau = _springs.strains(_springs.bent(e, f), m1e, load(m1, j), frames.twist[j])
+            k1, k2 = k1 - model.curvature[j, 0], k2 - model.curvature[j, 1]
+            tau = tau - model.natural_twist[j]
+            s1, s2, s3 = _springs.moments(six(model.joint, j), (k1, k2, tau))
+            total += 0.5 * (s1 * k1 + s2 * k2 + s3 * tau)
+    return total
+
+
+@compiled
+def assemble(model: Model, x_start: Any, x: Any, frames: Frames, velocity: Any, rate: float, blocks: Blocks) -> None:
+    """Fill blocks with the gradient (minus the force) and Hessian by nodes; arguments as of `assemble_edges`."""
+    assemble_edges(model, x_start, x, frames, velocity, rate, blocks)
+    on_nodes(model, blocks)
+
+
+@compiled
+def assemble_edges(
+    model: Model, x_start: Any, x: Any, frames: Frames, velocity: Any, rate: float, blocks: Blocks
+) -> None:
+    """Fill blocks with the elastic and viscous gradient (minus the force) and Hessian by edges.
+
+    Args:
+        model: constants.
+        x_start: (N, 3) positions [m] at the start of a midpoint step; x itself otherwise. See `springs.stretched`.
+        x: (N, 3) positions [m].
+        frames: directors at x; each twist becomes that at x, on the branch nearest to the one given.
+        velocity: (N, 4) node velocity [m/s] and edge spin rate [rad/s].
+        rate: d velocity / d position of the time step [1/s]; 0 for statics.
+        blocks: diagonal, near and gradient are filled anew.
+    """
+    order, near, far, swapped = model.order, model.near, model.far, model.swapped
+    D, U, g, b = blocks.diagonal, blocks.near, blocks.gradient, blocks.lanes
+    n = len(x)
+    g[0] = 0
+    _clear(D, 0)
+    for first in range(1, n, LANES):
+        count = min(LANES, n - first)
+        _gather_springs(model, x_start, x, frames, velocity, b, first, count)
+        _springs.spring_lanes(b, rate)
+        for i in range(count):
+            j = order[n - 1 - first - i]
+            _set_own(D, g, b, j, i)
+            if far[j] >= 0:
+                _add_near(D, U, g, b, j, near[j], -1.0 if swapped[j] else 1.0, i)
+            else:
+                _clear(U, j)
+
+
+@compiled
+def on_nodes(model: Model, blocks: Blocks) -> None:
+    """Turn a gradient and a matrix by edges into those by nodes: d_j = x_j - x_parent."""
+    order, parent, near, far, swapped = model.order, model.parent, model.near, model.far, model.swapped
+    D, U, V, g = blocks.diagonal, blocks.near, blocks.far, blocks.gradient
+    for k in range(len(order) - 2, -1, -1):  # from the root outward: what is added to has been turned
+        j = order[k]
+        m, a, o = parent[j], near[j], far[j]
+        for i in range(3):
+            g[m, i] -= g[j, i]
+            for c in range(i, 3):
+                D[m, i, c] += D[j, i, c]
+        if o < 0:
+            _less_own(U, D, j)
+            continue
+        for i in range(4):
+            for c in range(3):
+                V[j, i, c] = -U[j, i, c]
+        if swapped[j]:  # node a is the hub, node m the root
+            _add_coupling(D, U, j, m, 1.0)
+            for i in range(3):
+                U[a, 3, i] -= U[j, i, 3]
+                for c in range(3):
+                    U[a, c, i] -= U[j, i, c]
+            _less_own(V, D, j)
+            continue
+        _add_coupling(D, U, j, m, -1.0)
+        for i in range(3):
+            D[m, i, 3] -= U[j, i, 3]
+        if near[a] == o:
+            _add_beyond(U, U, j, m)
+        else:
+            _add_beyond(V, U, j, m)
+        _less_own(U, D, j)
+
+
+@merged
+def _less_own(target: Any, D: Any, j: Any) -> None:
+    """Subtract the symmetric block j, of which the upper triangle is kept, but for its last column."""
+    for i in range(4):
+        for c in range(3):
+            target[j, i, c] -= D[j, min(i, c), max(i, c)]
+
+
+@merged
+def _add_coupling(D: Any, U: Any, j: Any, m: Any, sign: float) -> None:
+    """Add what the coupling of edge j with the near one means for node m, where they meet."""
+    for i in range(3):
+        for c in range(i, 3):
+            D[m, i, c] += sign * (U[j, i, c] + U[j, c, i])
+
+
+@merged
+def _add_beyond(target: Any, U: Any, j: Any, m: Any) -> None:
+    """Add the coupling of edge j with edge m before it to node m's with the node before that."""
+    for i in range(3):
+        for c in range(3):
+            target[m, i, c] += U[j, i, c]
+
+
+@merged
+def _gather_springs(
+    model: Model, x_start: Any, x: Any, frames: Frames, velocity: Any, b: Any, first: int, count: int
+) -> None:
+    """Write the input of `count` springs, counted from the root outward, into the lanes, and their present twist."""
+    order, parent, near, far = model.order, model.parent, model.near, model.far  # unpacked: it is faster
+    swapped, joint, viscous, stretch, length = model.swapped, model.joint, model.viscous, model.stretch, model.length
+    curvature, natural_twist, soil = model.curvature, model.natural_twist, model.soil
+    m1, twist, n = frames.m1, frames.twist, len(x)
+    for i in range(count):
+        j = order[n - 1 - first - i]  # from the root outward, so that a block is written before it is added to
+        m, a, o = parent[j], near[j], far[j]
+        if o < 0:  # joined to the soil, or, where there is none, to itself with stiffness 0
+            _gather(x, m1, velocity, b, j, m, m, j, j, 1.0, i)
+            if joint[j, 0] > 0:
+                _gather_soil(soil, b, j, i)
+        elif swapped[j]:  # from the hub back to the root: the hub edge reversed
+            _gather(x, m1, velocity, b, j, m, a, m, a, -1.0, i)
+        else:
+            _gather(x, m1, velocity, b, j, m, o, m, a, 1.0, i)
+        put6(b, _springs.JOINT, i, six(joint, j))
+        put3(b, _springs.START_F, i, subtract(load(x_start, j), load(x_start, m)))
+        put3(b, _springs.VISCOUS, i, (viscous[j], curvature[j, 0], curvature[j, 1]))
+        put3(b, _springs.NATURAL_TWIST, i, (natural_twist[j], stretch[j], length[j]))
+    _springs.twist_lanes(b)
+    for i in range(count):
+        j = order[n - 1 - first - i]
+        twist[j] = twist_angle(get(b, _springs.SINE, i), get(b, _springs.COSINE, i), twist[j])
+        put(b, _springs.TWIST, i, twist[j])
+
+
+@merged
+def _gather(
+    x: Any, m1: Any, velocity: Any, b: Any, j: Any, m: Any, start: Any, end: Any, edge: Any, sign: float, i: int
+) -> None:
+    """Write edge e (from node start to end, director and spin of the given edge) and edge f (m to j) into lane i."""
+    put3(b, _springs.EDGE_E, i, subtract(load(x, end), load(x, start)))
+    put3(b, _springs.EDGE_F, i, subtract(load(x, j), load(x, m)))
+    put3(b, _springs.DIRECTOR_E, i, load(m1, edge))
+    put3(b, _springs.DIRECTOR_F, i, load(m1, j))
+    put3(b, _springs.SPEED_E, i, subtract(load(velocity, end), load(velocity, start)))
+    put3(b, _springs.SPEED_F, i, subtract(load(velocity, j), load(velocity, m)))
+    put(b, _springs.SPIN_E, i, sign * velocity[edge, 3])
+    put(b, _springs.SPIN_F, i, velocity[j, 3])
+
+
+@merged
+def _gather_soil(soil: Any, b: Any, j: Any, i: int) -> None:
+    """Write the soil, which neither moves nor turns, as edge e into lane i."""
+    edge, director = halves(soil, j)
+    put3(b, _springs.EDGE_E, i, edge)
+    put3(b, _springs.DIRECTOR_E, i, director)
+    put3(b, _springs.SPEED_E, i, (0.0, 0.0, 0.0))
+    put(b, _springs.SPIN_E, i, 0.0)
+
+
+@merged
+def _clear(A: Any, j: Any) -> None:
+    for r in range(4):
+        for c in range(4):
+            A[j, r, c] = 0
+
+
+@merged
+def _set_own(D: Any, g: Any, b: Any, j: Any, i: int) -> None:
+    """Begin row j with what its own spring gives."""
+    f, turn, spins = get3(b, _springs.FORCE_F, i), get3(b, _springs.SPIN_F_F, i), get3(b, _springs.SPINS, i)
+    g[j, 0], g[j, 1], g[j, 2], g[j, 3] = f[0], f[1], f[2], get(b, _springs.MOMENT_F, i)
+    D[j, 0, 0], D[j, 0, 1], D[j, 1, 1] = get3(b, _springs.FF, i)
+    D[j, 0, 2], D[j, 1, 2], D[j, 2, 2] = get3(b, _springs.FF + 3, i)
+    D[j, 0, 3], D[j, 1, 3], D[j, 2, 3] = turn
+    D[j, 3, 3] = spins[2]
+
+
+@merged
+def _add_near(D: Any, U: Any, g: Any, b: Any, j: Any, a: Any, sign: float, i: int) -> None:
+    """Add what the joint of edge j does to edge a, which runs towards it (sign 1) or, at the root, away (-1)."""
+    spins = get3(b, _springs.SPINS, i)
+    for r in range(3):
+        g[a, r] += sign * get(b, _springs.FORCE_E + r, i)
+        D[a, r, 3] += get(b, _springs.SPIN_E_E + r, i)
+        U[j, r, 3] = sign * get(b, _springs.SPIN_E_F + r, i)
+        U[j, 3, r] = sign * get(b, _springs.SPIN_F_E + r, i)
+        for c in range(3):
+            U[j, r, c] = sign * get(b, _springs.FE + 3 * r + c, i)
+    e, f = get3(b, _springs.EE, i), get3(b, _springs.EE + 3, i)
+    D[a, 0, 0] += e[0]
+    D[a, 0, 1] += e[1]
+    D[a, 1, 1] += e[2]
+    D[a, 0, 2] += f[0]
+    D[a, 1, 2] += f[1]
+    D[a, 2, 2] += f[2]
+    g[a, 3] += sign * get(b, _springs.MOMENT_E, i)
+    D[a, 3, 3] += spins[0]
+    U[j, 3, 3] = sign * spins[1]

@@ -1,0 +1,348 @@
+"""Rods turned into the flat arrays that the compiled kernels loop over."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from anther.core.checks import check_array
+from anther.core.errors import bad_input
+from anther.rods import _springs
+from anther.rods._rods import Array, NaturalShape, Rods
+from anther.rods._vectors import (
+    compiled,
+    cross,
+    halves,
+    load,
+    merged,
+    norm,
+    scale,
+    spin,
+    store,
+    subtract,
+    transport,
+)
+
+SOFTER = 1.2
+"""A last edge may be this much softer than the one before it for the latter's joint to stay well above 0."""
+
+NO_TWIST = 1e-2
+"""EI / GJ of rods that cannot twist: their twist is this share of what it would be at EI = GJ."""
+
+
+def joint_matrix(rods: Rods, curvature: Array, near: NDArray[Any], far: NDArray[Any], jointed: NDArray[Any]) -> Array:
+    """Return (N, 6) entries 11, 12, 22, 13, 23, 33 of the stiffness on (kappa1, kappa2, twist) [N m]; 0 without joint.
+
+    A straight joint has K = 1 / (sum of the bend compliances of its shares of both edges, and of the joint itself),
+    which is EI over the Voronoi length (P19) where both are half and alike, and GJ likewise.
+
+    At a kink of angle phi the two edges do not share their axes: bending of the one in part twists the other. With
+    h = phi/2, the binormal b, the mean tangent t and n = b x t, a rotation (w_b, w_n, w_t) of edge j against its parent
+    gives the strains w_b / cos^2 h, w_n / cos h, w_t / cos h, and the shares' compliances, a of the parent and b of
+    edge j, add up to
+
+        C_bb = a_EI + b_EI,   C_nn = (a_EI + b_EI) cos^2 h + (a_GJ + b_GJ) sin^2 h,
+        C_tt = (a_EI + b_EI) sin^2 h + (a_GJ + b_GJ) cos^2 h,   C_nt = sin h cos h (a_EI - a_GJ - b_EI + b_GJ).
+
+    Without that, kinks and forks converge with the first order only. `discretisation="paper"` takes every joint as
+    straight and halves every edge.
+
+    Args:
+        rods: the rods.
+        curvature: (N, 2) curvatures of the scanned shape, |curvature| = 2 tan h.
+        near, far: of `Model`.
+        jointed: (N,) which edges have a joint at their inner end.
+    """
+    shares = _shares(rods, near, jointed)
+    bend, twist = _compliances(rods)
+    e, soft = np.where(far >= 0, near, 0), np.asarray(rods.joint_compliance)
+    a_EI, a_GJ = shares[0] * bend[e], shares[0] * twist[e]
+    b_EI, b_GJ = shares[1] * bend, shares[1] * twist
+    straight = rods.discretisation == "paper"
+    k, cosine, sine = _kink(0 * curvature if straight else curvature)
+    C_bb = a_EI + b_EI + soft
+    C_nn = (a_EI + b_EI) * cosine**2 + (a_GJ + b_GJ) * sine**2 + soft
+    C_tt = (a_EI + b_EI) * sine**2 + (a_GJ + b_GJ) * cosine**2 + soft
+    C_nt = sine * cosine * (a_EI - a_GJ - b_EI + b_GJ)
+    factor = cosine**2 / (C_nn * C_tt - C_nt**2)
+    W_bb, W_nn, W_nt, W_tt = cosine**4 / C_bb, factor * C_tt, -factor * C_nt, factor * C_nn
+    k1, k2 = k.T  # along kappa in the plane of the two curvatures; n is (k2, -k1) there
+    entries = np.stack(
+        [
+            W_bb * k1**2 + W_nn * k2**2,
+            (W_bb - W_nn) * k1 * k2,
+            W_bb * k2**2 + W_nn * k1**2,
+            W_nt * k2,
+            -W_nt * k1,
+            W_tt,
+        ],
+        axis=1,
+    )
+    return np.where(jointed[:, None], entries, 0)
+
+
+def _compliances(rods: Rods) -> tuple[Array, Array]:
+    """Return (N,) length / EI and length / GJ of every edge [rad/(N m)]; of the unused edge 0 those of edge 1."""
+    EI = np.asarray(rods.youngs) * np.pi * np.asarray(rods.edge_radius) ** 4 / 4
+    bend = np.concatenate([[1.0], rods.lengths[1:] / EI[1:]])
+    return bend, bend * np.maximum(rods.bend_over_twist, NO_TWIST)
+
+
+def line_on(rods: Rods) -> NDArray[Any]:
+    """Return (N,) the only child of node j where that is joined to edge j without an extra compliance; else -1."""
+    n, parent = len(rods.parent), rods.parent
+    children = np.bincount(parent[1:], minlength=n)
+    on = np.full(n, -1)
+    plain = 1 + np.flatnonzero((children[parent[1:]] == 1) & (np.asarray(rods.joint_compliance)[1:] == 0))
+    on[parent[plain]] = plain
+    return on
+
+
+def turned_alone(rods: Rods) -> NDArray[Any]:
+    """Return (N,) whether edge j alone turns a lump at its end: unless that is one of several lumps in line."""
+    lumps, on = np.asarray(rods.lumped_inertia) > 0, line_on(rods)
+    in_line = (on >= 0) & (lumps[on] | lumps[rods.parent])
+    in_line[0] = False
+    return lumps & ~in_line
+
+
+def _shares(rods: Rods, near: NDArray[Any], jointed: NDArray[Any]) -> tuple[Array, Array]:
+    """Return which shares of the parent edge and of edge j bend in the joint of edge j.
+
+    Half an edge each. But an edge that ends in a fork turns the fork's joints together, which none of them can do
+    alone: its own joint takes the whole of it, theirs none. Likewise an edge that alone turns a lump at its end; at a
+    tip the last half edge, which is nearer to the lump than any joint is, counts 7/4 in the last joint and -3/4 in the
+    one before: so bend both angle and place of the lump as far as they should. An edge that leaves the root has a joint
+    of its own only in the soil; without soil the hub's is that of its one sibling, and where it has several siblings,
+    which then fork from it at the root, that of its one child.
+    """
+    n, parent = len(near), rods.parent
+    of_near, own = np.where(near > 0, 0.5, 0.0), np.full(n, 0.5)
+    if rods.discretisation == "paper":
+        return of_near, own
+    children, on = np.bincount(parent[1:], minlength=n), line_on(rods)
+    lumps = np.asarray(rods.lumped_inertia) > 0
+    whole = (children > 1) | turned_alone(rods)
+    whole[0] = False
+    own[whole & jointed] = 1
+    of_near[1:][(whole & jointed)[near[1:]]] = 0
+    tips = np.flatnonzero(lumps & (children == 0) & jointed)
+    before, bend = parent[tips], _compliances(rods)[0]
+    share = bend[tips] / bend[before]
+    plain = (on[before] == tips) & (before > 0) & jointed[before] & (share < SOFTER)
+    own[tips[plain]] += 3 / 8
+    own[before[plain]] -= 3 / 8 * share[plain]
+    siblings = near != parent
+    if siblings.any():
+        hub = near[siblings][0]
+        beyond = (near == hub) & ~siblings
+        if whole[hub] and siblings.sum() == 1:
+            of_near[siblings], of_near[beyond] = 1, 0
+        elif siblings.sum() > 1 and beyond.sum() == 1:
+            of_near[siblings], of_near[beyond] = 0, 1
+    return of_near, own
+
+
+def _kink(curvature: Array) -> tuple[Array, Array, Array]:
+    """Return the direction of each kink among the curvatures (N, 2), and cosine and sine of half its angle."""
+    size = np.linalg.norm(curvature, axis=1)
+    direction = np.where(size[:, None] > 0, curvature / np.maximum(size, 1e-300)[:, None], [1.0, 0.0])
+    cosine = 1 / np.sqrt(1 + size**2 / 4)
+    return direction, cosine, 0.5 * size * cosine
+
+
+class Model(NamedTuple):
+    """Constants of a tree of rods. Block j holds the four unknowns x_j (3) and the spin of edge j about its tangent.
+
+    Block j couples to at most two blocks nearer to the root, `near` and `far`; these are coupled to each other, so
+    elimination from the tips inward creates no new coupling. Normally near is the parent and far the grandparent.
+    Another child of the root than the hub (the stiffest child) has near = hub and far = root: its spring joins it to
+    the reversed hub edge. In planted rods every child of the root has near = root, no far, and a spring to the soil.
+    """
+
+    parent: NDArray[Any]  # (N,)
+    order: NDArray[Any]  # (N,) elimination order, tips first
+    near: NDArray[Any]  # (N,) -1 at the root
+    far: NDArray[Any]  # (N,) -1 where edge j has no spring to a parent edge
+    swapped: NDArray[Any]  # (N,) whether the spring of edge j uses the reversed hub edge
+    mass: Array  # (N,) on the velocity of node j [kg]
+    spin_inertia: Array  # (N,) [kg m^2]
+    rotary: Array  # (N,) mass on the velocity of node j relative to its parent [kg]
+    drag: Array  # (N,) [N s/m]
+    weight: Array  # (N, 3) [N]
+    stretch: Array  # (N,) EA [N]
+    joint: Array  # (N, 6) stiffness of the joint with the parent edge, see `joints.joint_matrix` [N m]
+    viscous: Array  # (N,) [s]
+    length: Array  # (N,) natural length [m]
+    curvature: Array  # (N, 2) natural curvature [-]
+    natural_twist: Array  # (N,) [rad]
+    soil: (
+        Array  # (N, 6) of an edge that leaves the root: its scanned direction and first director, which the soil keeps
+    )
+
+
+class Frames(NamedTuple):
+    """First material director of every edge, (N, 3), and the present twist of every spring, (N,) [rad]."""
+
+    m1: Array
+    twist: Array
+
+
+def build_model(rods: Rods, gravity: ArrayLike, planted: bool = False) -> tuple[Model, Frames]:
+    """Return the constants of `rods` under `gravity` (3,) [m/s^2], and the frames of the scanned shape.
+
+    Of planted rods every edge that leaves the root is joined to the soil, which keeps its scanned direction; the rods
+    bend from the root on.
+
+    Masses are those of linear finite elements (m/3 of an edge at each end, m/6 between them), written as m/2 at each
+    end and -m/6 on their relative velocity: with them the bending frequencies converge with the fourth order. The
+    moment of inertia of the cross-section (Rayleigh's beam: m r^2/4) and of a lump resists the turning of the edge; its
+    part along the edge is kept, so that the mass matrix is constant, and does nothing where edges hardly change their
+    length.
+
+    Raises:
+        InputError: an edge folds back onto its parent edge.
+    """
+    near, far, swapped, order = _couplings(rods)
+    frames, curvature = _rest_frames(rods.nodes, rods.parent, near, far, swapped)
+    if planted:
+        near, far, swapped = _planted(rods.parent, far)
+        curvature[rods.parent == 0] = 0
+    natural = rods.natural or NaturalShape(rods.lengths, curvature, np.zeros(len(near)))
+    area = np.pi * np.square(rods.edge_radius)
+    paper = rods.discretisation == "paper"
+    edge_mass = np.asarray(rods.density) * area * rods.lengths
+    lump = np.asarray(rods.lumped_inertia) if paper else _turning_lumps(rods)
+    turning = lump if paper else lump + edge_mass * np.square(rods.edge_radius) / 4
+    rotary = np.divide(turning, rods.lengths**2, out=np.zeros(len(lump)), where=rods.lengths > 0)
+    model = Model(
+        parent=rods.parent,
+        order=order,
+        near=near,
+        far=far,
+        swapped=swapped,
+        mass=rods.node_mass,
+        spin_inertia=0.5 * edge_mass * np.square(rods.edge_radius) + lump,
+        rotary=rotary if paper else rotary - edge_mass / 6,
+        drag=rods.node_total_drag,
+        weight=rods.node_mass[:, None] * check_array("gravity", gravity, (3,)),
+        stretch=area * np.asarray(rods.youngs),
+        joint=joint_matrix(rods, curvature, near, far, _jointed(rods.parent, far, planted)),
+        viscous=np.asarray(rods.viscous_time),
+        length=natural.length,
+        curvature=natural.curvature,
+        natural_twist=natural.twist,
+        soil=_soil(rods, frames),
+    )
+    return Model(*(np.array(a) for a in model)), frames
+
+
+def _planted(parent: NDArray[Any], far: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """Return near, far and swapped of rods whose root edges are joined to the soil instead of each other."""
+    return parent, np.where(parent > 0, far, -1), np.zeros(len(parent), dtype=np.bool_)
+
+
+def _jointed(parent: NDArray[Any], far: NDArray[Any], planted: bool) -> NDArray[Any]:
+    return (far >= 0) | (planted & (parent == 0))
+
+
+def _soil(rods: Rods, frames: Frames) -> Array:
+    edges = rods.nodes - rods.nodes[0]
+    directions = edges / np.maximum(np.linalg.norm(edges, axis=1), 1e-300)[:, None]
+    return np.where((rods.parent == 0)[:, None], np.hstack([directions, frames.m1]), 0)
+
+
+def _turning_lumps(rods: Rods) -> Array:
+    """Return (N,) the moment of inertia of lumps that turns with edge j [kg m^2].
+
+    Several lumps in line turn at the mean of the angles of the edges beside them: half of each with either.
+    """
+    lump, on = np.asarray(rods.lumped_inertia), line_on(rods)
+    inner = np.flatnonzero((on >= 0) & (rods.parent >= 0) & ~turned_alone(rods))
+    turning = lump.copy()
+    turning[inner] -= lump[inner] / 2
+    turning[on[inner]] += lump[inner] / 2
+    return turning
+
+
+def _couplings(rods: Rods) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
+    parent, n = rods.parent, len(rods.parent)
+    near = parent.copy()
+    far = np.where(parent > 0, parent[parent], -1)
+    swapped = np.zeros(n, dtype=np.bool_)
+    children = np.flatnonzero(parent == 0)
+    hub = _hub(rods, children)
+    others = children[children != hub]
+    near[others], far[others], swapped[others] = hub, 0, True
+    order = np.array([j for j in range(n - 1, 0, -1) if j != hub] + [hub, 0])
+    return near, far, swapped, order
+
+
+def _hub(rods: Rods, children: NDArray[Any]) -> int:
+    """Return the stiffest child of the root; where several siblings fork from it, preferably one with one child."""
+    radius, youngs = np.asarray(rods.edge_radius), np.asarray(rods.youngs)
+    if len(children) > 2 and rods.discretisation == "consistent":
+        single = children[np.bincount(rods.parent[1:], minlength=len(radius))[children] == 1]
+        children = single if len(single) else children
+    return int(children[np.argmax(youngs[children] * radius[children] ** 4)])
+
+
+def _rest_frames(
+    nodes: Array, parent: NDArray[Any], near: NDArray[Any], far: NDArray[Any], swapped: NDArray[Any]
+) -> tuple[Frames, Array]:
+    edges = nodes - nodes[parent]
+    edges[0] = 1
+    unit = edges / np.linalg.norm(edges, axis=1, keepdims=True)
+    folded = (far >= 0) & (np.einsum("ij,ij->i", unit, unit[near]) * np.where(swapped, -1, 1) < -0.9999)
+    if np.any(folded):
+        j = int(np.flatnonzero(folded)[0])
+        raise bad_input(
+            "rod nodes", given=f"edge {j} folds back onto edge {near[j]}", allowed="turns < 179 deg", do="Smooth it."
+        )
+    m1, curvature = np.zeros((len(nodes), 3)), np.zeros((len(nodes), 2))
+    hub = int(np.flatnonzero((near == 0) & (far < 0))[0])
+    _carry_frames(nodes, parent, near, far, swapped, hub, m1, curvature)
+    return Frames(m1, np.zeros(len(nodes))), curvature
+
+
+@compiled
+def _carry_frames(
+    nodes: Any, parent: Any, near: Any, far: Any, swapped: Any, hub: int, m1: Any, curvature: Any
+) -> None:
+    """Carry the directors from the hub edge outward, along the connectivity, and note the curvatures."""
+    e = subtract(load(nodes, hub), load(nodes, 0))
+    side = cross(e, (0.0, 1.0, 0.0))
+    if norm(side) < 1e-3 * norm(e):
+        side = cross(e, (0.0, 0.0, -1.0))
+    store(m1, hub, scale(1 / norm(side), side))
+    for j in range(1, len(nodes)):
+        if far[j] < 0:
+            continue
+        e, f = spring_edges(nodes, parent, near, far, swapped, j)
+        te, tf = scale(1 / norm(e), e), scale(1 / norm(f), f)
+        m1e = load(m1, near[j])
+        m1f = spin(transport(m1e, te, tf), tf, 0.0)
+        store(m1, j, m1f)
+        kappa = _springs.curvatures(_springs.bent(e, f), m1e, m1f)
+        curvature[j, 0], curvature[j, 1] = kappa
+
+
+@compiled
+def spring_edges(x: Any, parent: Any, near: Any, far: Any, swapped: Any, j: int) -> Any:
+    """Return the edge vectors e (the parent edge, running towards edge j) and f (edge j) of spring j [m]."""
+    e = subtract(load(x, near[j]), load(x, far[j]))
+    if swapped[j]:
+        e = scale(-1.0, e)
+    return e, subtract(load(x, j), load(x, parent[j]))
+
+
+@merged
+def joint_ends(model: Model, x: Any, m1: Any, j: int) -> Any:
+    """Return the edge before joint j with its director, which of a planted root are the soil's, and edge j."""
+    if model.far[j] < 0:
+        e, m1e = halves(model.soil, j)
+        return e, m1e, subtract(load(x, j), load(x, model.parent[j]))
+    e, f = spring_edges(x, model.parent, model.near, model.far, model.swapped, j)
+    return e, load(m1, model.near[j]), f

@@ -1,0 +1,387 @@
+"""Small vibrations about the equilibrium under gravity: what a shake of the grip does.
+
+Branches are condensed onto the trunk, the way from the grips to the root, and complex tree solves go along it. A grip
+that gives is a body between pads, joined to the gripper by springs.
+
+Q frequencies, G grips, P nodes between the pads, H unknowns that a grip holds, D directions, K observed vectors, L
+loaded unknowns, R rows of the trunk, N nodes.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import csr_array
+
+from anther.core.checks import check_array, check_range, check_room
+from anther.rods._assembly import new_blocks
+from anther.rods._linear import checked_hertz, linearise, set_dynamic
+from anther.rods._model import Model
+from anther.rods._motion import (
+    RIGID,
+    Clamp,
+    ComplexArray,
+    Drive,
+    Springs,
+    check_node,
+    gripped_edges,
+    unit_direction,
+)
+from anther.rods._rods import GRAVITY, Array, Rods
+from anther.rods._tree_solver import factor, solve_columns, substitute_columns
+from anther.rods._vectors import compiled
+
+COLUMNS = 128
+"""Loads solved side by side: enough for the vector units, few enough for cache and memory."""
+
+FINE = "Nodes a few millimetres apart are fine enough: thin them out, or ask for less at once."
+"""What to do about rods that are divided too finely."""
+
+
+class Observed(NamedTuple):
+    """What shakes of one metre along x, y and z do.
+
+    Attributes:
+        vectors: (Q, G, K, 3, 3) observed vectors (rows) for each axis of the shake (columns).
+        force: (Q, G, 3, 3) that the grip exerts, summed over its nodes, in the same way [N/m].
+        moment: (Q, G, 3, 3) likewise, about its first node [N m/m].
+        pads: (Q, G, 6, 3) motion of the pads: displacement of the first node [m/m], then rotation [rad/m].
+    """
+
+    vectors: ComplexArray
+    force: ComplexArray
+    moment: ComplexArray
+    pads: ComplexArray
+
+
+class Steady(NamedTuple):
+    """The steady answer to a drive, as phasors.
+
+    Attributes:
+        motion: (N, 4) displacements [m] and spins [rad] of all nodes and edges.
+        pads: (6,) displacement of the first gripped node [m], then rotation of the pads [rad].
+    """
+
+    motion: ComplexArray
+    pads: ComplexArray
+
+
+def frequency_response(
+    rods: Rods,
+    clamp: Clamp,
+    grip_node: int | ArrayLike,
+    direction: ArrayLike,
+    frequencies: ArrayLike,
+    *,
+    gravity: ArrayLike = GRAVITY,
+    loss_factor: float = 0.0,
+) -> ComplexArray:
+    """Return (Q, N, 3) displacement of every node per metre of grip displacement, at (Q,) frequencies [Hz].
+
+    The grip is one node or the nodes between the pads, which move as one body, along `direction` (3,): `response_map`
+    of all nodes, whose arguments and errors are the same. The modulus is the amplitude ratio, the argument the phase
+    lead [rad]. Times i w it is the velocity, times -w^2 the acceleration.
+    """
+    everything, axis = np.arange(len(rods.nodes)), check_array("direction", direction, (3,))[None]
+    options: Any = {"observe": everything, "gravity": gravity, "loss_factor": loss_factor}
+    return response_map(rods, clamp, [np.atleast_1d(grip_node)], axis, frequencies, **options)[:, 0, 0]
+
+
+def response_map(
+    rods: Rods,
+    clamp: Clamp,
+    grip_nodes: Sequence[ArrayLike] | NDArray[Any],
+    directions: ArrayLike,
+    frequencies: ArrayLike,
+    *,
+    observe: ArrayLike,
+    gravity: ArrayLike = GRAVITY,
+    loss_factor: float = 0.0,
+) -> ComplexArray:
+    """Return (Q, G, D, O, 3) how the observed nodes answer a shake of one metre at each grip in each direction [m/m].
+
+    Args:
+        rods: the rods.
+        clamp: what never moves.
+        grip_nodes: (G,) node numbers, none of them clamped; or G lists of the nodes between the pads, not all of one
+            length. One node alone may turn in the grip; neighbours move as one body, and the edge between them cannot
+            twist in it.
+        directions: (D, 3) shake directions; their length does not count.
+        frequencies: (Q,) [Hz].
+        observe: (O,) node numbers, for instance the flowers.
+        gravity: (3,) [m/s^2].
+        loss_factor: hysteretic damping on top of the rods' own: elastic stiffness times (1 + i loss_factor), the same
+            at every frequency; a mode gets the damping ratio loss_factor / 2.
+
+    Raises:
+        InputError: node or frequency out of range, or the memory does not suffice.
+        StageFailure: kind "no_convergence" when there is no stable equilibrium.
+    """
+    pads = [np.array(check_array("grip node", np.atleast_1d(p), (None,), dtype=np.int64)) for p in grip_nodes]
+    seen, hertz = np.array(check_array("observed node", observe, (None,), dtype=np.int64)), checked_hertz(frequencies)
+    for node in seen:
+        check_node("observed node", int(node), len(rods.nodes))
+    check_range("loss_factor", loss_factor, 0, 10)
+    units = np.stack([unit_direction(d) for d in np.atleast_2d(np.asarray(directions, dtype=np.float64))])
+    clamp.free(rods, [int(node) for pad in pads for node in pad])
+    operator = displacements(seen, len(rods.nodes))
+    found = observed_response(rods, clamp, pads, operator, hertz, loss_factor=loss_factor, gravity=gravity)
+    return np.moveaxis(found.vectors @ units.T, -1, 2)
+
+
+def displacements(nodes: NDArray[Any], count: int) -> Any:
+    """Return the operator (3K, 4N) of `observed_response` that sees the displacements of K of N nodes."""
+    unknown = (4 * nodes[:, None] + np.arange(3)).ravel()
+    return csr_array((np.ones(len(unknown)), (np.arange(len(unknown)), unknown)), (len(unknown), 4 * count))
+
+
+def steady_motion(
+    rods: Rods, clamp: Clamp, drive: Drive, *, gravity: ArrayLike = GRAVITY, springs: Springs = RIGID
+) -> Steady:
+    """Return the steady answer to a drive of the gripper, with springs between it and the pads.
+
+    Small vibrations about the equilibrium: the motion is the imaginary part of this times exp(i w t), since the drive
+    is a sine.
+
+    Raises:
+        StageFailure: kind "no_convergence" when there is no stable equilibrium.
+    """
+    n = len(rods.nodes)
+    every = 6 * np.arange(n)[:, None] + np.arange(4)  # of a node one vector is its displacement, one has its spin
+    operator = csr_array((np.ones(4 * n), (every.ravel(), np.arange(4 * n))), (6 * n, 4 * n))
+    found = observed_response(
+        rods, clamp, [np.array(drive.nodes)], operator, np.array([drive.frequency]), gravity=gravity, springs=springs
+    )
+    motion, pads = (drive.amplitude * part[0, 0] @ drive.direction for part in (found.vectors, found.pads))
+    return Steady(motion.reshape(n, 6)[:, :4], pads)
+
+
+def observed_response(
+    rods: Rods,
+    clamp: Clamp,
+    grip_nodes: Sequence[NDArray[Any]],
+    operator: Any,
+    frequencies: Array,
+    *,
+    loss_factor: float = 0.0,
+    gravity: ArrayLike = GRAVITY,
+    springs: Springs = RIGID,
+) -> Observed:
+    """Return how linear functions of the displacements answer shakes of many grips.
+
+    The trunk is the way from the grips to the root. Off it nothing is loaded, so that a branch only follows the two
+    nodes that its base hangs on: x_j = T_j (x_near, x_far), eight columns whatever the number of grips. Only the trunk
+    is solved for every grip.
+
+    Args:
+        rods: the rods.
+        clamp: what never moves.
+        grip_nodes: G lists of the nodes between the pads, not all of one length.
+        operator: (3K, 4N) sparse, from the unknowns (x, y, z, spin) of all nodes to observed vectors. A vector may look
+            at the trunk and at branches that hang on the same two nodes of it.
+        frequencies: (Q,) [Hz].
+        loss_factor: see `response_map`.
+        gravity: (3,) [m/s^2].
+        springs: between the gripper, which follows the shake and does not turn, and the pads.
+
+    Each frequency is factored once, without any grip; what a grip then takes is in `_grasped`. All cores share the
+    frequencies.
+
+    Raises:
+        InputError: the rods are divided so finely that the memory does not suffice.
+        StageFailure: kind "no_convergence" when there is no stable equilibrium.
+    """
+    system = linearise(rods, clamp, gravity, loss_factor)
+    held = [_held_unknowns(rods.parent, pad) for pad in grip_nodes]
+    loads = np.unique(np.concatenate(held))
+    view = _view(system.model, loads, operator)
+    width = min(len(loads), COLUMNS)
+    threads = min(_cores(), len(frequencies))  # each has columns of its own, see below
+    size = 16.0 * len(frequencies) * (len(loads) * len(view.wanted) + 8 * operator.shape[0])
+    size += 48.0 * len(frequencies) * len(held) * operator.shape[0] + 64.0 * threads * len(rods.nodes) * width
+    check_room(f"a skeleton of {len(rods.nodes)} nodes", size, FINE)
+    trunk = np.empty((len(frequencies), len(loads), len(view.wanted)), np.complex128)
+    branch = np.empty((len(frequencies), operator.shape[0], 8), np.complex128)
+
+    def solve_some(which: NDArray[Any]) -> None:
+        n = len(system.free)
+        dynamic, columns = new_blocks(n, np.complex128), np.zeros((2, n, 4, width))
+        for q in which:
+            set_dynamic(system, 2 * np.pi * float(frequencies[q]), dynamic)
+            factor(system.model, dynamic)
+            for first in range(0, len(loads), width):
+                some = slice(first, first + width)
+                _trunk_motion(system.model, dynamic, loads[some], view.trunk, view.wanted, columns, trunk[q, some])
+            _branch_motion(system.model, dynamic, view.branches, view.preset, view.beyond, branch[q])
+
+    _on_all_cores(solve_some, len(frequencies))
+    shape = len(frequencies), len(held)
+    vectors = np.empty((*shape, operator.shape[0] // 3, 3, 3), np.complex128)
+    wrench, moved = np.empty((2, *shape, 6, 3), np.complex128)
+    for g, (pad, unknowns) in enumerate(zip(grip_nodes, held, strict=True)):
+        body = rigid_motion(rods.parent, system.state.x, np.asarray(pad))
+        at, rows = np.searchsorted(view.wanted, unknowns), np.searchsorted(loads, unknowns)
+        forces, wrench[:, g], moved[:, g] = _grasped(trunk[:, rows][:, :, at], body, springs)
+        moves = np.swapaxes(trunk[:, rows], 1, 2) @ forces
+        _observe(branch, view.base, view.direct, moves, vectors[:, g])
+    return Observed(vectors, wrench[:, :, :3], wrench[:, :, 3:], moved)
+
+
+def _cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _on_all_cores(solve_some: Callable[[NDArray[Any]], None], count: int) -> None:
+    """Share the numbers 0 to `count` - 1 out among the cores of this process; one alone is not worth a thread."""
+    cores = min(_cores(), count)
+    if cores <= 1:
+        solve_some(np.arange(count))
+        return
+    with ThreadPoolExecutor(cores) as pool:
+        list(pool.map(solve_some, np.array_split(np.arange(count), cores)))
+
+
+def _towards_root(model: Model, nodes: NDArray[Any]) -> NDArray[Any]:
+    """Return the rows on the ways from the nodes to the root, in the order in which they can be substituted."""
+    needed = np.zeros(len(model.near), dtype=np.bool_)
+    for start in nodes:
+        node = int(start)
+        while node >= 0 and not needed[node]:
+            needed[node] = True
+            node = int(model.near[node])
+    rootward = model.order[::-1]
+    return rootward[needed[rootward]]
+
+
+def _held_unknowns(parent: NDArray[Any], pad: NDArray[Any]) -> NDArray[Any]:
+    """Return the unknowns 4 node + component that a grip holds: positions, then spins of the edges between the pads."""
+    edges = gripped_edges(parent, tuple(pad.tolist()))
+    return np.concatenate([(4 * pad[:, None] + np.arange(3)).ravel(), 4 * edges + 3])
+
+
+def rigid_motion(parent: NDArray[Any], positions: Array, pad: NDArray[Any]) -> Array:
+    """Return (H, 6) what the held unknowns do when the pads move and turn about the first node of `pad` (P,)."""
+    edges = gripped_edges(parent, tuple(pad.tolist()))
+    lever = positions[pad] - positions[pad[0]]
+    along = positions[edges] - positions[parent[edges]]
+    turns = np.swapaxes(np.cross(np.eye(3), lever[:, None]), 1, 2)
+    moves = np.concatenate([np.tile(np.eye(3), (len(pad), 1, 1)), turns], axis=2)
+    spins = np.concatenate([0 * along, along / np.linalg.norm(along, axis=1, keepdims=True)], axis=1)
+    return np.concatenate([moves.reshape(-1, 6), spins])
+
+
+def _grasped(
+    receptance: ComplexArray, body: Array, springs: Springs
+) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Return what a gripper does that moves by one metre along x, y or z without turning.
+
+    The held unknowns x = G F follow the pads, x = B p, and the pads are in balance, p = u - C B^T F; so
+    (G + B C B^T) F = B u. Without compliance C this is the rigid grip, G F = B u.
+
+    Args:
+        receptance: (Q, H, H) G: held unknowns per unit load on them, of the rods that nobody holds.
+        body: (H, 6) B, see `rigid_motion`.
+        springs: C is their compliance.
+
+    Returns:
+        (Q, H, 3) forces on the held unknowns, (Q, 6, 3) the grip's wrench on the rods about the first node, (Q, 6, 3)
+        the motion of the pads: displacement of the first node, then rotation.
+    """
+    asked = np.eye(6)[:, :3]
+    forces: Any = np.linalg.solve(receptance + (body * springs.compliance) @ body.T, body @ asked)
+    wrench = body.T @ forces
+    return forces, wrench, asked - springs.compliance[:, None] * wrench
+
+
+class _View(NamedTuple):
+    """Where the observed vectors look: at the trunk itself, and at branches.
+
+    Neighbours on the trunk take turns: one's motion is in the first four columns of T, the next one's in the last.
+    """
+
+    trunk: NDArray[Any]  # (R,) rows, root outward
+    wanted: NDArray[Any]  # (W,) unknowns of the trunk that are loaded, looked at, or move a branch that is
+    branches: NDArray[Any]  # the other rows, root outward
+    preset: Array  # (N, 4, 8) the motions of the trunk that T answers
+    beyond: tuple[Any, Any, Any]  # (3K, 4N) the part of the operator that looks at branches: CSR
+    base: NDArray[Any]  # (K, 8) which of the wanted unknowns move the branch, in the order of the columns
+    direct: tuple[Any, Any, Any]  # (3K, W) the part that looks at the trunk: CSR
+
+
+def _view(model: Model, loads: NDArray[Any], operator: Any) -> _View:
+    n, trunk = len(model.near), _towards_root(model, loads // 4)
+    on_trunk, odd, preset = np.isin(np.arange(n), trunk), np.zeros(n, dtype=int), np.zeros((n, 4, 8))
+    for j in trunk[1:]:
+        odd[j] = 1 - odd[model.near[j]]
+    preset[trunk[:, None], np.arange(4), 4 * odd[trunk, None] + np.arange(4)] = 1
+    rootward = model.order[::-1]
+    branches = rootward[~on_trunk[rootward]]
+    hung = np.zeros((n, 2), dtype=int)  # on which nodes of the trunk each branch row does
+    for j in branches:
+        a, b = int(model.near[j]), int(model.far[j])
+        hung[j] = ([b, a] if odd[a] else [a, b]) if on_trunk[a] else hung[a]
+    parts = operator.tocoo()
+    off = ~on_trunk[parts.col // 4]
+    base = np.zeros((operator.shape[0] // 3, 2), dtype=int)
+    base[parts.row[off] // 3] = hung[parts.col[off] // 4]
+    base = (4 * np.maximum(base, 0)[..., None] + np.arange(4)).reshape(-1, 8)
+    wanted = np.unique(np.concatenate([loads, parts.col[~off], base.ravel()]))
+    column = np.where(off, parts.col, np.searchsorted(wanted, parts.col))
+    split = [csr_array((parts.data[s], (parts.row[s], column[s])), (len(base) * 3, 4 * n)) for s in (off, ~off)]
+    beyond, direct = ((m.indptr, m.indices, m.data) for m in split)
+    return _View(trunk, wanted, branches, preset, beyond, np.searchsorted(wanted, base), direct)
+
+
+@compiled
+def _trunk_motion(model: Model, dynamic: Any, loads: Any, trunk: Any, wanted: Any, columns: Any, out: Any) -> None:
+    """Write (L, W) the motion of the wanted unknowns per unit load; `columns` (2, N, 4, L or more) is scratch."""
+    real, imaginary = columns[0], columns[1]
+    for j in trunk:
+        real[j] = 0
+        imaginary[j] = 0
+    for k in range(len(loads)):
+        real[loads[k] // 4, loads[k] % 4, k] = 1
+    solve_columns(model, dynamic, trunk, real, imaginary)
+    for k in range(len(loads)):
+        for w in range(len(wanted)):
+            j, i = wanted[w] // 4, wanted[w] % 4
+            out[k, w] = complex(real[j, i, k], imaginary[j, i, k])
+
+
+@compiled
+def _branch_motion(model: Model, dynamic: Any, branches: Any, preset: Any, beyond: Any, out: Any) -> None:
+    """Write (3K, 8) what is seen of branches when the nodes of the trunk move one at a time."""
+    real, imaginary = preset.copy(), np.zeros_like(preset)
+    substitute_columns(model, dynamic, branches, real, imaginary)
+    start, unknown, share = beyond
+    for row in range(len(out)):
+        for c in range(8):
+            out[row, c] = 0
+        for k in range(start[row], start[row + 1]):
+            j, i = unknown[k] // 4, unknown[k] % 4
+            for c in range(8):
+                out[row, c] += share[k] * complex(real[j, i, c], imaginary[j, i, c])
+
+
+@compiled
+def _observe(branch: Any, base: Any, direct: Any, moves: Any, out: Any) -> None:
+    """Write (Q, K, 3, 3) the observed vectors for the trunk's motion (Q, W, 3)."""
+    start, unknown, share = direct
+    for q in range(len(out)):
+        for row in range(branch.shape[1]):
+            k, i = row // 3, row % 3
+            for axis in range(3):
+                out[q, k, i, axis] = 0
+            for c in range(8):
+                if branch[q, row, c] != 0:
+                    for axis in range(3):
+                        out[q, k, i, axis] += branch[q, row, c] * moves[q, base[k, c], axis]
+            for n in range(start[row], start[row + 1]):
+                for axis in range(3):
+                    out[q, k, i, axis] += share[n] * moves[q, unknown[n], axis]

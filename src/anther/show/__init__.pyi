@@ -1,0 +1,17 @@
+"""The public names of the room, and where they stand; `__init__.py` finds them when they are asked for."""
+
+from .log import Log
+from .pictures import save_figure
+from .pictures.plant import draw_plant
+from .pictures.report import draw_plan
+from .results import read_run
+from .summary import summarise
+
+__all__ = [
+    "Log",
+    "draw_plan",
+    "draw_plant",
+    "read_run",
+    "save_figure",
+    "summarise",
+]

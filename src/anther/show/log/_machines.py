@@ -1,0 +1,151 @@
+"""The devices of a robot, which tell a log what they are asked and what they read; `robot.devices` on both sides."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any, Protocol
+
+from anther.robot.devices import (
+    ArmRecord,
+    ArmSample,
+    Frame,
+    GripperState,
+    JointTrajectory,
+    More,
+    MoreSwing,
+    Robot,
+    Watch,
+)
+from anther.robot.swing import Swing
+
+RATE = 15.0
+"""So many frames of a camera are kept a second."""
+
+
+class Say(Protocol):
+    """How something is kept; see `Log.say`."""
+
+    def __call__(self, what: str, value: Any, when: float | None = None) -> None: ...
+
+
+def heard(robot: Robot, say: Say, look: Callable[[], None]) -> Robot:
+    """Return the machines, each of which says what it does.
+
+    Args:
+        robot: the machines.
+        say: keeps it, and never waits.
+        look: called whenever a shake under way was decided on.
+    """
+    side, motor = robot.side_camera, robot.motor
+    machines: dict[str, Any] = {
+        "arm": _HeardArm(robot.arm, say, look),
+        "gripper": _HeardGripper(robot.gripper, say),
+        "wrist_camera": _HeardCamera(robot.wrist_camera, say, "wrist_camera"),
+        "side_camera": None if side is None else _HeardCamera(side, say, "side_camera"),
+        "motor": None if motor is None else _HeardMotor(motor, say, look),
+    }
+    return replace(robot, **machines)
+
+
+@contextmanager
+def _told(say: Say) -> Iterator[None]:
+    """Say why a machine stopped."""
+    try:
+        yield
+    except BaseException as error:
+        say("stopped", f"{error}" or type(error).__name__)
+        raise
+
+
+class _Heard:
+    """A machine that does all that the one within does, and says some of it."""
+
+    def __init__(self, machine: Any, say: Say, look: Callable[[], None] = lambda: None) -> None:
+        self._machine, self._say, self._look = machine, say, look
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._machine, name)
+
+    def _watching(self, watch: Watch | None) -> Watch:
+        """Return a watcher that keeps every reading before the given one sees it."""
+
+        def seen(sample: ArmSample) -> None:
+            self._say("arm", sample, sample.time)
+            if watch is not None:
+                watch(sample)
+
+        return seen
+
+    def _onward(self, more: Callable[[], Any] | None, named: str = "") -> Callable[[], Any] | None:
+        """Return what asks what comes next, and keeps it under a name."""
+        if more is None:
+            return None
+
+        def onward() -> Any:
+            piece = more()
+            self._look()
+            if named and piece is not None:
+                self._say(named, piece)
+            return piece
+
+        return onward
+
+
+class _HeardArm(_Heard):
+    def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:
+        self._say("motion", trajectory)
+        with _told(self._say):
+            return self._machine.follow(trajectory, self._watching(watch), self._onward(more, "motion"))
+
+    def hold(self) -> None:
+        self._say("stopped", "the arm is asked to hold")
+        self._machine.hold()
+
+
+class _HeardMotor(_Heard):
+    def swing(self, first: Swing, watch: Watch | None = None, more: MoreSwing | None = None) -> ArmRecord:
+        with _told(self._say):
+            return self._machine.swing(first, self._watching(watch), self._onward(more))
+
+    def stop(self) -> None:
+        self._say("stopped", "the motor is asked to stop")
+        self._machine.stop()
+
+
+class _HeardGripper(_Heard):
+    def move(self, opening: float) -> GripperState:
+        with _told(self._say):
+            state = self._machine.move(opening)
+        self._say("gripper", (opening, state))
+        return state
+
+    def state(self) -> GripperState:
+        state = self._machine.state()
+        self._say("gripper", (None, state))
+        return state
+
+
+class _HeardCamera(_Heard):
+    """At most `RATE` frames a second are kept."""
+
+    def __init__(self, camera: Any, say: Say, name: str) -> None:
+        super().__init__(camera, say)
+        self._name, self._kept = name, float("-inf")
+
+    def read(self) -> Frame:
+        return self._keep([self._machine.read()])[0]
+
+    def recorded(self, since: float) -> list[Frame]:
+        return self._keep(self._machine.recorded(since))
+
+    def stop(self) -> list[Frame]:
+        return self._keep(self._machine.stop())
+
+    def _keep(self, frames: list[Frame]) -> list[Frame]:
+        for frame in frames:
+            if frame.time >= self._kept + 1 / RATE - 1e-3:
+                self._kept = frame.time
+                self._say(self._name, frame, frame.time)
+        return frames

@@ -1,0 +1,236 @@
+"""The report's figures: views, plant, response map, motion, the shake step by step, and the film of its end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from PIL import Image
+from scipy.ndimage import uniform_filter1d
+
+from anther.core.files import written
+from anther.perception.capture import Capture
+from anther.perception.masks import FLOWER, PLANT, Masks
+from anther.pollination.execution import Step
+from anther.pollination.response import Response
+from anther.pollination.shake import ShakePlan
+from anther.robot.devices import Frame
+
+mpl.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "figure.facecolor": "white"})
+
+GREEN, MAGENTA, ORANGE, INK = "#2f7d4f", "#c2389a", "#d9772b", "#1d2a22"
+SHOWN_VIEWS = 8
+SECONDS, WIDTH, COLOURS, SLOWER = 1.5, 320, 96, 2.0
+"""Of the film's last frames, its width [px], colours, and times slower than it was."""
+
+
+def draw_views(capture: Capture, masks: Masks | None) -> Figure:
+    """Return a contact sheet of eight views, evenly picked, with the mask outlined."""
+    chosen = np.unique(np.linspace(0, capture.views - 1, SHOWN_VIEWS).round().astype(int))
+    rows = -(-len(chosen) // 4)
+    figure = Figure(figsize=(11, 1.68 * rows))
+    dark = {"facecolor": "black", "alpha": 0.5, "pad": 1.5, "lw": 0}
+    for place, view in enumerate(chosen):
+        axes = figure.add_axes((place % 4 / 4 + 0.003, 1 - (place // 4 + 1) / rows + 0.006, 0.244, 0.98 / rows))
+        axes.imshow(overlay(capture, masks, int(view)))
+        axes.set_axis_off()
+        axes.text(0.02, 0.04, f"{view}", transform=axes.transAxes, color="white", fontsize=8, bbox=dark)
+    return figure
+
+
+def overlay(capture: Capture, masks: Masks | None, view: int) -> NDArray[Any]:
+    """Return one view, smaller and upright, the plant's outline in green and flowers in magenta."""
+    size = (capture.intrinsics.width // 3, capture.intrinsics.height // 3)
+    picture = capture.rgb[view] if capture.rgb is not None else _depth_colours(capture.depth[view])
+    picture = cv2.resize(np.ascontiguousarray(picture), size, interpolation=cv2.INTER_AREA)
+    upside_down = capture.T_world_cam[view, 2, 1] > 0
+    if masks is None:
+        return picture[::-1, ::-1] if upside_down else picture
+    labels = cv2.resize(np.ascontiguousarray(masks.labels[view]), size, interpolation=cv2.INTER_NEAREST)
+    for label, colour in ((PLANT, (60, 230, 110)), (FLOWER, (255, 60, 220))):
+        outline, _ = cv2.findContours((labels == label).astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+        cv2.drawContours(picture, outline, -1, colour, 1)
+    return picture[::-1, ::-1] if upside_down else picture
+
+
+def _depth_colours(depth: NDArray[Any]) -> NDArray[Any]:
+    """Colour a depth image, near is bright; black where there is no reading."""
+    read = depth > 0
+    if not read.any():
+        return np.zeros((*depth.shape, 3), np.uint8)
+    near, far = np.percentile(depth[read], [2, 98])
+    shade = np.clip((far - depth) / max(far - near, 1e-6), 0, 1)
+    colours = (mpl.colormaps["viridis"](shade)[..., :3] * 255).astype(np.uint8)
+    colours[~read] = 0
+    return colours
+
+
+def draw_response_map(shake: ShakePlan) -> Figure:
+    """Draw mean flower acceleration over grip height and frequency, with the chosen shake marked."""
+    figure = Figure(figsize=(10, 3.6), layout="constrained")
+    _draw_response_map(figure, figure.subplots(), shake)
+    return figure
+
+
+def _draw_response_map(figure: Figure, axes: Any, shake: ShakePlan) -> None:
+    """Draw the response map into axes, with its colours beside it."""
+    response = shake.response_map
+    allowed = np.where(response.acceleration > 0, response.acceleration, np.nan)
+    axes.set_facecolor("#d9dedb")
+    mesh = axes.pcolormesh(response.frequencies, 100 * response.arc_length, allowed, shading="nearest", cmap="viridis")
+    axes.plot(shake.frequency, 100 * shake.grasp.arc_length, "o", mfc="none", mec="white", ms=11, mew=2)
+    axes.set(xscale="log", xlabel="frequency [Hz]", ylabel="grip height along the stem [cm]")
+    ticks = [f for f in (1, 2, 3, 5, 10, 20, 30, 50) if response.frequencies[0] <= f <= response.frequencies[-1]]
+    axes.set_xticks(ticks, [str(f) for f in ticks])
+    axes.minorticks_off()
+    figure.colorbar(mesh, ax=axes, label="mean flower acceleration\nat the largest allowed shake [m/s²]")
+    axes.set_title("grey: no shake that is allowed and large enough to be trusted", fontsize=9, loc="left")
+
+
+def draw_motion(shake: ShakePlan, response: Response) -> Figure:
+    """Return the best-seen flower's track and, per flower, predicted against measured amplitude."""
+    figure = Figure(figsize=(11, 3.4), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=[3, 2])
+    _draw_track(left, shake, response)
+    draw_amplitudes(right, shake, response)
+    return figure
+
+
+def draw_amplitudes(axes: Any, shake: ShakePlan, response: Response) -> None:
+    """Draw predicted amplitude with its interval, and measured amplitude with its deviation or its bound."""
+    index = np.arange(len(shake.predicted_amplitude))
+    low, high = 1000 * shake.predicted_amplitude_interval.T
+    middle = 1000 * shake.predicted_amplitude
+    span = [np.maximum(middle - low, 0), np.maximum(high - middle, 0)]
+    axes.bar(index - 0.2, middle, 0.38, color=GREEN, label="predicted")
+    axes.errorbar(index - 0.2, middle, span, fmt="none", ecolor=INK, capsize=3, lw=1)
+    found, error, bound = (1000 * x for x in (response.amplitude, response.amplitude_std, response.at_most))
+    axes.bar(index + 0.2, np.nan_to_num(found), 0.38, color=ORANGE, label="measured")
+    axes.errorbar(index + 0.2, found, error, fmt="none", ecolor=INK, capsize=3, lw=1)
+    if np.isfinite(bound).any():
+        axes.plot(index + 0.2, bound, "v", mfc="none", color=ORANGE, label="moved less than this")
+    axes.set(xlabel="flower", ylabel="amplitude [mm]", xticks=index, xticklabels=[str(i + 1) for i in index])
+    axes.legend(frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
+
+
+def _draw_track(axes: Any, shake: ShakePlan, response: Response) -> None:
+    """Draw the surest flower's displacement along the axis seen most clearly, without the plant's slow sway."""
+    if not response.visible.any():
+        axes.text(0.5, 0.5, "no flower could be measured", ha="center", transform=axes.transAxes)
+        axes.set_axis_off()
+        return
+    flower = int(np.nanargmax(response.amplitude / response.amplitude_std))
+    good = np.isfinite(response.tracks[:, flower]).all(axis=1)
+    period = max(round(1 / (shake.frequency * float(np.median(np.diff(response.times))))), 2)
+    track = response.tracks[good, flower]
+    track = track - uniform_filter1d(track, period, axis=0, mode="nearest")
+    times = response.times[good] - response.times[good][0]
+    swing = np.abs(np.exp(2j * np.pi * shake.frequency * times) @ track)
+    clearest = int(np.argmax(swing / np.maximum(track.std(axis=0), 1e-9)))
+    axes.plot(times, 1000 * track[:, clearest], ".-", color=ORANGE, lw=1, ms=4)
+    for sign in (-1, 1):
+        axes.axhline(sign * 1000 * shake.predicted_amplitude[flower], color=GREEN, ls="--", lw=1.2)
+    axes.set(xlabel="time [s]", ylabel=f"displacement along {'xyz'[clearest]} [mm]")
+    axes.set_title(f"flower {flower + 1} without slow sway: measured (dots), predicted amplitude (dashed)")
+
+
+def draw_plan(plan: ShakePlan) -> Figure:
+    """Return a figure of three panels."""
+    figure = Figure(figsize=(11, 7.2), layout="constrained")
+    grid = figure.add_gridspec(2, 2, width_ratios=(1, 1.2))
+    _draw_response_map(figure, figure.add_subplot(grid[0, :]), plan)
+    _draw_limits(figure.add_subplot(grid[1, 0]), plan)
+    _draw_flowers(figure.add_subplot(grid[1, 1]), plan)
+    shake = f"{1e3 * plan.amplitude:.2g} mm at {plan.frequency:.3g} Hz, {plan.duration:.2g} s"
+    figure.suptitle(f"{shake}, held {100 * plan.grasp.arc_length:.0f} cm up the stem", x=0.01, ha="left")
+    return figure
+
+
+def _draw_limits(axes: Any, plan: ShakePlan) -> None:
+    names = [name.split(" [")[0] for name, *_ in plan.limits][::-1]
+    shares = [100 * share for *_, share in plan.limits][::-1]
+    axes.barh(names, shares, color=[MAGENTA if share > 90 else GREEN for share in shares])
+    axes.axvline(100, color=INK, lw=1)
+    axes.set(xlabel="used of what is allowed [%]", xlim=(0, 108))
+
+
+def _draw_flowers(axes: Any, plan: ShakePlan) -> None:
+    order = np.argsort(-plan.predicted_acceleration)
+    middle, span = plan.predicted_acceleration[order], plan.predicted_acceleration_interval[order]
+    error = np.abs(span.T - middle)
+    index = np.arange(len(middle))
+    axes.errorbar(index, middle, error, fmt="o", color=GREEN, ecolor=INK, capsize=3, lw=1)
+    axes.set(xlabel="flower, by its acceleration", ylabel="predicted peak\nacceleration [m/s²]", ylim=(0, None))
+    axes.set_xticks(index, [str(k + 1) for k in order])
+
+
+def draw_steps(steps: Sequence[Step], start: float, target: float | None = None) -> Figure:
+    """Return a figure of three panels over time: amplitude of each tone, flowers, share of each limit that was closest.
+
+    The shake began at `start` [s], on the clock of the steps; `target` is what the flowers should feel [m/s2].
+    """
+    figure = Figure(figsize=(10, 5.4), layout="constrained")
+    tones, flowers, limits = figure.subplots(3, 1, sharex=True)
+    _draw_tones(tones, steps, start)
+    middle = [(step.begin + step.end) / 2 - start for step in steps]
+    most = [max((a for a in step.flowers if np.isfinite(a)), default=np.nan) for step in steps]
+    flowers.plot(middle, most, "^-", color=MAGENTA, lw=1, label="most of any flower")
+    flowers.plot(middle, [step.median for step in steps], "o-", color=ORANGE, label="median of those measured")
+    if target is not None:
+        flowers.axhline(target, color=GREEN, ls="--", lw=1.2, label="target")
+    flowers.set(ylabel="flowers\n[m/s²]", ylim=(0, None))
+    _draw_use(limits, steps, start)
+    limits.set(xlabel="time since the shake began [s]", xlim=(0, None))
+    for axes in (tones, flowers, limits):
+        axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8)
+    return figure
+
+
+def _draw_tones(axes: Any, steps: Sequence[Step], start: float) -> None:
+    """Draw each tone's amplitude: thick where the pads were steady, thin where it changed."""
+    frequencies = sorted({f for step in steps for f in step.frequencies})
+    colours = mpl.colormaps["viridis"](np.linspace(0, 0.85, len(frequencies)))
+    times = [0.0, *(t - start for step in steps for t in (step.begin, step.end))]
+    for frequency, colour in zip(frequencies, colours, strict=True):
+        each = [1e3 * dict(zip(step.frequencies, step.amplitudes, strict=True)).get(frequency, 0.0) for step in steps]
+        sizes = np.array([0.0, *np.repeat(each, 2)])
+        moves = np.convolve(sizes > 0, np.ones(3), "same") > 0  # no line along the axis while it rests
+        axes.plot(times, np.where(moves, sizes, np.nan), color=colour, lw=1, label=f"{frequency:.3g} Hz")
+        for k in np.flatnonzero(each):
+            axes.plot(times[2 * k + 1 : 2 * k + 3], [each[k]] * 2, color=colour, lw=4, solid_capstyle="butt")
+    axes.set(ylabel="commanded\n[mm]", ylim=(0, None))
+
+
+def _draw_use(axes: Any, steps: Sequence[Step], start: float) -> None:
+    """Draw for each step how much of the closest limit was used; the colour says which it is."""
+    names = list(dict.fromkeys(step.binds for step in steps))
+    for name, colour in zip(names, mpl.colormaps["Set2"].colors * len(names), strict=False):  # type: ignore[attr-defined]
+        near = [step for step in steps if step.binds == name]
+        begins, spans = [step.begin - start for step in near], [step.end - step.begin for step in near]
+        axes.bar(begins, [100 * step.used for step in near], spans, align="edge", color=colour, label=name or "none")
+    axes.axhline(100, color=INK, lw=1)
+    axes.set(ylabel="of the closest\nlimit [%]", ylim=(0, None))
+
+
+def save_film(path: Path, frames: Sequence[Frame]) -> None:
+    """Write the end of a recording, in order of time, as an animated GIF; nothing of fewer than two frames.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    last = [frame for frame in frames if frame.time >= frames[-1].time - SECONDS]
+    if len(last) < 2:
+        return
+    height = round(WIDTH * last[0].rgb.shape[0] / last[0].rgb.shape[1])
+    pictures = [Image.fromarray(frame.rgb).resize((WIDTH, height)) for frame in last]
+    palette = pictures[0].quantize(COLOURS, method=Image.Quantize.MAXCOVERAGE)
+    shown = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
+    apart = 1000 * SLOWER * (last[-1].time - last[0].time) / (len(last) - 1)
+    with written(path, "a folder that can be written"):
+        shown[0].save(path, save_all=True, append_images=shown[1:], duration=round(apart), loop=0, optimize=True)

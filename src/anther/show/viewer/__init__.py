@@ -1,0 +1,188 @@
+"""The 3-D viewer: a run as a viser scene that plays the shake, live in the browser or as one HTML file."""
+
+from __future__ import annotations
+
+import html
+import io
+import time
+from collections.abc import Sequence
+from contextlib import redirect_stdout
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+import viser
+
+from anther.core.files import write_text
+from anther.core.geometry import Array
+from anther.robot.arm.model import Capsule, Solid
+from anther.show.results import RunResults
+from anther.show.viewer._motion import RATE, Replay, motion_of
+from anther.show.viewer._scene import FLOWER_RADIUS, POINTS_IN_FILE, Handles, build_scene, placed
+
+__all__ = ["serve", "write_html"]
+
+GREY, DARK = (165, 168, 175), (70, 72, 80)
+MEASURED, PREDICTED = (40, 90, 235), (240, 60, 200)
+SPEEDS = {"real time": 1.0, "half": 0.5, "a tenth": 0.1}
+SECONDS = 8.0
+"""Of play at most in an HTML file [s]: it grows with them."""
+
+
+def write_html(path: Path, results: RunResults, *, exaggeration: float) -> None:
+    """Write the scene of a run to one HTML file that opens without a server and plays the end of the shake.
+
+    Motions are shown larger by the exaggeration [-].
+    """
+    with redirect_stdout(io.StringIO()):  # viser announces its address even when nobody is to visit it
+        server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+        try:
+            handles = build_scene(server, results, most_points=POINTS_IN_FILE)
+            motion = motion_of(results)
+            page = server.get_scene_serializer()
+            if motion is not None:
+                player = Player(server, results, motion, handles)
+                for i in range(max(0, len(motion.times) - int(SECONDS * RATE)), len(motion.times)):
+                    player.show(i, exaggeration)
+                    page.insert_sleep(1 / RATE)
+            title = f"<title>Anther: {html.escape(results.title)}</title>"
+            write_text(path, page.as_html().replace("<title>Viser</title>", title, 1))
+        finally:
+            server.stop()
+
+
+def serve(results: RunResults, port: int, *, exaggeration: float) -> None:
+    """Show a run in the browser, on a TCP port of this machine, until interrupted."""
+    server = viser.ViserServer(host="127.0.0.1", port=port)
+    server.gui.set_panel_label(f"Anther: {results.title}")
+    handles, motion = build_scene(server, results), motion_of(results)
+    player = Player(server, results, motion, handles) if motion is not None else None
+    _add_panel(server, results, handles)
+    if player is None:
+        server.gui.add_markdown("Nothing was shaken in this run.")
+        while True:
+            time.sleep(1)
+    controls = Controls(server, player, exaggeration)
+    while True:
+        time.sleep(1 / RATE)
+        controls.tick(1 / RATE)
+
+
+class Player:
+    """Shows a motion in a scene, of whose parts that stand still it moves some."""
+
+    def __init__(self, server: Any, results: RunResults, motion: Replay, handles: Handles) -> None:
+        assert results.plant is not None
+        self.motion, self._handles, self._plant, scene = motion, handles, results.plant, server.scene
+        arm, parts = motion.arm, [([_capsule(c) for c in link.capsules], GREY) for link in motion.arm.links]
+        _add(scene, "/robot/base", [*map(_capsule, arm.base_capsules), *map(_box, arm.base_solids)], GREY)
+        self._links = []
+        for i, (shapes, colour) in enumerate([*parts, ([_box(s) for s in arm.tool.solids(motion.opening)], DARK)]):
+            self._links.append(scene.add_frame(f"/robot/{i}", show_axes=False))
+            _add(scene, f"/robot/{i}/shape", shapes, colour)
+        for rest in handles.layers.pop("flowers at rest", []):
+            rest.remove()
+
+        def balls(name: str, count: int, colour: tuple[int, int, int]) -> list[Any]:
+            style = {"radius": 0.6 * FLOWER_RADIUS, "color": colour, "subdivisions": 1}
+            return [scene.add_icosphere(f"/{name}/{f + 1}", **style) for f in range(count)]
+
+        tracked = motion.flowers.shape[1]
+        self._predicted = balls("predicted", len(self._plant.flower_nodes), PREDICTED)
+        self._measured = balls("measured", tracked, MEASURED)
+        self._rest = np.array([_middle(motion.flowers[:, f]) for f in range(tracked)]).reshape(tracked, 3)
+
+    def show(self, i: int, exaggeration: float) -> None:
+        """Show the picture number i, motions so many times larger."""
+        motion = self.motion
+        joints = motion.joints[0] + exaggeration * (motion.joints[i] - motion.joints[0])
+        for frame, T in zip(self._links, motion.arm.link_poses(joints), strict=True):
+            frame.position, frame.wxyz = placed(T)
+        moved = exaggeration * motion.nodes[i]
+        self._handles.bend(moved[: len(self._handles.rest)])
+        tips = self._plant.rods.nodes[self._plant.flower_nodes] + moved[self._plant.flower_nodes]
+        for ball, place in zip(self._predicted, tips, strict=True):
+            ball.position = place
+        for ball, place, rest in zip(self._measured, motion.flowers[i], self._rest, strict=True):
+            ball.visible = bool(np.isfinite(place).all())
+            if ball.visible:
+                ball.position = rest + exaggeration * (place - rest)
+
+
+def _middle(track: Array) -> Array:
+    seen = track[np.isfinite(track).all(axis=1)]
+    return np.median(seen, axis=0) if len(seen) else np.zeros(3)
+
+
+def _add(scene: Any, name: str, shapes: Sequence[Any], colour: tuple[int, int, int]) -> None:
+    whole: Any = trimesh.util.concatenate(list(shapes))
+    vertices, faces = np.asarray(whole.vertices, np.float32), np.asarray(whole.faces, np.uint32)
+    scene.add_mesh_simple(name, vertices, faces, color=colour)
+
+
+def _capsule(capsule: Capsule) -> Any:
+    start, end = np.array(capsule.start), np.array(capsule.end)
+    height = float(np.linalg.norm(end - start))
+    mesh = trimesh.creation.capsule(height=height, radius=capsule.radius, count=(12, 12))
+    mesh.apply_transform(trimesh.geometry.align_vectors([0, 0, 1], (end - start) / height))
+    mesh.apply_translation((start + end) / 2 - mesh.bounds.mean(axis=0))
+    return mesh
+
+
+def _box(solid: Solid) -> Any:
+    mesh = trimesh.creation.box(2 * np.array(solid.half))
+    mesh.apply_translation(solid.center)
+    return mesh
+
+
+class Controls:
+    """The panel's part that plays the shake."""
+
+    def __init__(self, server: Any, player: Player, exaggeration: float) -> None:
+        self._player, times = player, player.motion.times
+        with server.gui.add_folder("The shake"):
+            self._play = server.gui.add_checkbox("play", True)
+            self._time = server.gui.add_slider("time [s]", 0.0, float(times[-1]), float(times[1] - times[0]), 0.0)
+            self._speed = server.gui.add_dropdown("speed", list(SPEEDS), initial_value="a tenth")
+            self._larger = server.gui.add_slider("motions larger", 1.0, 20.0, 0.5, exaggeration)
+            server.gui.add_markdown("Blue: flowers as filmed. Pink: as the model follows the grip.")
+        self._time.on_update(lambda _: self._show())
+        self._larger.on_update(lambda _: self._show())
+        self._show()
+
+    def tick(self, seconds: float) -> None:
+        """Let so much time pass [s]."""
+        if self._play.value:
+            last = float(self._player.motion.times[-1])
+            self._time.value = (self._time.value + SPEEDS[self._speed.value] * seconds) % last
+
+    def _show(self) -> None:
+        times = self._player.motion.times
+        at = min(int(self._time.value / (times[1] - times[0])), len(times) - 1)
+        self._player.show(at, self._larger.value)
+
+
+def _add_panel(server: Any, results: RunResults, handles: Handles) -> None:
+    """Add what the trial's answers are, what to show, and what is where on the skeleton."""
+    answers = [f"**{a.question}** {a.said}" for a in results.answers()]
+    if answers:
+        server.gui.add_markdown("  \n".join(answers))
+    with server.gui.add_folder("Show"):
+        for name, parts in handles.layers.items():
+            box = server.gui.add_checkbox(name, all(part.visible for part in parts))
+            box.on_update(lambda event, parts=parts: _set_visible(parts, event.target.value))
+        server.gui.add_markdown(handles.legend)
+        picked = server.gui.add_markdown("Click on the skeleton to see what is there.")
+
+    def tell(event: Any) -> None:
+        if event.instance_index is not None:
+            picked.content = handles.said[event.instance_index]
+
+    if handles.joints is not None:
+        handles.joints.on_click(tell)
+
+
+def _set_visible(parts: list[Any], value: bool) -> None:
+    for part in parts:
+        part.visible = value

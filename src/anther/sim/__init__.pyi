@@ -1,0 +1,36 @@
+"""The public names of the room, and where they stand; `__init__.py` finds them when they are asked for."""
+
+from .capture import CaptureTruth, camera_errors, capture_from_poses, capture_views, orbit_poses
+from .pepper import grow_pepper
+from .plant import Organ, SimPlant
+from .render import Scene
+from .robot import robot_of
+from .simulated_cell import SimulatedCell, build, grow, layout, photograph, views_at
+from .tomato import grow_tomato
+from .true_plant import as_true
+from .truth import NOMINAL, WIDE, Truth, draw
+
+__all__ = [
+    "NOMINAL",
+    "WIDE",
+    "CaptureTruth",
+    "Organ",
+    "Scene",
+    "SimPlant",
+    "SimulatedCell",
+    "Truth",
+    "as_true",
+    "build",
+    "camera_errors",
+    "capture_from_poses",
+    "capture_views",
+    "draw",
+    "grow",
+    "grow_pepper",
+    "grow_tomato",
+    "layout",
+    "orbit_poses",
+    "photograph",
+    "robot_of",
+    "views_at",
+]

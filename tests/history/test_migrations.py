@@ -1,0 +1,85 @@
+"""A new history has the tables of the classes; one of a version that is not known is refused, and kept."""
+
+from __future__ import annotations
+
+import multiprocessing
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from alembic.autogenerate import compare_metadata
+from alembic.migration import MigrationContext
+from alembic.script import ScriptDirectory
+from sqlalchemy import create_engine, inspect, text
+
+import anther.history.migrations as versions
+from anther.core.errors import InputError
+from anther.history import TrialRecord, read_trials, record_trial
+from anther.history._tables import Base
+from anther.history.migrations import HEAD
+
+VISIT = TrialRecord("tomato", "a", True)
+
+
+def engine_of(where: str) -> Any:
+    url = where.replace("postgresql://", "postgresql+psycopg://") if "://" in where else f"sqlite:///{where}"
+    if "://" not in where:
+        Path(where).parent.mkdir(parents=True, exist_ok=True)
+    return create_engine(url)
+
+
+def write(where: str, plant: str) -> None:
+    record_trial(replace(VISIT, plant=plant), where)
+
+
+def test_processes_that_begin_a_history_at_once_all_write_to_it(where: str) -> None:
+    processes = [multiprocessing.get_context("fork").Process(target=write, args=(where, plant)) for plant in "abcd"]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join(60)
+    assert [process.exitcode for process in processes] == [0] * 4
+    assert len(read_trials(where)) == 4
+
+
+def test_a_database_with_other_tables_of_such_names_is_refused_and_kept(where: str) -> None:
+    with engine_of(where).begin() as connection:
+        connection.execute(text("CREATE TABLE sweeps (id INTEGER)"))
+    with pytest.raises(InputError, match=r"trial history(.|\n)*sweeps"):
+        record_trial(VISIT, where)
+    with engine_of(where).connect() as connection:
+        assert inspect(connection).get_table_names() == ["sweeps"], "the tables made before it are gone again"
+
+
+def test_the_tables_are_those_of_the_classes(where: str) -> None:
+    record_trial(VISIT, where)
+    with engine_of(where).connect() as connection:
+        assert compare_metadata(MigrationContext.configure(connection), Base.metadata) == []
+        assert connection.execute(text("SELECT plant, held_unharmed FROM trials")).one() == ("a", True)
+
+
+def test_a_history_of_the_version_before_is_brought_up_with_all_that_is_in_it(
+    where: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as before, engine_of(where).begin() as connection:
+        before.setattr(versions, "HEAD", "0003")
+        versions.migrate(connection)
+        connection.execute(text("INSERT INTO plants (species, label, learned) VALUES ('tomato', 'a', '{}')"))
+        row = "(plant_id, time, success) VALUES (1, '2026-05-01 12:00:00', true)"
+        connection.execute(text(f"INSERT INTO visits {row}"))
+    assert [(trial.plant, trial.result_words) for trial in read_trials(where)] == [("a", "held, flowers not measured")]
+    record_trial(VISIT, where)
+    assert len(read_trials(where)) == 2
+
+
+def test_the_head_is_the_newest_version() -> None:
+    assert ScriptDirectory(str(Path(versions.__file__).parent)).get_current_head() == HEAD
+
+
+def test_a_history_of_another_version_is_refused(where: str) -> None:
+    record_trial(VISIT, where)
+    with engine_of(where).begin() as connection:
+        connection.execute(text("UPDATE alembic_version SET version_num = '9999'"))
+    with pytest.raises(InputError, match="another Anther"):
+        read_trials(where)

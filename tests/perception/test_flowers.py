@@ -1,0 +1,114 @@
+"""Flowers: clusters of flower points of a flower's size, each on a plausible node."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from anther.perception.cloud import Cloud
+from anther.perception.flowers import SUPPOSED, Flowers, find_flowers, flower_centres, supposed_flowers
+from anther.perception.masks import FLOWER, PLANT
+from anther.perception.skeleton import Skeleton
+from anther.perception.stem import BRANCH, TRUSS, Stem, find_stem
+
+Z = np.linspace(0, 0.5, 51)
+SKELETON = Skeleton(
+    np.concatenate([np.c_[0 * Z, 0 * Z, Z], [[0.02, 0, 0.4], [0.04, 0, 0.4]]]),
+    np.r_[np.arange(-1, 50), 40, 51],
+    np.full(53, 0.003),
+)
+STEM: Stem = find_stem(SKELETON)
+
+
+def flower(centre: list[float], size: float = 0.018, count: int = 800, seed: int = 0) -> np.ndarray:
+    shell = np.random.default_rng(seed).normal(size=(count, 3))
+    return np.array(centre) + size / 2 * shell / np.linalg.norm(shell, axis=1)[:, None]
+
+
+def cloud_of(*flowers: np.ndarray) -> Cloud:
+    plant = np.c_[0 * Z, 0 * Z, Z]
+    labels = np.r_[np.full(len(Z), PLANT), np.full(sum(map(len, flowers)), FLOWER)].astype(np.uint8)
+    return Cloud(np.concatenate([plant, *flowers]), labels=labels)
+
+
+@pytest.mark.parametrize("size", [0.008, 0.018, 0.028])
+def test_each_flower_is_found_once(size: float) -> None:
+    centres = [[0.05, 0, 0.4], [-0.03, 0, 0.2], [0.05, 0.04, 0.41]]
+    found = find_flowers(cloud_of(*(flower(c, size) for c in centres)), SKELETON, STEM)
+    assert len(found.positions) == 3
+    for c in centres:
+        assert np.linalg.norm(found.positions - c, axis=1).min() < 0.002
+
+
+def test_touching_flowers_are_told_apart() -> None:
+    found = find_flowers(cloud_of(flower([0.05, 0, 0.4]), flower([0.07, 0, 0.4])), SKELETON, STEM)
+    assert len(found.positions) == 2
+
+
+def test_small_flowers_joined_by_specks_are_told_apart() -> None:
+    specks = np.array([0.05, 0, 0.4]) + np.outer(np.arange(0, 0.036, 0.003), [1, 0, 0])
+    small = [flower([0.05, 0, 0.4], 0.005), flower([0.086, 0, 0.4], 0.005)]
+    assert len(flower_centres(cloud_of(*small, specks))) == 2
+
+
+def test_a_flower_hangs_on_the_nearest_node() -> None:
+    found = find_flowers(cloud_of(flower([0.05, 0, 0.4]), flower([-0.03, 0, 0.2])), SKELETON, STEM)
+    by_x = found.attachment[np.argsort(found.positions[:, 0])]
+    assert list(by_x) == [20, 52]
+
+
+def test_a_blade_is_less_likely_to_carry_a_flower() -> None:
+    width = np.full(53, 0.003)
+    width[52] = 0.02
+    flatness = np.where(width > 0.01, 1.0, 0.0)
+    leafy = Skeleton(SKELETON.nodes, SKELETON.parent, SKELETON.radius, width=width, flatness=flatness)
+    found = find_flowers(cloud_of(flower([0.031, 0, 0.4])), leafy, find_stem(leafy))
+    assert list(found.attachment) == [51]
+
+
+def test_a_pedicel_in_the_skeleton_does_not_carry_its_flower_itself() -> None:
+    cloud = cloud_of(flower([0.02, 0, 0.395], size=0.01))
+    stalk = Skeleton(
+        np.concatenate([np.c_[0 * Z, 0 * Z, Z], [[0.008, 0, 0.4], [0.015, 0, 0.399]]]),
+        np.r_[np.arange(-1, 50), 40, 51],
+        np.full(53, 0.003),
+    )
+    stem = find_stem(stalk, flowers_at=flower_centres(cloud))
+    assert list(stem.organ[51:]) == [TRUSS, TRUSS]
+    assert list(find_flowers(cloud, stalk, stem).attachment) == [40]
+
+
+def test_centres_are_those_of_the_flowers() -> None:
+    centre = [0.05, 0, 0.4]
+    assert flower_centres(cloud_of(flower(centre))) == pytest.approx(np.array([centre]), abs=0.002)
+    assert flower_centres(cloud_of()).shape == (0, 3)
+
+
+def test_specks_and_far_clusters_are_left_out() -> None:
+    found = find_flowers(cloud_of(flower([0.05, 0, 0.4], size=0.001), flower([0.5, 0, 0.4])), SKELETON, STEM)
+    assert len(found.positions) == 0
+    assert any("too far" in note for note in found.notes)
+
+
+def test_no_flower_is_a_valid_result() -> None:
+    found = find_flowers(cloud_of(), SKELETON, STEM)
+    assert found.positions.shape == (0, 3)
+    assert "no flowers" in found.notes[0]
+
+
+def test_save_and_load(tmp_path) -> None:
+    found = find_flowers(cloud_of(flower([0.05, 0, 0.4])), SKELETON, STEM)
+    found.save(tmp_path / "flowers.npz")
+    again = Flowers.load(tmp_path / "flowers.npz")
+    assert np.array_equal(again.positions, found.positions)
+    assert np.array_equal(again.attachment, found.attachment)
+
+
+def test_flowers_nobody_saw_are_supposed_at_the_ends_of_trusses_or_branches_or_else_the_stem() -> None:
+    side = np.array([*[0] * 51, BRANCH, BRANCH], dtype=np.uint8)
+    for organ, carrier in ((np.where(side, TRUSS, side), 52), (side, 52), (0 * side, 50)):
+        plant = Stem(STEM.node_ids, STEM.arc_length, STEM.attachments, organ.astype(np.uint8))
+        found = supposed_flowers(SKELETON, plant)
+        assert found.attachment.tolist() == [carrier]
+        assert np.linalg.norm(found.positions[0] - SKELETON.nodes[carrier]) == pytest.approx(SUPPOSED)
+        assert "no flower was seen" in found.notes[0]

@@ -1,0 +1,732 @@
+"""A watched shake is raised where the flowers move most, as far as the limits go as they are known, and ends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from fake_robot import FakeCamera
+from made_foresight import ALONG, FLOWERS, POINTS, TONES, World, lines_across, made_foresight, made_plan
+from scipy.stats import norm
+
+from anther.core.errors import InputError
+from anther.plant.limits import PlantLimits
+from anther.pollination import escalation
+from anther.pollination.escalation import Escalation, Params
+from anther.pollination.escalation import _foresight as foresight_module
+from anther.pollination.escalation._knowledge import (
+    ARM_ASIDE,
+    DAMPING,
+    JUMP,
+    MOST_GROWTH,
+    SEEN_ERROR,
+    Answer,
+    drawn_errors,
+    known,
+    settled,
+)
+from anther.pollination.escalation._option import SLOW, limits_of, risk
+from anther.pollination.response.points import Swings, likeness
+from anther.pollination.shake import Params as Limits
+from anther.pollination.shake.observables import semi_major
+from anther.pollination.shake.params import FLOWER_SPREAD
+
+WEAK = PlantLimits(1.0, 1.0, 1.0, 1e4)
+"""Limits that nothing reaches."""
+SIGHTED, BLIND = np.ones(FLOWERS + POINTS, bool), np.zeros(FLOWERS + POINTS, bool)
+FREE = replace(made_plan(reach=(0.2, 0.2, 0.2)), press=1000.0)
+"""A plan whose actuator and pads end nothing."""
+Shaken = Callable[..., Escalation]
+
+
+@pytest.fixture
+def shaken(monkeypatch: pytest.MonkeyPatch) -> Shaken:
+    """Shake a world with a camera that sees as it says and an arm that reads so, by members trusted to 2 %."""
+    monkeypatch.setattr(foresight_module, "MISFIT", 0.02)
+    monkeypatch.setattr("anther.plant.limits.GUSTS", float(TONES.max()))  # leaves count at every tone
+    monkeypatch.setattr(escalation, "links", lambda readings, tones: (readings, np.zeros(len(tones))))
+    monkeypatch.setattr(escalation, "sight", lambda *_: SimpleNamespace(shown=SIGHTED))
+
+    def run(world: World, raised: float = escalation.RAISED) -> Escalation:
+        monkeypatch.setattr(escalation, "RAISED", raised)
+        monkeypatch.setattr(escalation, "swings", world.swings)
+        return world.shaken(world.escalation())
+
+    return run
+
+
+def most(world: World, tone: int) -> tuple[float, float]:
+    """Return how far a tone may be raised, by the truth: amplitude [m] and the flowers' median there [m/s2]."""
+    flowers, loads = world.flowers(tone), world.loads(tone)
+    sigmas = norm.isf(risk(world.limits.risk))
+    margin = {k: median * np.exp(sigmas * spread) for k, (median, spread) in SEEN_ERROR.items()}
+    caps = [
+        limit / (margin[k] * loads[k])
+        for k, limit in limits_of(world.limits, world.plan.press, float(TONES[tone])).items()
+    ]
+    caps += [
+        world.plan.tones.reach[tone, 0],
+        world.params.target / np.median(flowers),
+        world.params.most / flowers.max(),
+    ]
+    return float(min(caps)), float(min(caps) * np.median(flowers))
+
+
+def single(watched: Escalation) -> list[Any]:
+    """Return the steps of one tone."""
+    return [step for step in watched.steps if len(step.frequencies) == 1]
+
+
+@pytest.mark.parametrize("best", [0, 1, 2])
+def test_the_tone_is_taken_at_which_the_flowers_can_be_moved_most(shaken: Shaken, best: int) -> None:
+    gains = [4.0 if tone == best else 0.7 for tone in range(3)] / (TONES / TONES[0]) ** 2
+    foresight = made_foresight(2, gains=gains)
+    world = World(foresight, foresight.vectors[3], plan=FREE, limits=Limits(plant=PlantLimits(leaf_load=30.0)))
+    world.params = Params(most_seconds=30)
+    # leaves bear the same at every tone, so what the flowers do there decides
+    allowed = [most(world, tone) for tone in range(3)]
+    expected = int(np.argmax([flowers for _, flowers in allowed]))
+    assert sorted(flowers for _, flowers in allowed)[-2] < 0.7 * allowed[expected][1]
+    watched = shaken(world, raised=3.0)
+    last = watched.steps[-1]
+    assert last.frequencies == pytest.approx([TONES[expected]])
+    assert last.amplitudes[0] == pytest.approx(allowed[expected][0], rel=0.1)
+    assert last.median == pytest.approx(allowed[expected][1], rel=0.1)
+
+
+@pytest.mark.parametrize(("more", "taken"), [(1.3, 2), (3.0, 1)])
+def test_a_slow_tone_is_taken_only_where_it_promises_much_more(shaken: Shaken, more: float, taken: int) -> None:
+    """Of what slow tones promise after the probes about half is kept."""
+    assert TONES[1] < SLOW < TONES[2]
+    foresight = made_foresight(2, gains=[0.1, more, 1.0] / (TONES / TONES[0]) ** 2)
+    world = World(foresight, foresight.vectors[3], plan=FREE, limits=Limits(plant=PlantLimits(leaf_load=30.0)))
+    world.params = Params(most_seconds=10)
+    assert most(world, 1)[1] > most(world, 2)[1]
+    assert shaken(world).steps[2].frequencies == pytest.approx([TONES[taken]])
+
+
+def test_what_the_camera_sees_overrules_what_the_model_promises(shaken: Shaken) -> None:
+    believed = made_foresight(2, gains=(2.0, 0.6, 0.1), unsure=0.8)
+    truth = believed.vectors[0].copy()
+    truth[0, :, : FLOWERS + POINTS] *= 0.1
+    truth[2, :, : FLOWERS + POINTS] *= 10
+    leafy = Limits(plant=replace(WEAK, leaf_load=30.0))  # leaves do what the model says of them
+    world = World(believed, truth, plan=FREE, limits=leafy)
+    assert shaken(world).steps[-1].frequencies == pytest.approx([TONES[2]])
+    promised = World(believed, believed.vectors[0], plan=FREE, limits=leafy)
+    assert shaken(promised).steps[-1].frequencies != pytest.approx([TONES[2]])
+
+
+@pytest.mark.parametrize("along", range(8))
+def test_the_line_is_taken_along_which_the_flowers_move_most(shaken: Shaken, along: int) -> None:
+    """What two lines showed tells of all others: flowers that follow the pads along one line alone are shaken so."""
+    believed, lines = made_foresight(2, unsure=0.8), lines_across(8)
+    truth = believed.vectors[3].copy()
+    flowers = truth[:, 0, :FLOWERS].copy()
+    for axis, share in enumerate(lines[along]):
+        truth[:, axis, :FLOWERS] = share * flowers
+    world = World(believed, truth, plan=made_plan(reach=(0.02,) * 3, lines=8), limits=Limits(plant=WEAK))
+    world.plan = replace(world.plan, press=1000.0)
+    world.params = Params(most=1e4, target=1e3, most_seconds=30)
+    watched = shaken(world, raised=3.0)
+    check_pieces(world, watched)
+    assert len(watched.steps[0].frequencies) == len(watched.steps[1].frequencies) == len(TONES)
+    assert watched.steps[0].direction == pytest.approx(lines[0])
+    assert watched.steps[1].direction == pytest.approx(lines[4])
+    assert abs(lines[along] @ watched.steps[-1].direction) > np.cos(np.radians(23))
+    assert watched.executed(watched.steps).direction == pytest.approx(watched.steps[-1].direction)
+
+
+@pytest.mark.parametrize("pedicel_strain", [1.0, 1e-3])
+def test_a_second_probe_is_gentler_by_what_the_first_passed_a_limit(shaken: Shaken, pedicel_strain: float) -> None:
+    believed = made_foresight(2)
+    world = World(believed, believed.vectors[3], plan=made_plan(reach=(0.2,) * 3, lines=8))
+    world.plan = replace(world.plan, press=1000.0)
+    world.limits = Limits(plant=replace(WEAK, pedicel_strain=pedicel_strain))
+    first, second, *_ = shaken(world).steps
+    passed = max(first.loads.values())
+    assert (passed > 1) == (pedicel_strain < 1)
+    assert second.amplitudes == pytest.approx(np.array(first.amplitudes) / max(passed, 1.0))
+
+
+def test_it_ends_at_the_target_where_nothing_forbids_it(shaken: Shaken) -> None:
+    for seed in range(5):
+        foresight = made_foresight(seed)
+        world = World(foresight, foresight.vectors[4], plan=FREE, params=Params(12.0, most=500.0, most_seconds=30))
+        world.limits = Limits(plant=WEAK)
+        watched = shaken(world, raised=3.0)
+        last = watched.steps[-1]
+        assert last.median == pytest.approx(12.0, rel=0.06)
+        held = world.pieces[-2]
+        assert held.seconds - held.ramp >= escalation.HOLD
+        assert "the target" in watched.steps[-2].decided
+
+
+@pytest.mark.parametrize("share", [0.25, 1.0, 3.0])
+def test_a_flower_moves_away_no_further_than_the_members_say_nor_beside_what_was_seen(share: float) -> None:
+    foresight = made_foresight(1)
+    members, own = foresight.of(0, ALONG), foresight.where["flowers"]
+    said = np.sqrt(np.mean(np.abs(members[:, own]) ** 2, axis=0))
+    shown = np.asarray(share * np.column_stack([said[:, :2], np.full(FLOWERS, np.nan)]), dtype=np.complex128)
+    axes, std = np.repeat(np.eye(3)[None], FLOWERS, axis=0), np.tile([1e-6, 1e-6, np.nan], (FLOWERS, 1))
+    told = known(foresight, float(TONES[0]), Answer(members, shown, std, axes), 0.0, 0.05)
+    assert told.seen.all()
+    assert np.abs(told.picture[:, 2]) == pytest.approx(min(share, 1.0) * said[:, 2])
+    assert told.picture[:, :2] == pytest.approx(shown[:, :2])
+
+
+def test_a_swing_counts_as_what_it_grows_to_and_as_it_is_where_it_dies_out() -> None:
+    rate = 2 * np.pi * 17.0 * DAMPING
+    seen = Swings(np.full((2, 1, 3), 1.0 - 2.0j), np.full((2, 3), 0.1), np.tile(np.eye(3), (2, 1, 1)))
+    for share, times in ((0.0, 1.0), (0.5, 1.5), (-0.5, 1.0), (9.0, MOST_GROWTH)):
+        found = settled(seen._replace(growing=share * rate), 17.0)
+        assert found.phasors == pytest.approx(times * seen.phasors)
+        assert found.std == pytest.approx(times * seen.std)
+
+
+def test_the_slowest_frame_rate_that_tells_all_tones_apart_is_taken(
+    shaken: Shaken, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(escalation, "LOOK", 0.2)
+    for seed in range(10):
+        foresight = made_foresight(seed)
+        tones = TONES * np.random.default_rng(seed).uniform(0.5, 3)
+        plan = replace(FREE, tones=replace(FREE.tones, frequencies=tones))
+        world = World(foresight._replace(tones=tones), foresight.vectors[1], plan=plan)
+        watched = shaken(world)
+        rates = FakeCamera.rates
+        rate = watched.frame_rate(rates)
+        looks = [(step.end - step.begin, np.array(step.frequencies)) for step in watched.steps]
+        best = [likeness(max(rates), *look) for look in looks]
+        assert all(likeness(rate, *look) <= 1.6 * b for look, b in zip(looks, best, strict=True))
+        assert watched.frame_rate((*rates, 0.1 * rate)) == rate
+
+
+def test_no_flower_that_is_seen_feels_more_than_the_most(shaken: Shaken) -> None:
+    foresight = made_foresight(1)
+    world = World(foresight, foresight.vectors[4], plan=FREE, params=Params(30.0, 31.0, most_seconds=30.0))
+    world.limits = Limits(plant=WEAK)
+    watched = shaken(world, raised=3.0)
+    felt = [np.nanmax(step.flowers) for step in single(watched)]
+    assert max(felt) < 31.0 * 1.03
+    assert max(felt) > 29.0
+    assert watched.steps[-1].median < 29.0
+
+
+@pytest.mark.parametrize("lines", [1, pytest.param(8, marks=pytest.mark.slow)])
+def test_whatever_the_plant_every_rule_holds(shaken: Shaken, lines: int) -> None:
+    for seed in range(40 if lines == 1 else 15):
+        rng = np.random.default_rng(seed)
+        unsure, gains = float(rng.uniform(0.1, 0.8)), rng.uniform(0.2, 3, 3).tolist()
+        foresight = made_foresight(seed, unsure=unsure, gains=gains)
+        plan = made_plan(rng.uniform(0.0005, 0.004, 3).tolist(), rng.uniform(0.004, 0.02, 3).tolist(), lines)
+        world = World(foresight, foresight.vectors[seed % 32], plan=plan, late=float(rng.uniform(0, 0.03)))
+        raised = float(rng.uniform(1.1, 2))
+        world.params = Params(target=float(rng.uniform(5, 40)))
+        watched = shaken(world, raised)
+        check_pieces(world, watched)
+        for step in single(watched):
+            assert step.used <= 1.03, step
+            assert step.median <= 1.03 * world.params.target
+        assert len(watched.steps) == len(world.pieces) - 1
+        for step, following in zip(watched.steps, watched.steps[1:], strict=False):
+            assert step.begin < step.end < following.begin
+
+
+def check_pieces(world: World, watched: Escalation) -> None:
+    """Check what holds of every shake: it stops, it keeps its reach and its time, and rises slowly."""
+    pieces, params, tones = world.pieces, world.params, world.plan.tones
+    assert [piece.stops for piece in pieces] == [False] * (len(pieces) - 1) + [True]
+    assert pieces[-1].begin + pieces[-1].seconds <= params.most_seconds + 1e-9
+    for piece in pieces:
+        assert np.all(piece.amplitudes <= tones.reach.ravel() + 1e-12)
+        for line in watched.lines:
+            assert piece.only(line.tones).reach <= 1.0001 * line.reach
+        changing = (piece.amplitudes > 0) | (piece.before > 0)
+        assert piece.ramp >= 0.5 / piece.frequencies[changing].min() - 1e-9, "half a period of the slowest"
+    for piece in pieces[len(tones.probed) :]:
+        assert (piece.amplitudes > 0).sum() <= 1
+        (tone,) = np.flatnonzero(piece.amplitudes) if not piece.stops else [0]
+        before = piece.before[tone]
+        start = tones.amplitudes.flat[tone] if np.count_nonzero(piece.before) != 1 or before == 0 else 0.0
+        assert piece.amplitudes[tone] <= escalation.RAISED * max(before, start) + 1e-12
+
+
+@pytest.mark.parametrize("lines", [1, 8])
+def test_with_nothing_in_sight_the_plan_alone_is_carried_out(shaken: Shaken, lines: int) -> None:
+    foresight = made_foresight(1)
+    world = World(foresight, foresight.vectors[4], shown=[BLIND], plan=made_plan(lines=lines))
+    watched = shaken(world)
+    probe, alone, end = world.pieces
+    assert alone.amplitudes == pytest.approx([world.plan.amplitude, *[0] * (3 * lines - 1)])
+    assert alone.seconds - alone.ramp >= world.plan.duration
+    assert end.stops
+    assert np.all(probe.amplitudes < world.plan.tones.amplitudes.ravel())
+    assert "Nothing is in sight" in watched.steps[0].decided
+    assert all(np.isnan(step.flowers).all() for step in watched.steps)
+    check_pieces(world, watched)
+
+
+@pytest.mark.parametrize("look", [1, 2, 3])
+def test_a_shake_that_is_lost_from_sight_ends(shaken: Shaken, look: int) -> None:
+    foresight = made_foresight(1)
+    world = World(foresight, foresight.vectors[4], plan=made_plan((0.0005,) * 3), shown=[*[SIGHTED] * look, BLIND])
+    watched = shaken(world)
+    assert len(world.pieces) == look + 2
+    assert world.pieces[-1].stops
+    assert f"Only 0 of {FLOWERS + POINTS} points are still followed" in watched.steps[-1].decided
+
+
+@pytest.mark.parametrize(("lines", "look"), [(1, 1), (1, 3), (2, 1)], ids=["first step", "later", "second probe"])
+@pytest.mark.parametrize("fewer", [False, True])
+def test_only_a_shake_of_which_less_than_half_is_followed_is_lost(
+    shaken: Shaken, lines: int, look: int, fewer: bool
+) -> None:
+    half = np.arange(FLOWERS + POINTS) < (FLOWERS + POINTS + 1) // 2 - fewer
+    foresight = made_foresight(1)
+    plan = made_plan((0.0005,) * 3, lines=lines)
+    world = World(foresight, foresight.vectors[4], plan=plan, shown=[*[SIGHTED] * look, half])
+    steps = shaken(world).steps
+    assert any("points are still followed" in step.decided for step in steps) == fewer
+    assert (len(world.pieces) == look + 2) == fewer, "it ends with the look that shows so few"
+
+
+@pytest.mark.parametrize("count", [1, FLOWERS - 1])
+def test_a_shake_that_loses_a_flower_that_may_swing_far_goes_back_to_where_it_was_seen(
+    shaken: Shaken, count: int
+) -> None:
+    foresight = made_foresight(1)
+    few = SIGHTED.copy()
+    few[:count] = False
+    steady = World(foresight, foresight.vectors[4], plan=made_plan((0.0005,) * 3))
+    losing = World(foresight, foresight.vectors[4], plan=made_plan((0.0005,) * 3), shown=[*[SIGHTED] * 4, few])
+    shaken(steady)
+    watched = shaken(losing)
+    sure, lost, again, held, end = losing.pieces[3:]
+    assert max(p.amplitudes.max() for p in steady.pieces) > 1.05 * lost.amplitudes.max()
+    assert lost.amplitudes.max() > sure.amplitudes.max()
+    assert again.amplitudes == pytest.approx(lost.amplitudes)
+    assert held.amplitudes == pytest.approx(sure.amplitudes)
+    assert end.stops
+    assert "Watched again" in watched.steps[4].decided
+    assert "flowers were lost from sight" in watched.steps[5].decided
+
+
+def test_a_flower_that_is_lost_while_it_swings_little_ends_the_raise_only_where_it_may_feel_more_than_the_most(
+    shaken: Shaken,
+) -> None:
+    foresight, few = made_foresight(1), SIGHTED.copy()
+    few[0] = False
+    world = World(foresight, foresight.vectors[4], plan=FREE, limits=Limits(plant=WEAK), shown=[SIGHTED, SIGHTED, few])
+    world.params = Params(most_seconds=30)
+    steps = single(shaken(world))
+    at_most = JUMP * np.array([s.amplitudes[0] for s in steps]) * steps[0].flowers[0] / steps[0].amplitudes[0]
+    assert np.isnan([step.flowers[0] for step in steps[1:]]).all()
+    doubted = [k for k, step in enumerate(steps) if "Watched again" in step.decided]
+    assert "lost from sight" in steps[doubted[0]].decided
+    assert doubted[0] > 1
+    assert at_most[doubted[0]] > world.params.most > at_most[0]
+    assert steps[-1].amplitudes == pytest.approx(steps[doubted[0] - 1].amplitudes)
+
+
+def test_of_a_flower_that_the_camera_cannot_tell_from_one_that_swings_too_far_the_model_speaks(shaken: Shaken) -> None:
+    """Else the camera's noise at fast tones would end the shake before it begins."""
+    foresight, noise = made_foresight(1), 0.012
+    world = World(foresight, foresight.vectors[4], plan=made_plan((0.0005,) * 3), noise=noise)
+    steps = single(shaken(world))
+    assert 3 * noise * (2 * np.pi * steps[0].frequencies[0]) ** 2 > world.params.most
+    assert np.isnan(steps[0].flowers).all()
+    assert all("lost from sight" not in step.decided for step in steps)
+
+
+def test_a_flower_that_may_feel_more_than_the_most_without_being_measured_counts_as_lost(shaken: Shaken) -> None:
+    foresight = made_foresight(1)
+
+    class Blurred(World):
+        def swings(self, _: Any, frames: Any, tones: Any, expected: Any = None) -> Any:
+            self.noise = 1e-6 if self.looks < 4 else 0.2
+            return super().swings(_, frames, tones, expected)
+
+    world = Blurred(foresight, foresight.vectors[4], plan=made_plan((0.0005,) * 3), limits=Limits(plant=WEAK))
+    watched = shaken(world)
+    sure, raised, again, held = (piece.amplitudes.max() for piece in world.pieces[3:7])
+    assert np.isfinite(single(watched)[2].flowers).all()
+    assert np.isnan(single(watched)[3].flowers).all()
+    assert raised > sure
+    assert again == pytest.approx(raised)
+    assert held == pytest.approx(sure)
+    assert "flowers were lost from sight" in watched.steps[5].decided
+
+
+def test_a_flower_that_is_found_again_ends_nothing(shaken: Shaken) -> None:
+    foresight = made_foresight(1)
+    few = SIGHTED.copy()
+    few[0] = False
+    steady, losing = (
+        World(
+            foresight, foresight.vectors[4], plan=made_plan((0.0005,) * 3), shown=shown, params=Params(most_seconds=30)
+        )
+        for shown in ([SIGHTED], [*[SIGHTED] * 4, few, SIGHTED])
+    )
+    held = shaken(steady).steps[-1].amplitudes
+    watched = shaken(losing)
+    assert "Watched again" in watched.steps[4].decided
+    assert "lost from sight" in watched.steps[4].decided
+    assert losing.pieces[5].amplitudes == pytest.approx(losing.pieces[4].amplitudes)
+    assert watched.steps[-1].amplitudes == pytest.approx(held, rel=0.05)
+
+
+@pytest.mark.parametrize("count", [1, FLOWERS - 1])
+def test_a_flower_that_is_lost_where_it_was_just_seen_takes_the_shake_further_back(shaken: Shaken, count: int) -> None:
+    """What was seen at that amplitude was still growing."""
+    foresight = made_foresight(1)
+    few = SIGHTED.copy()
+    few[:count] = False
+    weak = Limits(plant=PlantLimits(leaf_load=5.0))
+    world = World(foresight, foresight.vectors[4], plan=FREE, limits=weak)
+    looks = 1 + next(k for k, step in enumerate(shaken(world).steps) if "Watched again" in step.decided)
+    world = World(foresight, foresight.vectors[4], plan=FREE, limits=weak, shown=[*[SIGHTED] * looks, few])
+    watched = shaken(world)
+    second, again, held = (piece.amplitudes.max() for piece in world.pieces[looks - 1 : looks + 2])
+    assert second == pytest.approx(again, rel=0.05)
+    assert "Watched again" in watched.steps[looks - 1].decided
+    assert "flowers were lost from sight" in watched.steps[looks].decided
+    assert held <= again / escalation.RAISED * 1.0001
+
+
+def test_a_step_adds_at_most_half_the_target_to_any_flower_seen(shaken: Shaken) -> None:
+    """The first by what the probe saw of it, the others by the look before."""
+    for seed in range(5):
+        foresight = made_foresight(seed)
+        world = World(foresight, foresight.vectors[4], plan=FREE, params=Params(20.0, 30.0, most_seconds=30))
+        world.limits = Limits(plant=WEAK)
+        steps = single(shaken(world, raised=4.0))
+        felt = [0.0, *(np.nanmax(step.flowers) for step in steps)]
+        planned = world.plan.tones.amplitudes.max() * world.flowers(
+            int(np.abs(TONES - steps[0].frequencies[0]).argmin())
+        )
+        for before, after in pairwise(felt):
+            assert after <= max(1.03 * (before + 10.0), 1.03 * float(planned.max()))
+        assert max(felt) > 20.0
+
+
+def test_what_moves_no_flower_that_is_seen_is_not_raised_beyond_what_the_model_allows(shaken: Shaken) -> None:
+    """Stem and leaves in sight narrow the model; but pedicels follow flowers, and none of them is measured."""
+    foresight, stalks = made_foresight(1), SIGHTED.copy()
+    stalks[:FLOWERS] = False
+    hidden, seen = (
+        World(foresight, foresight.vectors[4], plan=made_plan((0.0005,) * 3), shown=[shown])
+        for shown in (stalks, SIGHTED)
+    )
+    watched = shaken(hidden)
+    shaken(seen)
+    for piece in hidden.pieces[1:]:
+        assert np.all(piece.amplitudes <= hidden.plan.tones.amplitudes.ravel() + 1e-12)
+    assert max(p.amplitudes.max() for p in seen.pieces) > 1.4 * 0.0005
+    assert "flowers were lost from sight" in watched.steps[-2].decided
+
+
+def test_a_shake_at_which_flowers_in_sight_do_not_seem_to_move_is_raised(shaken: Shaken) -> None:
+    """What is too small to be measured is small."""
+    foresight = made_foresight(1)
+    noisy, sharp = (
+        World(
+            foresight, foresight.vectors[4], plan=made_plan((0.0005,) * 3), noise=noise, params=Params(most_seconds=30)
+        )
+        for noise in (4e-4, 1e-6)
+    )
+    steps, held = single(shaken(noisy)), shaken(sharp).steps[-1].amplitudes[0]
+    assert np.isnan(steps[0].flowers).all()
+    assert steps[1].amplitudes[0] == pytest.approx(escalation.RAISED * steps[0].amplitudes[0])
+    assert 0.5 * held < steps[-1].amplitudes[0] <= 1.05 * held
+
+
+@pytest.mark.parametrize("count", [1, FLOWERS])
+def test_where_none_of_the_flowers_is_followed_the_shake_stays_at_what_the_model_allows(
+    shaken: Shaken, count: int
+) -> None:
+    foresight, few = made_foresight(1), SIGHTED.copy()
+    few[:count] = False
+    plan = made_plan((0.0005,) * 3)
+    world = World(foresight, foresight.vectors[4], plan=plan, noise=4e-4, shown=[SIGHTED, few])
+    first, *others = single(shaken(world))
+    assert first.amplitudes[0] == pytest.approx(escalation.BEGINS * plan.tones.amplitudes.max())
+    if count < FLOWERS:
+        assert others[0].amplitudes[0] > first.amplitudes[0]
+    else:
+        assert others[0].amplitudes[0] == pytest.approx(first.amplitudes[0])
+        assert others[-1].amplitudes[0] == pytest.approx(plan.tones.amplitudes.max())
+        assert len({step.frequencies[0] for step in (first, *others)}) == 2
+        assert "lost from sight" in others[-2].decided
+
+
+@pytest.mark.parametrize("seconds", [10.0, 11.0, 14.0])
+def test_the_time_ends_a_shake_that_could_be_raised_further(
+    shaken: Shaken, monkeypatch: pytest.MonkeyPatch, seconds: float
+) -> None:
+    foresight = made_foresight(1)
+    monkeypatch.setattr(escalation, "LOOK", 0.4)
+    monkeypatch.setattr(escalation, "HOLD", 0.6)
+    params = Params(most_seconds=seconds, target=1000, most=10_000)
+    world = World(foresight, foresight.vectors[4], plan=replace(FREE, tones=made_plan((1e-4,) * 3).tones))
+    world.params, world.limits = params, Limits(plant=WEAK)
+    watched = shaken(world, raised=1.06)
+    assert "time" in watched.steps[-2].decided
+    check_pieces(world, watched)
+    assert world.pieces[-1].begin + world.pieces[-1].seconds > seconds - 1.5
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_turning_from_tone_to_tone_ends_in_time(shaken: Shaken, seed: int) -> None:
+    """Each tone shows much in the probe and little when it is alone, so that the next one is tried."""
+    foresight = made_foresight(seed)
+
+    class Fading(World):
+        def swings(self, _: Any, frames: Any, tones: Any, expected: Any = None) -> Any:
+            found = super().swings(_, frames, tones, expected)
+            return found if len(tones) > 1 else found._replace(phasors=0.05 * found.phasors)
+
+    for seconds in np.arange(10.0, 13.0, 0.25):
+        world = Fading(foresight, foresight.vectors[4], params=Params(most_seconds=float(seconds)))
+        check_pieces(world, shaken(world))
+
+
+def test_a_shake_that_the_actuator_ends_keeps_its_reach_while_it_turns_to_a_tone(shaken: Shaken) -> None:
+    foresight = made_foresight(1)
+    plan = made_plan((0.004, 0.004, 0.004), (0.004, 0.004, 0.004))
+    world = World(foresight, foresight.vectors[4], plan=plan, limits=Limits(plant=WEAK))
+    watched = shaken(world)
+    check_pieces(world, watched)
+    assert watched.steps[-1].amplitudes == pytest.approx([0.004])
+
+
+def test_a_weak_limit_of_each_kind_ends_the_shake_there(shaken: Shaken) -> None:
+    foresight = made_foresight(1)
+    ample = {"stem_strain": 1.0, "pedicel_strain": 1.0, "base_strain": 1.0, "leaf_load": 1e4}
+    tight = {"stem_strain": 2e-4, "pedicel_strain": 4e-4, "base_strain": 2e-4, "leaf_load": 0.5}
+    for kind, word in zip(ample, ("stem", "pedicels", "branch bases", "leaf bases"), strict=True):
+        limits = Limits(plant=PlantLimits(**(ample | {kind: tight[kind]})))
+        world = World(foresight, foresight.vectors[4], plan=FREE, limits=limits)
+        watched = shaken(world)
+        assert word in watched.steps[-1].binds
+        assert 0.85 < watched.steps[-1].used < 1.02
+    slips = World(foresight, foresight.vectors[4], plan=replace(FREE, press=0.2), limits=Limits(plant=WEAK))
+    watched = shaken(slips)
+    assert watched.steps[-1].binds == "slip"
+    assert 0.85 < watched.steps[-1].used < 1.02
+
+
+@pytest.mark.parametrize("best", [0, 1, 2])
+def test_a_slow_tone_is_left_as_slowly_as_it_is_begun(
+    shaken: Shaken, monkeypatch: pytest.MonkeyPatch, best: int
+) -> None:
+    monkeypatch.setattr(escalation, "RAMP", 0.01)
+    gains = [4.0 if tone == best else 0.7 for tone in range(3)] / (TONES / TONES[0]) ** 2
+    foresight = made_foresight(2, gains=gains)
+    world = World(foresight, foresight.vectors[3], plan=FREE, limits=Limits(plant=PlantLimits(leaf_load=30.0)))
+    check_pieces(world, shaken(world))
+
+
+def test_members_differ_in_the_grippers_motion_by_what_is_doubted_and_lines_add_up() -> None:
+    along, across = np.eye(3)[0], np.eye(3)[1]
+    drawn = drawn_errors(4000, along, 2)
+    assert np.mean(np.abs(drawn) ** 2, axis=0) == pytest.approx([1 + ARM_ASIDE**2, ARM_ASIDE**2, ARM_ASIDE**2], rel=0.1)
+    both = drawn_errors(4000, along + across, 2)
+    assert both == pytest.approx(drawn + drawn_errors(4000, across, 2))
+
+
+def test_the_plan_as_carried_out_is_the_last_step(shaken: Shaken) -> None:
+    foresight = made_foresight(1)
+    world = World(foresight, foresight.vectors[4])
+    watched = shaken(world)
+    done, last = watched.executed(watched.steps), watched.steps[-1]
+    assert (done.frequency, done.amplitude) == (last.frequencies[0], last.amplitudes[0])
+    assert done.duration == pytest.approx(last.end - last.begin)
+    tone = int(np.flatnonzero(done.frequency == TONES)[0])
+    believed = done.amplitude * semi_major(foresight.of(tone, ALONG)[0, :FLOWERS])
+    assert done.predicted_amplitude == pytest.approx(believed)
+    assert done.predicted_acceleration == pytest.approx((2 * np.pi * done.frequency) ** 2 * believed)
+    low, high = done.predicted_amplitude_interval.T
+    unknown = np.exp(1.645 * FLOWER_SPREAD)  # of each flower, whatever the members say
+    assert np.all(low <= done.predicted_amplitude / unknown * 1.0001)
+    assert np.all(high >= done.predicted_amplitude * unknown * 0.9999)
+    members = done.amplitude * semi_major(foresight.of(tone, ALONG)[:, :FLOWERS])
+    assert np.all((low <= np.quantile(members, 0.05, axis=0)) & (high >= np.quantile(members, 0.95, axis=0)))
+    assert last.decided in done.reason
+    assert watched.executed(()) is world.plan
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"target": 0.0},
+        {"target": 30.0, "most": 29.0},
+        {"most_seconds": 1.0},
+        {"most_seconds": 100.0},
+        {"target": float("nan")},
+    ],
+)
+def test_bad_params_are_refused(changes: dict[str, float]) -> None:
+    with pytest.raises(InputError, match=list(changes)[-1]):
+        Params(**changes)  # type: ignore[arg-type]
+
+
+def test_what_a_shake_turns_back_to_is_what_was_found_to_be_borne(shaken: Shaken) -> None:
+    """At the tone taken first one flower feels far more than was said, but flowers move still less at the other."""
+    believed = made_foresight(0, gains=(2.0, 1.5, 0.01), unsure=0.2)
+    truth = believed.vectors[0].copy()
+    truth[1, :, :FLOWERS] *= 0.3
+    truth[0, :, 0] *= 11
+
+    class Clearing(World):
+        def swings(self, _: Any, frames: Any, tones: Any, expected: Any = None) -> Any:
+            blurred = (np.arange(FLOWERS + POINTS) < FLOWERS) & (self.looks < 2)
+            self.noise: Any = np.where(blurred, 0.03, 1e-6)[:, None]
+            return super().swings(_, frames, tones, expected)
+
+    world = Clearing(believed, truth, plan=made_plan((0.008,) * 3, reach=(0.2,) * 3), limits=Limits(plant=WEAK))
+    world.plan, world.params = replace(world.plan, press=1000.0), Params(most_seconds=11.0)
+    watched = shaken(world)
+    *_, held, last = single(watched)
+    assert "more moved at 2.5 Hz" in held.decided
+    assert max(max(step.flowers) for step in single(watched)[1:]) > 1.1 * world.params.most
+    assert np.nanmax(last.flowers) == pytest.approx(world.params.most, rel=0.03)
+
+
+def test_a_shake_is_gone_back_to_no_further_than_its_last_look_allows(shaken: Shaken) -> None:
+    believed = made_foresight(0)
+    watched = shaken(World(believed, believed.vectors[0], limits=Limits(plant=WEAK)))
+    tone = int(np.abs(TONES - watched.steps[-1].frequencies[0]).argmin())
+    tried = watched._options[tone].borne
+    assert tried == pytest.approx(max(s.amplitudes[0] for s in single(watched)))
+    told = watched._options[tone].told
+    watched._looked_at(tone, told._replace(flowers=100 * told.flowers))
+    assert watched._options[tone].borne == watched._options[tone].may.amplitude < 0.5 * tried
+
+
+OWN = np.arange(FLOWERS + POINTS)[:, None, None] < FLOWERS
+ANY_PHASE = np.exp(2j * np.pi * np.random.default_rng(5).random((FLOWERS + POINTS, 1, 1)))
+LIES = {
+    "a picture that stands still": 0.0,
+    "flowers that stand still": np.where(OWN, 0.0, 1.0),
+    "flowers that nearly stand still": np.where(OWN, 0.15, 1.0),
+    "all but flowers stand still": np.where(OWN, 1.0, 0.0),
+    "a tenth of the motion": 0.1,
+}
+
+
+class Lying(World):
+    """A world whose camera shows `share` of what it sees from a look on."""
+
+    share: Any = 1.0
+    since = 0
+
+    def swings(self, _: Any, frames: Any, tones: Any, expected: Any = None) -> Any:
+        found = super().swings(_, frames, tones, expected)
+        return found._replace(phasors=self.share * found.phasors) if self.looks > self.since else found
+
+
+def lied_to(shaken: Shaken, lie: str, since: int, *, soft: float = 1.0, seed: int = 1) -> tuple[Lying, Escalation]:
+    """Shake a plant that is so much softer than believed while the camera lies from a look on."""
+    foresight = made_foresight(seed)
+    world = Lying(foresight, soft * foresight.vectors[4], plan=made_plan((0.002,) * 3, (0.03,) * 3), noise=3e-5)
+    world.share, world.since = LIES.get(lie, 1.0), since
+    return world, shaken(world)
+
+
+@pytest.mark.parametrize("soft", [1.0, 3.0])
+@pytest.mark.parametrize("lie", LIES)
+def test_what_a_camera_shows_that_does_not_see_the_plant_raises_nothing(
+    shaken: Shaken, monkeypatch: pytest.MonkeyPatch, lie: str, soft: float
+) -> None:
+    """What cannot be observed is done as the model allows."""
+    monkeypatch.setattr(foresight_module, "MISFIT", 0.2)
+    for seed in range(3):
+        world, watched = lied_to(shaken, lie, 0, soft=soft, seed=seed)
+        planned = world.plan.tones.amplitudes.max()
+        assert max(step.amplitudes[0] for step in single(watched)) <= planned * 1.0001
+        assert watched.steps[-1].amplitudes[0] == pytest.approx(planned), "nor does it shake less than planned"
+        assert "does not move as the gripper does" in watched.steps[-2].decided
+        check_pieces(world, watched)
+
+
+def test_motion_as_large_as_that_of_the_plant_but_not_its_own_harms_nothing(
+    shaken: Shaken, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(foresight_module, "MISFIT", 0.2)
+    for seed in range(3):
+        foresight = made_foresight(seed)
+        world = Lying(foresight, foresight.vectors[4], plan=made_plan((0.002,) * 3, (0.03,) * 3), noise=3e-5)
+        world.share = ANY_PHASE
+        for step in single(shaken(world)):
+            tone = int(np.abs(TONES - step.frequencies[0]).argmin())
+            borne = limits_of(world.limits, world.plan.press, step.frequencies[0])
+            assert all(step.amplitudes[0] * load < borne[kind] for kind, load in world.loads(tone).items())
+
+
+@pytest.mark.parametrize("lie", ["a picture that stands still", "flowers that stand still"])
+@pytest.mark.parametrize("since", [2, 3, 4])
+def test_a_camera_that_goes_blind_on_the_way_takes_the_shake_back_to_what_it_saw(
+    shaken: Shaken, monkeypatch: pytest.MonkeyPatch, lie: str, since: int
+) -> None:
+    monkeypatch.setattr(foresight_module, "MISFIT", 0.2)
+    world, watched = lied_to(shaken, lie, since, soft=3.0)
+    _, healthy = lied_to(shaken, "none", 0, soft=3.0)
+    steps, planned = watched.steps, world.plan.tones.amplitudes.max()
+    assert [s.amplitudes for s in steps[: since + 1]] == [s.amplitudes for s in healthy.steps[: since + 1]]
+    seen = max(step.amplitudes[0] for step in steps[1:since])
+    assert steps[-1].amplitudes[0] <= max(seen, planned) * 1.0001
+    check_pieces(world, watched)
+
+
+class Behind(World):
+    """A world whose camera shows the look before, where that was at as many tones."""
+
+    last: Any = None
+
+    def swings(self, _: Any, frames: Any, tones: Any, expected: Any = None) -> Any:
+        before, self.last = self.last, super().swings(_, frames, tones, expected)
+        return before if before and before.phasors.shape == self.last.phasors.shape else self.last
+
+
+@pytest.mark.parametrize(("seed", "member"), [(0, 3), (6, 9), (12, 15), (33, 16)])
+def test_a_camera_that_shows_the_look_before_harms_no_plant_that_is_softer_than_believed(
+    shaken: Shaken, monkeypatch: pytest.MonkeyPatch, seed: int, member: int
+) -> None:
+    monkeypatch.setattr(foresight_module, "MISFIT", 0.2)
+    foresight = made_foresight(seed)
+    world = Behind(foresight, 3 * foresight.vectors[member], plan=made_plan((0.002,) * 3, (0.03,) * 3), noise=3e-5)
+    for step in single(shaken(world)):
+        tone = int(np.abs(TONES - step.frequencies[0]).argmin())
+        borne = limits_of(world.limits, world.plan.press, step.frequencies[0])
+        assert all(step.amplitudes[0] * load < borne[kind] for kind, load in world.loads(tone).items())
+
+
+def test_a_camera_that_sees_again_raises_the_shake_as_if_it_had_seen_the_probe(shaken: Shaken) -> None:
+    class Waking(Lying):
+        def swings(self, _: Any, frames: Any, tones: Any, expected: Any = None) -> Any:
+            self.share = 0.0 if self.looks < 1 else 1.0
+            return super().swings(_, frames, tones, expected)
+
+    foresight, plan = made_foresight(1), made_plan((0.0005,) * 3)
+    waking, awake = (kind(foresight, foresight.vectors[4], plan=plan, late=0.02) for kind in (Waking, Lying))
+    for world in (waking, awake):
+        world.params = Params(most_seconds=30)
+    last = [shaken(world).steps[-1] for world in (waking, awake)]
+    assert last[0].median == pytest.approx(last[1].median, rel=0.2)
+    first = max(p.amplitudes.max() for p in waking.pieces[1:2])
+    assert first <= plan.tones.amplitudes.max()
+
+
+def test_a_shake_that_is_planned_too_far_is_taken_back_even_by_what_proves_nothing(shaken: Shaken) -> None:
+    """All swings far, at any phase: not the plant that is believed, but nothing to go on with."""
+    foresight = made_foresight(1)
+    world = Lying(foresight, foresight.vectors[4], plan=made_plan((0.01,) * 3, (0.03,) * 3))
+    world.share = 5 * ANY_PHASE
+    steps = single(shaken(world))
+    assert steps[-1].amplitudes[0] < 0.5 * world.plan.tones.amplitudes.max()

@@ -1,0 +1,540 @@
+"""What is believed of a shake once a camera has seen a small one: exact sight tells, no sight and noise do not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from made_foresight import ALONG, AXES, FLOWERS, POINTS, TONES, World, lines_across, made_foresight
+from sample_plants import branched
+from scipy.stats import norm
+
+from anther.plant.model import TOMATO, build_plant
+from anther.pollination.escalation import _foresight as foresight_module
+from anther.pollination.escalation import _knowledge as knowledge
+from anther.pollination.escalation._foresight import (
+    Foresight,
+    evidence,
+    foresee,
+    misfit,
+    narrowed,
+    repeated,
+    watch_points,
+)
+from anther.pollination.escalation._knowledge import (
+    ARM_FOLLOWS,
+    Answer,
+    Known,
+    Look,
+    answered,
+    gripper_motion,
+    known,
+    lateness,
+    links,
+    summed,
+)
+from anther.pollination.escalation._option import Allowed, remembered, risk
+from anther.pollination.shake.observables import observables, semi_major
+from anther.pollination.shake.params import FAST, LOADS
+from anther.robot.devices import ArmSample
+from anther.robot.swing import Swing
+
+ROWS = np.arange(FLOWERS + POINTS)
+
+
+def off(foresight: Foresight, vectors: np.ndarray, truth: np.ndarray) -> float:
+    """Return the error of all vectors, over what is not known of them beforehand."""
+    return float(np.linalg.norm(vectors - truth) / np.linalg.norm(of(foresight).mean(axis=0) - truth))
+
+
+def of(foresight: Foresight) -> np.ndarray:
+    """Return what the members say of a shake along `ALONG` at the second tone."""
+    return foresight.of(1, ALONG)
+
+
+def seen(truth: np.ndarray, rows: np.ndarray = ROWS) -> np.ndarray:
+    return np.einsum("px,pxa->pa", truth[rows], AXES[rows])
+
+
+def deviation(each: np.ndarray) -> np.ndarray:
+    """Return that of points whose depth is not read."""
+    return np.column_stack([each, each, np.full(len(each), np.nan)])
+
+
+@pytest.mark.parametrize("member", [1, 7, 20, 31])
+def test_what_was_seen_exactly_of_a_member_tells_which_it_is(member: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    foresight = made_foresight(3)
+    truth = of(foresight)[member]
+    std = deviation(np.full(len(ROWS), 1e-9))
+    roughly = narrowed(of(foresight), seen(truth), std, AXES).mean(axis=0)
+    assert off(foresight, roughly, truth) < 0.35
+    monkeypatch.setattr(foresight_module, "MISFIT", 1e-4)
+    exactly = narrowed(of(foresight), seen(truth), std, AXES)
+    assert off(foresight, exactly.mean(axis=0), truth) < 1e-2
+    for kind in LOADS:
+        (load,) = foresight.load(kind, truth[None])
+        assert foresight.load(kind, exactly) == pytest.approx(load, rel=0.02), "all members come to agree"
+
+
+def test_the_more_is_seen_the_more_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(foresight_module, "MISFIT", 1e-4)
+    foresight = made_foresight(3)
+    errors = np.zeros(4)
+    for member in range(1, 32):
+        truth = of(foresight)[member]
+        for i, count in enumerate((0, 1, 5, 26)):
+            some = ROWS[:count]
+            std = deviation(np.full(count, 0.3))
+            found = narrowed(of(foresight), seen(truth, some), std, AXES[:count])
+            errors[i] += off(foresight, found.mean(axis=0), truth) ** 2
+    assert np.all(np.diff(errors) < 0)
+    assert errors[-1] < 0.1 * errors[0]
+
+
+def test_with_nothing_seen_the_members_are_as_they_were() -> None:
+    foresight = made_foresight(3)
+    nothing = narrowed(of(foresight), np.zeros((0, 3), complex), np.zeros((0, 3)), AXES[:0])
+    assert np.array_equal(nothing, of(foresight))
+
+
+def test_what_is_all_noise_changes_nothing() -> None:
+    foresight = made_foresight(3)
+    truth = of(foresight)[9]
+    unsure = narrowed(of(foresight), seen(truth), deviation(np.full(len(ROWS), 1e4)), AXES)
+    assert np.allclose(unsure, of(foresight), rtol=1e-2, atol=1e-2)
+
+
+def test_what_is_left_unknown_is_as_wide_as_the_error_of_what_is_believed() -> None:
+    """Over all members as truth, the errors of a load are as large as the narrowed members' spread says."""
+    foresight, std = made_foresight(3), deviation(np.full(5, 0.2))
+    rng, errors, spreads = np.random.default_rng(2), [], []
+    for member in range(1, 32):
+        truth = of(foresight)[member]
+        for _ in range(4):
+            noise = 0.2 * (rng.normal(size=(5, 3)) + 1j * rng.normal(size=(5, 3)))
+            found = narrowed(of(foresight), seen(truth, ROWS[:5]) + noise, std, AXES[:5])
+            loads = foresight.load("stem_strain", found)
+            errors.append(loads.mean() - foresight.load("stem_strain", truth[None])[0])
+            spreads.append(loads.std())
+    prior = foresight.load("stem_strain", of(foresight)).std()
+    assert 0.5 < np.sqrt(np.mean(np.square(errors)) / np.mean(np.square(spreads))) < 1.5
+    assert np.mean(spreads) < 0.6 * prior
+
+
+def test_a_point_that_is_less_sure_counts_for_less() -> None:
+    foresight = made_foresight(3)
+    truth = of(foresight)[9]
+    wrong = seen(truth)
+    wrong[0] += 3.0  # the first flower is another one
+    alike, doubted = np.full(len(ROWS), 0.05), np.full(len(ROWS), 0.05)
+    doubted[0] = 10.0
+    believing, doubting = (narrowed(of(foresight), wrong, deviation(std), AXES) for std in (alike, doubted))
+    assert off(foresight, doubting.mean(axis=0), truth) < off(foresight, believing.mean(axis=0), truth)
+
+
+def test_members_that_explain_what_was_seen_fit_better_than_others() -> None:
+    foresight, other = made_foresight(3), made_foresight(4)
+    std = deviation(np.full(len(ROWS), 0.01))
+    fits = [misfit(of(foresight), seen(of(f)[9]), std, AXES) for f in (foresight, other)]
+    assert fits[0] < fits[1]
+
+
+def test_the_misfit_is_that_of_gaussian_noise_and_the_members_own_spread(monkeypatch: pytest.MonkeyPatch) -> None:
+    """-ln likelihood by the covariance of what is seen, written out."""
+    monkeypatch.setattr(foresight_module, "MISFIT", 0.0)
+    members, std = of(made_foresight(3)), deviation(np.full(len(ROWS), 0.05))
+    motion, used = seen(of(made_foresight(4))[9]), np.isfinite(std)
+    said = np.stack([seen(member)[used] for member in members])
+    off = (said - said.mean(axis=0)) / std[used]
+    covariance = np.eye(used.sum()) + off.T @ off.conj() / (len(members) - 1)
+    miss = (motion[used] - said.mean(axis=0)) / std[used]
+    expected = (miss.conj() @ np.linalg.solve(covariance, miss)).real + np.linalg.slogdet(covariance)[1]
+    assert misfit(members, motion, std, AXES) == pytest.approx(expected + 2 * np.log(std[used]).sum())
+
+
+def test_what_moves_as_the_members_say_is_evidence_and_what_stands_still_or_moves_otherwise_is_none() -> None:
+    for seed in range(5):
+        members, std = of(made_foresight(seed)), deviation(np.full(len(ROWS), 0.01))
+        motion = seen(members[9])
+        turned = motion * np.exp(2j * np.pi * np.random.default_rng(seed).random((len(ROWS), 1)))
+        assert evidence(members, motion, std, AXES) > 20
+        assert evidence(members, 3 * motion, std, AXES) > 20, "a plant may be softer than believed"
+        for lie in (0 * motion, 0.1 * motion, turned):
+            assert evidence(members, lie, std, AXES) < -20
+
+
+@pytest.mark.parametrize("raised", [1.5, 2.0, 9.0])
+def test_a_look_that_shows_the_motion_before_a_raise_is_told_from_one_that_shows_the_raise(
+    raised: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(foresight_module, "MISFIT", 0.2)
+    rng = np.random.default_rng(2)
+    for noise, told in ((1e-5, True), (1e-2, False)):
+        std = deviation(np.full(len(ROWS), noise))
+        motion = 1e-3 * seen(of(made_foresight(3))[4])
+
+        def shown(times: float, spread: float = 0.1, *, std: np.ndarray = std, motion: np.ndarray = motion) -> Any:
+            """Each point is followed a bit wrongly, and with the noise of the tracker."""
+            error = rng.normal(size=(2, *motion.shape))
+            return times * motion * (1 + spread * error[0]) + np.nan_to_num(std) * (error[1] + 1j * error[0]), std
+
+        before = shown(1.0)
+        assert not repeated(shown(raised), before, raised, 0.0)
+        assert repeated(shown(1.0), before, raised, 0.0) == told
+        assert not repeated(shown(1.0), before, raised, np.log(raised)), "it may be that it still grows"
+        assert not repeated(shown(1.0), before, 1.05, 0.0), "too small a raise tells nothing"
+        assert not repeated(shown(1.0), before, 1 / raised, 0.0), "nor does what was taken back"
+
+
+def test_what_is_lost_in_noise_is_no_evidence() -> None:
+    members = of(made_foresight(3))
+    motion, hidden = seen(members[9]), np.full((len(ROWS), 3), np.nan)
+    assert evidence(members, motion, hidden, AXES) == 0
+    assert abs(evidence(members, motion, deviation(np.full(len(ROWS), 100.0)), AXES)) < 0.1
+
+
+def look(world: World, *, tones: tuple[int, ...] = (0, 1, 2), direction: np.ndarray = ALONG) -> Look:
+    """Return what is seen of a shake of 1 mm at some tones."""
+    sizes = np.isin(np.arange(len(TONES)), tones) * 1e-3
+    world.pieces = [Swing.first(TONES, sizes, 2.0, 0.5)]
+    active = np.array(tones)
+    commanded = np.asarray(1e-3 * np.exp(-2j * np.pi * TONES[active] * world.begin), dtype=np.complex128)
+    gripper = np.asarray(commanded[:, None] * (world.arm @ direction), dtype=np.complex128)
+    world.directions = np.repeat(direction[None], len(TONES), axis=0)
+    seen = world.swings(None, [None], TONES[active])  # type: ignore[list-item]
+    return Look(active, direction, commanded, gripper, np.zeros(len(active)), seen)
+
+
+def told(foresight: Foresight, at: Look, i: int, late: float, risk: float) -> Known:
+    """Return what is known of one tone of a look."""
+    return known(foresight, float(TONES[at.tones[i]]), answered(foresight, at, i, late), late, risk)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.01, 0.03])
+def test_a_late_clock_is_found(late: float) -> None:
+    foresight = made_foresight(3, unsure=0.3)
+    for member in (0, 5, 11):
+        world = World(foresight, foresight.vectors[member], late=late)
+        assert lateness(foresight, look(world)) == pytest.approx(late, abs=0.005)
+
+
+@pytest.fixture
+def trusted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let members be trusted, and loads as they are narrowed."""
+    monkeypatch.setattr(foresight_module, "MISFIT", 1e-3)
+    monkeypatch.setattr(knowledge, "SEEN_ERROR", dict.fromkeys(LOADS, (1.0, 1e-9)))
+
+
+@pytest.mark.usefixtures("trusted")
+def test_a_late_clock_that_is_known_changes_nothing_else() -> None:
+    foresight = made_foresight(3)
+    for late in (0.0, 0.02):
+        world = World(foresight, foresight.vectors[5], late=late)
+        at = look(world)
+        for i in range(3):
+            one = told(foresight, at, i, late, 0.5)
+            for kind, load in world.loads(i).items():
+                assert one.loads[kind] == pytest.approx(load, rel=0.05)
+
+
+@pytest.mark.usefixtures("trusted")
+def test_what_was_seen_along_two_lines_tells_of_every_other() -> None:
+    foresight = made_foresight(3)
+    for member in (5, 9):
+        world = World(foresight, foresight.vectors[member])
+        axes = [answered(foresight, look(world, direction=axis), 1, 0.0) for axis in lines_across(2)]
+        for direction in lines_across(5):
+            answer = summed(axes, lines_across(2) @ direction)
+            one = known(foresight, float(TONES[1]), answer, 0.0, 0.5)
+            assert one.flowers == pytest.approx(world.flowers(1, direction), rel=0.05)
+            for kind, load in world.loads(1, direction).items():
+                assert one.loads[kind] == pytest.approx(load, rel=0.05)
+
+
+def test_what_was_not_seen_along_one_line_is_not_seen_along_a_sum() -> None:
+    foresight, hidden = made_foresight(3), np.ones(FLOWERS + POINTS, bool)
+    hidden[2] = False
+    clear, partly = (
+        World(foresight, foresight.vectors[5], shown=[s]) for s in (np.ones(FLOWERS + POINTS, bool), hidden)
+    )
+    axes = [
+        answered(foresight, look(w, direction=a), 1, 0.0) for w, a in zip((clear, partly), lines_across(2), strict=True)
+    ]
+    seen = [
+        known(foresight, 4.0, summed(axes, parts), 0.0, 0.5).seen[2] for parts in np.array([[1, 0], [0, 1], [0.6, 0.8]])
+    ]
+    assert seen == [True, False, False]
+
+
+@pytest.mark.usefixtures("trusted")
+def test_flowers_that_are_seen_are_measured_and_others_believed() -> None:
+    foresight = made_foresight(3)
+    shown = np.ones(FLOWERS + POINTS, bool)
+    shown[[1, 4]] = False
+    world = World(foresight, foresight.vectors[5], shown=[shown])
+    one = told(foresight, look(world), 1, 0.0, 0.5)
+    assert one.seen.tolist() == shown[:FLOWERS].tolist()
+    assert one.flowers == pytest.approx(world.flowers(1), rel=0.05)
+
+
+def test_a_flower_that_moves_less_than_the_camera_can_tell_is_not_measured() -> None:
+    foresight = made_foresight(3)
+    world = World(foresight, foresight.vectors[5], noise=3e-3)
+    one = told(foresight, look(world), 1, 0.0, 0.5)
+    assert not one.seen.any()
+    expected = (2 * np.pi * TONES[1]) ** 2 * semi_major(of(foresight)[:, :FLOWERS].mean(axis=0))
+    assert np.abs(np.log(one.flowers / expected)).max() < 1.0
+
+
+def test_one_flower_that_swings_unlike_all_others_is_taken_for_something_else() -> None:
+    foresight = made_foresight(3, unsure=0.1)
+    at = look(World(foresight, foresight.vectors[5]))
+    before = told(foresight, at, 1, 0.0, 0.5)
+    for times, measured in ((8.0, True), (20.0, False)):
+        phasors = at.swings.phasors.copy()
+        phasors[2] *= times
+        after = told(foresight, at._replace(swings=at.swings._replace(phasors=phasors)), 1, 0.0, 0.5)
+        assert after.seen.tolist() == [measured or k != 2 for k in range(FLOWERS)]
+    assert after.loads == pytest.approx(before.loads, rel=0.1), "nothing is concluded from what is mistaken"
+    all_of_them = at.swings._replace(phasors=20 * at.swings.phasors)
+    assert told(foresight, at._replace(swings=all_of_them), 1, 0.0, 0.5).seen.all(), (
+        "a plant may answer unlike its model"
+    )
+
+
+def test_flowers_that_nobody_knows_may_bend_their_pedicels_further() -> None:
+    foresight = made_foresight(3)
+    members = of(foresight)
+    swing = semi_major(members[5, foresight.where["flowers"]])
+    seen_all, seen_one = swing.copy(), np.where(np.arange(FLOWERS) == 2, swing, np.nan)
+    known_alone = foresight.pedicels(members, seen_all)
+    with_others, with_others_by_one = (foresight.pedicels(members, seen, unknown=0.65) for seen in (seen_all, seen_one))
+    assert np.all(with_others >= known_alone)
+    assert np.mean(np.log(with_others / known_alone)) > 0.2
+    spreads = [np.log(strain).std() for strain in (with_others, with_others_by_one)]
+    assert spreads[1] > spreads[0], "the fewer are seen, the less is known of the others"
+
+
+def test_a_flower_in_sight_that_keeps_still_bends_its_pedicel_less_than_one_that_nobody_sees() -> None:
+    foresight = made_foresight(3)
+    foresight = foresight._replace(hangs=np.ones_like(foresight.hangs))
+    at = look(World(foresight, foresight.vectors[5]))
+    others = np.isin(np.arange(FLOWERS + POINTS), np.arange(1, FLOWERS))
+    still, hidden = at.swings.phasors.copy(), at.swings.std.copy()
+    still[others], hidden[others] = 0.0, np.nan
+    seen = at.swings._replace(phasors=still), at.swings._replace(std=hidden)
+    loads = [told(foresight, at._replace(swings=one), 1, 0.0, 0.5).loads["joint_strain"] for one in seen]
+    assert loads[0] < 0.2 * loads[1]
+
+
+def test_of_fast_tones_those_at_which_pedicels_ring_have_the_wider_margin() -> None:
+    """No margin jumps: a tone must not be taken because a little below it more is feared."""
+    bounds = []
+    for hertz in np.geomspace(2.0, 40.0, 500):
+        median, spread = knowledge.seen_error(float(hertz))["joint_strain"]
+        bounds.append(np.log(median) + 1.15 * spread)
+    assert np.all(np.diff(bounds) <= 0)
+    assert np.abs(np.diff(bounds)).max() < 0.05
+    assert bounds[0] - bounds[-1] > 1
+
+
+def test_the_fewer_flowers_are_known_the_more_their_pedicels_count_as_bent() -> None:
+    """Twins of one flower say nothing new: only that fewer may be hidden."""
+    foresight = made_foresight(3)
+    vectors, where = foresight.vectors.copy(), dict(foresight.where)
+    for kind in ("flowers", "joint_strain"):
+        vectors[..., where[kind], :] = vectors[..., where[kind].start, :][..., None, :]
+    loads = []
+    for count in (1, FLOWERS):
+        where["flowers"] = slice(0, count)
+        twins = foresight._replace(vectors=vectors, where=where, hangs=np.minimum(foresight.hangs, count - 1))
+        none = np.full((count, 3), np.nan)
+        loads.append(known(twins, 3.0, Answer(of(twins), none.astype(complex), none, AXES[:count]), 0.0, 0.05).loads)
+    alone, many = loads
+    assert alone["joint_strain"] == pytest.approx(np.sqrt(FLOWERS) * many["joint_strain"])
+    assert {**alone, "joint_strain": 0.0} == {**many, "joint_strain": 0.0}
+
+
+def test_of_two_looks_the_one_that_allowed_less_is_not_forgotten() -> None:
+    less, more = Allowed(1e-3, 5.0, "slip"), Allowed(4e-3, 20.0, "the target")
+    assert remembered(more, less) == less, "what was seen last allows no more than it says"
+    both = remembered(less, more)
+    assert (both.amplitude, both.flowers, both.binds) == (pytest.approx(2e-3), pytest.approx(10.0), "slip")
+
+
+def test_more_is_risked_of_what_was_watched_but_never_more_than_half() -> None:
+    for planned in (0.001, 0.02, 0.09, 0.4):
+        assert planned < risk(planned) <= 0.5
+
+
+def test_depth_tells_of_fast_tones_only_swings_that_it_cannot_feign() -> None:
+    foresight = made_foresight(3)
+    at = look(World(foresight, foresight.vectors[5], depth=True))
+    far = np.abs(at.swings.phasors[:FLOWERS, 1, 2]) >= knowledge.DEEP
+    assert 0 < far.sum() < FLOWERS
+    for factor, told_by_depth in ((1.0, True), (FAST / TONES[1], True), (1.01 * FAST / TONES[1], far)):
+        quick = foresight._replace(tones=factor * TONES)
+        assert np.all(np.isfinite(answered(quick, at, 1, 0.0).std[:, 2]) == told_by_depth)
+
+
+def test_all_counts_per_metre_that_was_commanded() -> None:
+    foresight = made_foresight(3)
+    world = World(foresight, foresight.vectors[5])
+    at = look(world)
+    once: Known = told(foresight, at, 1, 0.0, 0.5)
+    halved = at.swings._replace(phasors=0.5 * at.swings.phasors)
+    weak = at._replace(gripper=0.5 * at.gripper, swings=halved)
+    half = told(foresight, weak, 1, 0.0, 0.5)
+    for kind in LOADS:
+        assert half.loads[kind] == pytest.approx(0.5 * once.loads[kind], rel=0.01)
+    assert half.flowers == pytest.approx(0.5 * once.flowers, rel=0.01)
+
+
+def test_less_risk_and_less_in_sight_are_larger_margins() -> None:
+    foresight = made_foresight(3)
+    sighted = World(foresight, foresight.vectors[5])
+    blind = World(foresight, foresight.vectors[5], shown=[np.zeros(FLOWERS + POINTS, bool)])
+
+    def margins(world: World, risk: float) -> dict[str, float]:
+        loads = told(foresight, look(world), 1, 0.0, risk).loads
+        return {kind: loads[kind] / told(foresight, look(world), 1, 0.0, 0.5).loads[kind] for kind in LOADS}
+
+    careful, bold, unseen = margins(sighted, 0.01), margins(sighted, 0.1), margins(blind, 0.01)
+    for kind in LOADS:
+        assert 1 < bold[kind] < careful[kind] < unseen[kind]
+        spread = knowledge.SEEN_ERROR[kind][1]
+        least = np.exp(norm.isf(0.01) * spread)
+        assert careful[kind] >= least - 1e-3, "no margin is less than what was measured"
+
+
+def test_the_gripper_s_own_motion_is_read_from_the_joints() -> None:
+    along, middle = np.array([0.6, 0.8, 0.0]), np.array([0.7, 0.1, 0.2])
+    sizes = np.array([1e-3, 2e-3, 0.5e-3]) * np.exp(1j * np.array([0.3, -1.0, 2.0]))
+    times = 40 + np.arange(0, 1.5, 0.01)
+    swing = np.imag(np.exp(2j * np.pi * times[:, None] * TONES) @ sizes) + 1e-4 * (times - 40)
+    joints = np.column_stack([middle + swing[:, None] * along, np.zeros((len(times), 4))])
+    samples = [ArmSample(t, 0 * q, q) for t, q in zip(times, joints, strict=True)]
+    assert np.allclose(gripper_motion(samples, lambda q: q[:, :3], TONES), sizes[:, None] * along, atol=1e-6)
+
+
+@pytest.mark.usefixtures("trusted")
+def test_loads_are_of_what_the_gripper_does_not_of_what_it_is_told() -> None:
+    """An arm that is soft goes aside: what its plant bears and does comes from there, along sums of lines too."""
+    foresight = made_foresight(3)
+    world = World(foresight, foresight.vectors[5], arm=np.array([[0.1, 0.4, 0.0], [0.3, 0.2, 0.0], [-0.5, 0.3, 1.0]]))
+    answers = [answered(foresight, look(world, direction=line), 1, 0.0) for line in lines_across(2)]
+    for direction in lines_across(4):
+        one = known(foresight, float(TONES[1]), summed(answers, lines_across(2) @ direction), 0.0, 0.5)
+        assert one.flowers == pytest.approx(world.flowers(1, direction), rel=0.05)
+        for kind, load in world.loads(1, direction).items():
+            assert one.loads[kind] == pytest.approx(load, rel=0.05)
+
+
+@pytest.mark.usefixtures("trusted")
+def test_depth_that_is_read_tells_what_cannot_be_seen_across() -> None:
+    foresight = made_foresight(3)
+    other = foresight.vectors[9].copy()  # no member moves so
+    other[..., :FLOWERS, :] += 3 * np.einsum("ka,fx->kafx", other[..., 0, 0], AXES[:FLOWERS, :, 2])
+    worlds = [World(foresight, other, depth=depth) for depth in (True, False)]
+    deep, flat = (np.log(told(foresight, look(w), 1, 0.0, 0.5).flowers / w.flowers(1)) for w in worlds)
+    assert np.abs(deep).max() < 0.01
+    assert np.abs(flat).max() > 0.1
+
+
+@pytest.mark.usefixtures("trusted")
+@pytest.mark.parametrize("more", [0.5, 4.0])
+def test_a_pedicel_is_bent_as_its_flower_is_seen_to_swing(more: float) -> None:
+    """Whatever the members say that moves it; of a flower that is hidden at least what they say."""
+    foresight = made_foresight(3)
+    vectors = of(foresight)[:4]
+    said = semi_major(vectors[:, foresight.where["joint_strain"]])
+    swing = semi_major(vectors[0, foresight.where["flowers"]])
+    one, hidden = np.where(np.arange(FLOWERS) == 0, more * swing, np.nan), np.full(FLOWERS, np.nan)
+    assert foresight.pedicels(vectors, hidden) == pytest.approx(said.max(axis=1))
+    assert foresight.pedicels(vectors, more * swing)[0] == pytest.approx(more * said[0].max())
+    alike = foresight._replace(hangs=np.zeros_like(foresight.hangs))
+    assert alike.pedicels(vectors, one)[0] == pytest.approx(more * said[0].max())
+    other = foresight._replace(hangs=np.ones_like(foresight.hangs))
+    assert other.pedicels(vectors, one)[0] == pytest.approx(max(more, 1.0) * said[0].max())
+
+
+@pytest.mark.parametrize("share", [0.25, 4.0])
+def test_a_flower_too_still_to_be_seen_bends_its_pedicel_as_far_as_it_may_swing(share: float) -> None:
+    """But no further than the others tell."""
+    foresight = made_foresight(3)
+    vectors, second = of(foresight)[:1], np.arange(FLOWERS) == 1
+    foresight = foresight._replace(hangs=np.ones_like(foresight.hangs))
+    swing = semi_major(vectors[0, foresight.where["flowers"]])
+    shown, most = np.where(second, np.nan, 2 * swing), np.where(second, share * swing, np.nan)
+    said = semi_major(vectors[:, foresight.where["joint_strain"]]).max()
+    assert foresight.pedicels(vectors, shown, most) == pytest.approx(min(share, 2.0) * said)
+
+
+def test_the_points_that_are_watched_lie_far_from_each_other_and_on_no_stalk(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each is the one farthest from all before it."""
+    skeleton, stem, flowers = branched()
+    plant = build_plant(skeleton, stem, flowers, None, TOMATO)
+    monkeypatch.setattr(foresight_module, "MOST_POINTS", 8)
+    chosen, places = watch_points(plant), plant.rods.nodes
+    assert len(chosen) == len(np.unique(chosen)) == 8
+    assert not plant.is_pedicel[chosen].any()
+    assert not np.isin(chosen, plant.flower_nodes).any()
+    others = np.setdiff1d(np.flatnonzero(~plant.is_pedicel), plant.flower_nodes)
+    for n in range(1, 8):
+        gap = np.linalg.norm(places[others, None] - places[chosen[:n]], axis=2).min(axis=1)
+        assert np.linalg.norm(places[chosen[n]] - places[chosen[:n]], axis=1).min() == pytest.approx(gap.max())
+
+
+def test_every_pedicel_is_told_which_flower_hangs_on_it() -> None:
+    """A flower that is pushed alone strains its own pedicel and no other."""
+    skeleton, stem, flowers = branched()
+    hanging = build_plant(skeleton, stem, flowers, None, replace(TOMATO, youngs=2e8))
+    foresight = foresee(hanging, hanging.rods.nodes[hanging.stem_nodes[2]], np.array([4.0]), np.array([1, 2]))
+    assert set(foresight.hangs.tolist()) == set(range(len(hanging.flower_nodes)))
+    look, n = observables(hanging), len(hanging.rods.nodes)
+    for f, node in enumerate(hanging.flower_nodes):
+        push = np.zeros(4 * n)
+        push[4 * node : 4 * node + 3] = [1e-6, 2e-6, 3e-6]
+        strain = np.linalg.norm((look.operator @ push).reshape(-1, 3)[look.joint_strain], axis=1)
+        assert np.all(strain[foresight.hangs != f] < 1e-9 * strain.max())
+
+
+def test_the_faster_an_arm_swings_the_less_its_readings_count_and_never_less_than_the_command() -> None:
+    readings, tones = np.ones((4, 3), dtype=complex), np.array([1.0, 8.5, FAST, 40.0])
+    swing, doubt = links(readings, tones)
+    assert swing[:2, 0] == pytest.approx([1.0, 1.10], abs=0.03), "links run ahead of their motors"
+    assert np.all(np.diff(doubt) > 0)
+    assert doubt[0] < 0.001
+    assert pytest.approx(doubt[3], rel=0.01) == ARM_FOLLOWS
+    assert abs(swing[3, 0]) < 0.01
+
+
+def test_where_readings_are_not_trusted_what_is_seen_tells_how_the_gripper_swings() -> None:
+    """The arm reads three times what its gripper does, and along another line: the loads are those of what it does."""
+    foresight = made_foresight(3)
+    at = look(World(foresight, foresight.vectors[0]))
+    (true,) = foresight.load("stem_strain", foresight.of(1, ALONG)[:1])
+    wrong = 3 * at.gripper @ np.array([[0.5, 0.8, 0.3], [-0.8, 0.5, 0.1], [0.0, 0.3, 1.0]])
+
+    def mean(doubt: float) -> float:
+        one = at._replace(gripper=wrong, doubt=np.full(len(at.tones), doubt))
+        return float(foresight.load("stem_strain", answered(foresight, one, 1, 0.0).members).mean())
+
+    assert abs(np.log(mean(1.0) / true)) < 0.5 * abs(np.log(mean(0.0) / true))
+    assert mean(0.0) > 1.5 * true
+
+
+@pytest.mark.parametrize(("times", "counts"), [(3.0, True), (5.0, False)])
+def test_a_flower_that_jumps_from_one_look_to_the_next_is_another(times: float, counts: bool) -> None:
+    foresight = made_foresight(3)
+    at = look(World(foresight, foresight.vectors[5]))
+    once = told(foresight, at, 1, 0.0, 0.5)
+    calm = np.where(np.arange(FLOWERS) == 2, 1 / times, 1.0) * once.most
+    again = answered(foresight, at, 1, 0.0, once._replace(most=calm))
+    assert np.isfinite(again.flowers[:, 0]).tolist() == [counts or f != 2 for f in range(FLOWERS)]
+    lost = once._replace(most=np.full(FLOWERS, np.nan))
+    assert np.isfinite(answered(foresight, at, 1, 0.0, lost).flowers[:, 0]).all(), (
+        "of what was not followed nothing is known"
+    )

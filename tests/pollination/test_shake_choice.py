@@ -1,0 +1,427 @@
+"""Dose, actuators, slip and the nonlinear check: each is what physics or the arm makes of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from sample_plants import branched, grasps_on, stem_along, straight_stem
+
+from anther.core.errors import InputError, StageFailure
+from anther.core.geometry import Array
+from anther.perception.flowers import Flowers
+from anther.plant.belief import EarlierShake
+from anther.plant.limits import GUSTS, PEAKS, PRESETS, PlantLimits
+from anther.plant.model import TOMATO, PlantModel, build_plant
+from anther.pollination import shake
+from anther.pollination.escalation._option import limits_of
+from anther.pollination.grasp import Grasp
+from anther.pollination.shake import (
+    PADS,
+    VIBRATING_GRIPPER,
+    Pads,
+    Params,
+    ShakePlan,
+    _verification,
+    arm_shaker,
+    choice,
+    plan_shake,
+    sawyer_limit,
+    with_preset,
+)
+from anther.pollination.shake._actuators import RAMPS
+from anther.pollination.shake._verification import Checked, Shaken, check, steadily_shaken, verified
+from anther.pollination.shake.choice import (
+    APART,
+    DIRECTIONS,
+    LEAST_PRESS,
+    OF_THE_MACHINE,
+    PRESS,
+    Bound,
+    Grips,
+    Search,
+    _directions,
+    as_earlier,
+    search,
+    tones_at,
+)
+from anther.pollination.shake.choice import QUICK as SLOWEST
+from anther.pollination.shake.pads import friction_force, grip_rows, pad_nodes
+from anther.pollination.shake.params import FAST, FAST_LOAD_ERROR, FLOWER_SPREAD, LOAD_ERROR, RINGING, load_error
+from anther.pollination.shake.search import Gains, Version, drawn_material, gains, scenarios
+from anther.robot.pressing import PRESSING, Pressing
+from anther.rods import Clamp, Drive, Rods, observed_response
+from anther.rods._response import displacements
+
+QUICK = Params(frequencies=12)
+
+
+@pytest.fixture(scope="module")
+def plant() -> PlantModel:
+    skeleton, stem, flowers = branched()
+    return build_plant(skeleton, stem, flowers, None, TOMATO)
+
+
+@pytest.fixture(scope="module")
+def grasps() -> list[Grasp]:
+    skeleton, stem, _ = branched()
+    return grasps_on(skeleton, stem, [8, 14])
+
+
+def test_a_shake_for_all_flowers_ranks_above_one_for_a_few(grasps: list[Grasp]) -> None:
+    """One metre moves three of four flowers alike, or half of them tenfold: the first is worth more."""
+    flower = np.array([[1.0, 1.0, 1.0, 0.0], [10.0, 10.0, 0.0, 0.0]])[None, None, :, None]  # (M, Q, G, D, F)
+    response = Gains(flower, *np.full((5, 1, 1, 2, 1), 1e-9))
+    grips = Grips([], np.zeros(2), np.zeros(2, int), np.tile(np.eye(3)[:1], (2, 1, 1)), np.full((2, 1), 10.0))
+
+    def scores(size: float) -> Array:
+        machine = arm_shaker(lambda g, d, f: np.full(len(f), size))
+        return search(response, grips, grasps, np.array([2.0]), machine, Params()).score[0, :, 0]
+
+    even, uneven = scores(1e-3)
+    assert even > uneven
+    assert scores(2e-3)[0] == pytest.approx(2 * even)
+
+
+def test_the_grips_force_is_that_of_a_cantilever() -> None:
+    skeleton = straight_stem(count=161, radius=(3e-3, 3e-3))
+    rods = Rods(skeleton.nodes, skeleton.parent, 3e-3, 1e8, 1000.0)
+    node = 120
+    held, seen = np.array([node]), displacements(np.array([node]), len(rods.nodes))
+    found = observed_response(rods, Clamp.root(rods), [held], seen, np.array([1e-3]), gravity=(0, 0, 0))
+    force = found.force[0, 0, :, 0]
+    free = skeleton.nodes[node, 2] - skeleton.nodes[1, 2]
+    assert force[0].real == pytest.approx(3 * 1e8 * np.pi * 3e-3**4 / 4 / free**3, rel=0.03)
+    assert np.abs(force[1:]).max() < 1e-6 * abs(force[0])
+
+
+def test_a_shake_that_the_nonlinear_solver_finds_too_strong_is_made_smaller(plant: PlantModel) -> None:
+    node, also = (int(n) for n in plant.stem_nodes[[14, 15]])
+    shake = Drive(node, np.array([1.0, 0, 0]), 2e-3, 6.0, 0, (also,))
+    limits = PEAKS.values()
+    peaks = steadily_shaken(plant, shake).peaks
+    tight = {name: 0.5 * peaks[name] if name.startswith("stem") else 1e9 for name in limits}
+    smaller, done, notes = verified(plant, shake, tight)
+    assert smaller.amplitude == pytest.approx(0.5 * shake.amplitude, rel=0.1)
+    assert all(done.peaks[name] <= limit for name, limit in tight.items())
+    assert "stem bending strain" in notes[0]
+    same, _, quiet = verified(plant, shake, dict.fromkeys(limits, 1e9))
+    assert same.amplitude == shake.amplitude
+    assert quiet == ()
+
+
+def test_a_vibrating_gripper_is_asked_the_same_questions(plant: PlantModel, grasps: list[Grasp]) -> None:
+    gripper = VIBRATING_GRIPPER
+    f = np.array([10.0, 20.0, 40.0])
+    assert gripper.amplitude(grasps[0], np.array([1.0, 0, 0]), f) == pytest.approx(
+        RAMPS * np.array([1.5e-3, 1.5e-3, 50 / (80 * np.pi) ** 2])
+    )
+    plan = plan_shake(plant, grasps, gripper, QUICK)
+    assert 10 <= plan.frequency <= 40
+    assert plan.limits[0][0].startswith("vibrating gripper amplitude")
+    assert max(share for *_, share in plan.limits) <= 1 + 1e-9
+    with pytest.raises(InputError, match=r"got 1 to 5 Hz.* 10 to 40 Hz, the band of the vibrating gripper"):
+        plan_shake(plant, grasps, gripper, replace(QUICK, lowest=1, highest=5))
+
+
+def test_a_slippery_grip_is_shaken_less(plant: PlantModel, grasps: list[Grasp]) -> None:
+    plan = plan_shake(plant, grasps, params=replace(QUICK, pad_friction=2e-4, least_amplitude=1e-6))
+    used = {name: share for name, *_, share in plan.limits}
+    assert used[PRESS] == pytest.approx(1.0)
+    assert "against slip" in plan.reason
+    assert plan.press == pytest.approx(PRESSING.holding)
+
+
+@pytest.mark.parametrize("lean", [0.0, 0.6, -0.6])
+def test_lines_cross_the_stem_above_those_of_the_compass(lean: float) -> None:
+    nodes = np.outer(np.arange(8), [0.02 * np.sin(lean), 0.0, 0.02 * np.cos(lean)])
+    plant = SimpleNamespace(rods=SimpleNamespace(nodes=nodes, parent=np.arange(8) - 1))
+    (lines,) = _directions(cast(Any, plant), np.array([4]))
+    compass = np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    assert np.linalg.norm(lines, axis=1) == pytest.approx(np.ones(DIRECTIONS))
+    assert lines @ [np.sin(lean), 0, np.cos(lean)] == pytest.approx(np.zeros(DIRECTIONS), abs=1e-9)
+    flat = np.stack([np.cos(compass), np.sin(compass)], axis=1)
+    assert np.all(np.sum(lines[:, :2] * flat, axis=1) > 0.5)
+
+
+def test_along_a_lying_stem_the_line_stays_level() -> None:
+    nodes = np.outer(np.arange(8), [0.02, 0.0, 0.001])
+    plant = SimpleNamespace(rods=SimpleNamespace(nodes=nodes, parent=np.arange(8) - 1))
+    (lines,) = _directions(cast(Any, plant), np.array([4]))
+    assert lines[:: DIRECTIONS // 2] == pytest.approx(np.eye(3)[:2], abs=1e-9)
+
+
+def test_two_pads_hold_and_the_more_the_better_they_grip() -> None:
+    assert Params(pad_friction=0.4).held(10.0) == pytest.approx(2 * 0.4 * 10)
+    assert limits_of(Params(pad_friction=0.4), 10.0, 5.0)["grip_force"] == pytest.approx(8.0)
+
+
+def test_the_pads_press_as_the_shake_needs_and_it_is_made_smaller_where_they_may_not(
+    plant: PlantModel, grasps: list[Grasp], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    params = replace(QUICK, least_amplitude=1e-6)
+    assert plan_shake(plant, grasps, params=params).press == LEAST_PRESS
+    monkeypatch.setattr(choice, "LEAST_PRESS", 1e-6)
+    free = plan_shake(plant, grasps, params=params)
+    assert free.press == pytest.approx({name: value for name, value, *_ in free.limits}[PRESS])
+    rough = plan_shake(plant, grasps, params=replace(params, pad_friction=2 * params.pad_friction))
+    assert (rough.amplitude, 2 * rough.press) == pytest.approx((free.amplitude, free.press))
+    weak = Pressing(holding=max(free.press / 3, 0.1))
+    held = plan_shake(plant, grasps[:1], params=replace(params, lowest=1.5, highest=1.5), pressing=weak)
+    again = plan_shake(plant, grasps[:1], params=replace(params, lowest=1.5, highest=1.5))
+    assert held.press <= weak.holding < again.press
+    assert held.amplitude < again.amplitude
+
+
+def test_a_thin_stem_is_pressed_less_and_none_beyond_what_it_bears() -> None:
+    hard, presses = Pressing(pad_modulus=5e7), []
+    for radius in ((4e-3, 2.5e-3), (3e-3, 2e-3)):
+        skeleton, stem, flowers = branched(radius=radius)
+        plant = build_plant(skeleton, stem, flowers, None, TOMATO)
+        plan = plan_shake(plant, grasps_on(skeleton, stem, [8]), params=QUICK, pressing=hard)
+        presses.append(plan.press)
+        assert hard.stress(plan.press, 2 * skeleton.radius[8]) < hard.stem_stress
+    assert presses[1] < presses[0] < LEAST_PRESS
+
+
+def test_narrow_pads_must_press_harder_against_what_turns_the_stem(plant: PlantModel) -> None:
+    held, way = pad_nodes(plant, np.array([14])), np.array([[[1.0, 0, 0]]])
+    wide, narrow = (
+        gains([Version(plant, replace(PADS, width=width))], held, way, np.array([2.0, 6.0])) for width in (0.016, 0.008)
+    )
+    assert np.all(narrow.grip_force > 1.2 * wide.grip_force)
+
+
+def test_a_grip_bears_the_stiffness_of_a_bare_stem_and_the_moment_of_its_bending() -> None:
+    """Slowly, a cantilever that is moved without turning pulls with 12 EI/L^3 and turns with 6 EI/L^2 per metre."""
+    skeleton = straight_stem(count=161, radius=(3e-3, 3e-3))
+    stem = stem_along(skeleton, 160)
+    plant = build_plant(skeleton, stem, Flowers(skeleton.nodes[-1:], np.array([160])), None, TOMATO)
+    firm = Pads(stiffness=1e11, turning=1e8, stiffness_spread=0, turning_spread=0)
+    held = [np.array([80, 81])]
+    answer = gains([Version(plant, firm)], held, np.array([[[1.0, 0, 0]]]), np.array([0.05]))
+    rods = plant.rods
+    stiff = float(np.asarray(rods.youngs)[80]) * np.pi * 3e-3**4 / 4
+    free = float(rods.nodes[80, 2] - rods.nodes[1, 2])
+    expected = friction_force(12 * stiff / free**3, 6 * stiff / free**2, 0.0, radius=3e-3, width=firm.width)  # type: ignore[arg-type]
+    assert float(answer.grip_force.squeeze()) == pytest.approx(float(expected), rel=0.1)
+
+
+def strain_of_pedicels(version: Version, plan: ShakePlan) -> float:
+    """Return the largest strain of a pedicel when a plant is shaken as planned, by linear theory."""
+    held = pad_nodes(version.plant, grip_rows(version.plant, plan.grasp.point[None]))
+    response = gains([version], held, plan.direction[None, None], np.array([plan.frequency]))
+    return plan.amplitude * float(response.joint_strain.max())
+
+
+def test_a_smaller_risk_and_tighter_limits_make_a_gentler_shake(plant: PlantModel, grasps: list[Grasp]) -> None:
+    strong = arm_shaker(lambda g, d, f: 9 * sawyer_limit(g, d, f))
+
+    def used(params: Params) -> float:
+        plan = plan_shake(plant, grasps, strong, replace(params, lowest=6, highest=6, least_amplitude=1e-6))
+        return plan.amplitude
+
+    by_risk = [used(replace(QUICK, risk=risk)) for risk in (0.001, 0.02, 0.3)]
+    by_preset = [used(replace(QUICK, plant=PRESETS[name])) for name in ("gentle", "default", "bold")]
+    assert np.all(np.diff(by_risk) > 0)
+    assert np.all(np.diff(by_preset) > 0)
+
+
+def test_the_papers_shake_is_twelve_millimetres_whatever_the_limits(plant: PlantModel, grasps: list[Grasp]) -> None:
+    tight = replace(QUICK, plant=PlantLimits(stem_strain=1e-5, pedicel_strain=1e-5, leaf_load=1e-3), pad_friction=1e-3)
+    plan = plan_shake(plant, grasps, params=with_preset("paper", tight))
+    assert (plan.amplitude, plan.frequency, plan.press) == pytest.approx((0.012, 1.9, PRESSING.holding))
+    assert "No limit of the plant is kept and slip is not prevented" in plan.reason
+    shares = {name: share for name, _, _, share in plan.limits}
+    for name in (PRESS, *list(PEAKS.values())[:2]):
+        assert shares[name] > 1, "what is passed is told"
+    weak = arm_shaker(lambda g, d, f: np.full(len(f), 5e-3))
+    held_back = plan_shake(plant, grasps, weak, with_preset("paper", QUICK))
+    assert held_back.amplitude == pytest.approx(5e-3), "the machine's own limits stay"
+
+
+def test_few_plants_that_are_not_what_is_believed_pass_a_limit(plant: PlantModel, grasps: list[Grasp]) -> None:
+    """Whatever their stiffness: the plan was made for another, and its risk is 2 %."""
+    believed, strains = TOMATO.changed(youngs_spread=0.4), []
+    for stiffer in np.geomspace(0.6, 4.0, 12):
+        stale = plant.with_material(replace(believed, youngs=float(stiffer) * plant.material.youngs))
+        strains.append(strain_of_pedicels(Version(plant), plan_shake(stale, grasps, params=QUICK)))
+    assert np.mean(np.array(strains) > QUICK.plant.pedicel_strain) <= 1 / 12
+
+
+def test_of_plants_drawn_with_their_own_branches_few_pass_the_limit(plant: PlantModel, grasps: list[Grasp]) -> None:
+    plan = plan_shake(plant, grasps, params=QUICK)
+    drawn = scenarios(plant, 60, seed=3, branch_spread=0.5)
+    true_over_modelled = load_error("joint_strain", plan.frequency)[0]
+    strains = true_over_modelled * np.array([strain_of_pedicels(one, plan) for one in drawn])
+    assert len(drawn) > 50
+    assert np.mean(strains > QUICK.plant.pedicel_strain) <= QUICK.risk
+
+
+@pytest.mark.parametrize("most", [1, 3, 9])
+def test_tones_are_those_that_move_flowers_most_each_apart_from_the_others(most: int) -> None:
+    hertz = np.array([SLOWEST / 2, *np.geomspace(SLOWEST, 20, 40)])
+    felt = np.exp(-(np.log(hertz / 9) ** 2))  # most at 9 Hz
+    size = 1e-3 * np.linspace(0.2, 4, len(hertz))
+    gain = (felt / size / (2 * np.pi * hertz) ** 2)[None, :, None, None, None] * np.ones((4, 1, 1, 2, 3))
+    amplitude = np.tile(size[:, None, None], (1, 1, 2))
+    own = SimpleNamespace(value=1e-2, limit=np.ones((len(hertz), 1, 2)))
+    found = SimpleNamespace(frequencies=hertz, bounds={"arm": own}, amplitude=amplitude, least=1e-4)
+    found.grips, found.flower, first = SimpleNamespace(directions=np.eye(3)[None, :2]), gain, 30
+    given = cast(Any, (found, (first, 0, 1)))
+    tones = tones_at(*given, most, None)
+    assert tones.frequencies[0] == hertz[first], "the plan's own comes first"
+    assert len(tones.frequencies) <= most
+    assert np.all(np.abs(np.diff(np.log(np.sort(tones.frequencies)))) >= np.log(APART) - 1e-9)
+    assert tones.frequencies.min() >= SLOWEST
+    if most > 1:
+        apart = np.abs(np.log(hertz / hertz[first])) >= np.log(APART)
+        assert tones.frequencies[1] == hertz[int(np.argmax(np.where(apart, felt, 0)))]
+    assert tones.directions == pytest.approx(np.eye(3)[[1, 0]]), "and the plan's line"
+
+
+@pytest.mark.parametrize("tightest", ["motor", "grip amplitude", "grip speed"])
+def test_a_tone_reaches_as_far_as_the_machine_allows_in_every_way_and_the_plant_has_no_part(tightest: str) -> None:
+    hertz = np.array([3.0, 9.0])
+    machine = {name: Bound(*np.ones((3, 2, 1, 1))) for name in ("motor", "grip amplitude", "grip speed")}
+    assert len(machine) == OF_THE_MACHINE
+    machine[tightest] = Bound(100 * hertz[:, None, None], np.ones((1, 1)), np.ones((2, 1, 1)))
+    plant = {"stem strain": Bound(np.full((2, 1, 1), 1e9), np.ones((1, 1)), np.ones((2, 1, 1)))}
+    grips = Grips([], np.zeros(1), np.zeros(1, dtype=int), np.array([[[1.0, 0, 0]]]), np.ones((1, 1)))
+    found = Search(
+        grips, np.ones((4, 2, 1, 1, 3)), hertz, np.full((2, 1, 1), 1e-3), np.ones((2, 1, 1)), {**machine, **plant}, 1e-4
+    )
+    tones = tones_at(found, (0, 0, 0), 2, None)
+    assert tones.reach[:, 0] == pytest.approx(0.01 / tones.frequencies)
+
+
+def test_an_earlier_shake_is_done_again_only_where_the_same_pads_would_hold() -> None:
+    """Up to 20 mm along the stem (docs/escalation.md), nowhere else, and with no other frequency."""
+    arc, hertz = np.array([0.15, 0.179, 0.181, 0.2, 0.219, 0.221, 0.3]), np.array([5.0, 9.0])
+    grips = Grips([], arc, np.arange(7), np.tile(np.eye(3)[:2], (7, 1, 1)), np.ones((7, 1)))
+    shape = (2, 7, 2)
+    found = Search(grips, np.ones((1, *shape, 1)), hertz, np.ones(shape), np.ones(shape), {}, 1e-4)
+    again = as_earlier(found, EarlierShake(0.2, np.array([0, -1.0, 0]), 9.1, 1e-3))
+    assert again is not None
+    assert np.argwhere(again.score >= 0).tolist() == [[1, g, 1] for g in (2, 3, 4)]
+    for height, frequency in ((0.25, 9.1), (0.2, 7.0)):
+        assert as_earlier(found, EarlierShake(height, np.array([0, -1.0, 0]), frequency, 1e-3)) is None
+
+
+@pytest.mark.parametrize("risk", [0.005, 0.02, 0.2])
+def test_a_load_passes_what_is_counted_with_as_often_as_the_risk_says(risk: float) -> None:
+    rng = np.random.default_rng(0)
+    median, spread, plants = 1.3, 0.25, np.exp(rng.normal(0.5, 0.4, 100_000))
+    loads = median * plants * np.exp(rng.normal(0, spread, len(plants)))
+    counted = choice.margined(plants[:, None], (median, spread), risk)
+    assert np.mean(loads > counted) == pytest.approx(risk, abs=4 * np.sqrt(risk / len(plants)))
+
+
+def test_a_shake_that_is_cut_takes_its_neighbours_in_frequency_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the solver halves is worth half, and so is the next tone; another tone and another grip are as they were."""
+    frequencies, score = np.array([5.0, 5.2, 9.0]), np.array([1.0, 0.9, 0.7])[:, None, None] * [[1.0], [0.5]]
+    found = Search(*cast(Any, (None, None)), frequencies, np.full((3, 2, 1), 4e-3), score, {}, 1e-4)
+
+    def halved_below_6_hz(*given: Any) -> Checked:
+        at = given[2]
+        kept = 0.5 if frequencies[at[0]] < 6 else 1.0
+        shake = Drive(0, np.array([1.0, 0, 0]), kept * found.amplitude[at], frequencies[at[0]], 0)
+        return Checked(shake, np.zeros(1), np.zeros((1, 2)), [], ())
+
+    monkeypatch.setattr(_verification, "check", halved_below_6_hz)
+    left, at, _ = _verification.best_that_holds(cast(Any, None), found, QUICK)
+    assert at == (2, 0, 0)
+    assert left.score[:, 0, 0] == pytest.approx([0.5, 0.45, 0.7])
+    assert left.score[:, 1, 0] == pytest.approx(score[:, 1, 0])
+
+
+@pytest.mark.parametrize(("times", "told"), [(0.5, True), (0.9, False), (1.2, False), (1.5, True)])
+def test_who_plans_is_told_where_a_flower_moves_otherwise_than_linear_theory_says(
+    plant: PlantModel, monkeypatch: pytest.MonkeyPatch, times: float, told: bool
+) -> None:
+    """Of a shake that was made smaller, linear theory's flowers are so too."""
+    size, gain = np.full((1, 1, 1), 4e-3), np.array([0.5, 0.75])
+    done = Shaken(0.5 * size[0, 0, 0] * gain * [1.0, times], {})
+    monkeypatch.setattr(
+        _verification, "verified", lambda _, asked, *__, **___: (replace(asked, amplitude=2e-3), done, ())
+    )
+    grips = cast(Any, SimpleNamespace(nodes=[[0, 1]], directions=np.eye(3)[None, :1]))
+    found = Search(grips, gain[None, None, None, None], np.array([5.0]), size, size, {}, 1e-4)
+    notes = check(plant, found, (0, 0, 0), replace(QUICK, keeps_limits=False)).notes
+    assert [f"by {100 * abs(times - 1):.0f} %" in note for note in notes] == [True] * told
+
+
+def test_what_no_solver_lets_pass_is_refused_with_the_reason(plant: PlantModel, grasps: list[Grasp]) -> None:
+    with pytest.raises(StageFailure, match=r"the largest is .* mm at .* Hz\. The limit that binds is leaf-base") as no:
+        plan_shake(plant, grasps, params=replace(QUICK, highest=GUSTS, plant=PlantLimits(leaf_load=1e-3)))
+    assert no.value.kind == "limits_exceeded"
+
+
+def test_a_leaf_s_load_binds_up_to_the_pace_of_gusts_and_strain_above(plant: PlantModel, grasps: list[Grasp]) -> None:
+    light, strong = PlantLimits(leaf_load=2.0), arm_shaker(lambda g, d, f: 9 * sawyer_limit(g, d, f))
+    slow, fast = (
+        plan_shake(plant, grasps, strong, replace(QUICK, plant=light, lowest=a, highest=b))
+        for a, b in ((2.0, GUSTS), (GUSTS + 0.1, 20.0))
+    )
+    slow_rows, fast_rows = ({name: share for name, _, _, share in plan.limits} for plan in (slow, fast))
+    assert max(slow_rows, key=lambda name: slow_rows[name]) == "leaf-base load [m/s2]"
+    assert "leaf-base load [m/s2]" not in fast_rows
+    assert max(fast_rows.values()) == pytest.approx(1, rel=0.05), "another limit binds instead"
+
+
+@pytest.mark.parametrize(
+    ("deviate", "name", "spread"),
+    [(0, "youngs", "youngs_spread"), (1, "damping_ratio", "damping_spread"), (2, "bend_over_twist", "twist_spread"),
+     (4, "radius_scale", "radius_spread"), (5, "response_gain", "response_spread")],
+)  # fmt: skip
+def test_what_is_drawn_a_deviation_higher_is_larger_by_its_spread(deviate: int, name: str, spread: str) -> None:
+    higher, believed = drawn_material(TOMATO, np.eye(6)[deviate], 1e3), drawn_material(TOMATO, np.zeros(6), 1e3)
+    assert getattr(higher, name) == pytest.approx(getattr(believed, name) * np.exp(getattr(TOMATO, spread)))
+    assert getattr(TOMATO, spread) > 0
+
+
+def test_a_margin_is_that_of_the_tone() -> None:
+    tones = np.array([[2.0], [FAST], [np.sqrt(FAST * RINGING)], [RINGING], [40.0]])
+    for kind, slow in LOAD_ERROR.items():
+        fast = FAST_LOAD_ERROR[kind]
+        median, spread = load_error(kind, tones)
+        assert median.shape == spread.shape == (5, 1)
+        assert (median[0], spread[0]) == (median[1], spread[1]) == slow
+        assert (median[2], spread[2]) == (
+            pytest.approx(np.sqrt(slow[0] * fast[0])),
+            pytest.approx(np.mean([slow[1], fast[1]])),
+        )
+        assert (median[3], spread[3]) == (median[4], spread[4]) == (pytest.approx(fast[0]), pytest.approx(fast[1]))
+
+
+def test_no_margin_jumps_from_one_tone_to_the_next() -> None:
+    tones = np.geomspace(5.0, 40.0, 2000)
+    for kind in LOAD_ERROR:
+        median, spread = load_error(kind, tones)
+        bound = np.log(median) + 2 * spread
+        assert np.abs(np.diff(bound)).max() < 0.02
+
+
+def test_flowers_that_grow_from_the_stem_itself_are_planned_for() -> None:
+    skeleton = straight_stem()
+    stem = stem_along(skeleton, 24)
+    top = skeleton.nodes[-1] + [0.01, 0, 0.01]
+    plant = build_plant(skeleton, stem, Flowers(top[None], np.array([24])), None, TOMATO)
+    strong = arm_shaker(lambda g, d, f: 2 * sawyer_limit(g, d, f))
+    plan = plan_shake(plant, grasps_on(skeleton, stem, [10]), strong, QUICK)
+    assert np.all(plan.predicted_amplitude > 0)
+
+
+def test_without_scenarios_the_plant_as_believed_decides(
+    plant: PlantModel, grasps: list[Grasp], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shake, "DRAWS", 0)
+    plan = plan_shake(plant, grasps, params=QUICK)
+    low, high = plan.predicted_amplitude_interval.T
+    only = np.exp(1.645 * FLOWER_SPREAD)  # what one flower differs from its plant
+    assert low * only == pytest.approx(plan.predicted_amplitude)
+    assert high / only == pytest.approx(plan.predicted_amplitude)
+    assert plan.score == pytest.approx(np.quantile(plan.predicted_acceleration, 0.25), rel=0.02)
