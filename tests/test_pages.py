@@ -44,6 +44,7 @@ from anther.perception.formats.skeletons import read_skeleton
 from anther.robot.calibration import read_poses
 from anther.robot.devices import GripperState
 from anther.show.log import Log
+from evaluation.numbers import NUMBER, filled, pages
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "docs/reports").glob("*.md"))]
@@ -250,6 +251,7 @@ def run_page(page: Path, chosen: list[Block], monkeypatch: pytest.MonkeyPatch, *
             run_shell(block.text)
 
 
+COMMANDS_PAGE = ROOT / "docs" / "commands.md"
 FAST = [page for page in PAGES if blocks(page) and page.name != "README.md"]
 SLOW = [page for page in PAGES if any("slow" in b.when for b in (*blocks(page), *table(page)))]
 
@@ -260,15 +262,15 @@ def test_what_a_page_says_runs(page: Path, folder: Path, monkeypatch: pytest.Mon
 
 
 def test_what_the_readme_says_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
-    """Its table first, from top to bottom and from nothing: it makes the samples itself."""
+    """The table of commands first, from top to bottom and from nothing: it makes the samples itself."""
     monkeypatch.chdir(tmp_path)
-    run_page(ROOT / "README.md", [*table(ROOT / "README.md"), *blocks(ROOT / "README.md")], monkeypatch, slow=False)
+    run_page(ROOT / "README.md", [*table(COMMANDS_PAGE), *blocks(ROOT / "README.md")], monkeypatch, slow=False)
     said = capsys.readouterr().out
     assert "buckles" not in said
     assert (tmp_path / "scene.html").stat().st_size < 8e6
-    rows = (ROOT / "README.md").read_text()
-    missing = [name for name in COMMANDS if f"`anther {name}" not in rows]
-    assert not missing, f"the README's table has no {missing}"
+    missing = [name for name in COMMANDS if f"`anther {name}" not in COMMANDS_PAGE.read_text()]
+    assert not missing, f"the table of commands has no {missing}"
+    assert len((ROOT / "README.md").read_text().split()) <= 510
 
 
 @pytest.mark.slow
@@ -383,3 +385,13 @@ def test_what_measures_a_report_is_there_and_named_once() -> None:
         assert not said or f"`{command}` at " in said
     scripts = [shlex.split(command)[2] for _, command, _ in found]
     assert len(set(scripts)) == len(scripts)
+
+
+def test_numbers_of_pages_are_those_of_the_runs_that_measured_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    assert NUMBER.search((ROOT / "README.md").read_text())
+    for page in pages():
+        text = page.read_text()
+        assert filled(text) == text, f"{page}: python -m evaluation.numbers"
+    wrong = "moved by <!--long/shaking plan_ms2:.1f-->99<!--/--> m/s2"
+    assert filled(wrong) == wrong.replace("99", "5.4")
