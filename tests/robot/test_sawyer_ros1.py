@@ -128,6 +128,26 @@ def test_what_comes_too_late_ends_in_a_braked_hold(arm: Sawyer, robot: FakeSawye
     assert np.abs(robot.q - begin.positions[-1]).max() < 0.05
 
 
+def test_a_command_that_was_made_before_a_pause_is_not_sent_after_it(
+    arm: Sawyer, robot: FakeSawyer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make, made = arm._commands.packet, list[float]()
+
+    def paused(message: Any) -> bytes:
+        made.append(clock())
+        if len(made) == 50:
+            sleep(0.2)
+        return make(message)
+
+    monkeypatch.setattr(arm._commands, "packet", paused)
+    with pytest.raises(DeviceError, match="after the one before"):
+        arm.follow(far(arm))
+    sleep(0.1)
+    after = [command for command in robot.commands if command[0] > made[49] + 0.15]
+    assert all(np.all(rates == 0) for _, _, _, rates in after)
+    assert all(np.abs(joints - robot.q).max() < 1e-3 for _, _, joints, _ in after)
+
+
 @pytest.mark.parametrize("error", [DeviceError("enough"), KeyboardInterrupt()])
 def test_it_stops_where_its_watcher_raises(arm: Sawyer, error: BaseException) -> None:
     start = arm.joints()

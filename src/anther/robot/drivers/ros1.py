@@ -225,8 +225,15 @@ class Publisher:
 
     def publish(self, message: Any) -> None:
         """Send a message to all readers; one that does not take it within `WRITE` is given up."""
+        self.send(self.packet(message))
+
+    def packet(self, message: Any) -> bytes:
+        """Return a message as it is sent."""
         body = bytes(self._types.serialize_ros1(message, self._kind))
-        packet = struct.pack("<I", len(body)) + body
+        return struct.pack("<I", len(body)) + body
+
+    def send(self, packet: bytes) -> None:
+        """Send what `packet` made, as `publish` does."""
         with self._lock:
             self._last = packet if self._latch else b""
             for line in list(self._lines):

@@ -88,7 +88,7 @@ class Sawyer(StreamedArm):
         self._check_names()
         self._wait(lambda: self._commands.readers > 0, "does not listen to joint_command")
         first = self._message(np.zeros(len(self._names)))
-        node.types.serialize_ros1(first, "intera_core_msgs/msg/JointCommand")  # slow at first
+        self._commands.packet(first)  # slow at first
 
     def cannot(self) -> str:
         """Return why the arm cannot be moved now; empty if it can."""
@@ -152,8 +152,8 @@ class Sawyer(StreamedArm):
         self._command(*reference.at(t))
 
     def _command(self, q: Array, rate: Array, acceleration: Array) -> None:
-        message = self._message(q, rate, acceleration)
-        self._send(lambda: self._commands.publish(message), q, rate)
+        packet = self._commands.packet(self._message(q, rate, acceleration))  # before the time is checked: it takes long
+        self._send(lambda: self._commands.send(packet), q, rate)
 
     def _brake(self, q: Array, rate: Array) -> Array:
         way, begin = Reference(braking(q, rate, self._acceleration)), self._clock()
