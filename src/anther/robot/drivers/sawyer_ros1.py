@@ -152,7 +152,7 @@ class Sawyer(StreamedArm):
         self._command(*reference.at(t))
 
     def _command(self, q: Array, rate: Array, acceleration: Array) -> None:
-        packet = self._commands.packet(self._message(q, rate, acceleration))  # before the time is checked: it takes long
+        packet = self._commands.packet(self._message(q, rate, acceleration))  # takes long: before the time is checked
         self._send(lambda: self._commands.send(packet), q, rate)
 
     def _brake(self, q: Array, rate: Array) -> Array:
