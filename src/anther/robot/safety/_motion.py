@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from anther.core.errors import InputError, StageFailure
@@ -180,6 +181,9 @@ LAG = 1.5
 """Healthy readings are behind the command by up to so many times `stale_after`."""
 SPANS = (0.5, 2.0)
 """Travel is compared over so many times `stale_after`: fast motion is judged soon, slow or little motion later."""
+SWINGS, TURNS = 1e-4, 4
+"""A fast swing, with `TURNS` zero crossings or more in the longer span, must show from this travel on [rad]: encoders of 16
+bits resolve it. Asked of joints that travel at least half as far as the one that travels furthest."""
 FORCE_STANDS = 1.0
 """A measured force is never the same to the last bit for so long while the arm moves [s]: it has noise."""
 
@@ -214,6 +218,40 @@ class ForceCheck:
             raise DeviceError(f"{told}; allowed: {FORCE_STANDS:g} s. The sensor is stuck: check it, then start anew.")
 
 
+def hidden_swing(told: Array, read: Array, travel: Array) -> NDArray[np.bool_]:
+    """Return (J,) which joints show nothing of a swing that is commanded.
+
+    What is read is fitted by the command and its rate, so that size and phase are free: a soft arm is late and swings
+    less. A swing is hidden where the fitted one, and three standard errors more, is below `SHOWS` of the travel.
+
+    Args:
+        told: (T, J) commanded joints of the last T readings [rad].
+        read: (T, J) measured ones [rad].
+        travel: (J,) of the command, the least within the lag that is healthy [rad].
+    """
+    count, hidden = len(told), np.zeros(len(travel), dtype=bool)
+    asked = (travel >= SWINGS) & (2 * travel >= travel.max()) & (_turns(told) >= TURNS)
+    swing, rate, found = _without_line(told), _without_line(np.gradient(told, axis=0)), _without_line(read)
+    for j in np.flatnonzero(asked):
+        basis = np.linalg.qr(np.stack([swing[:, j], rate[:, j]], axis=1))[0]
+        part = basis.T @ found[:, j]
+        rest = np.linalg.norm(found[:, j] - basis @ part) / np.sqrt(max(count - 4, 1))
+        size = np.linalg.norm(part) / np.sqrt(count) + 3 * rest * np.sqrt(2 / count)
+        hidden[j] = 2 * np.sqrt(2) * size < SHOWS * travel[j]
+    return hidden
+
+
+def _turns(told: Array) -> NDArray[np.int64]:
+    """Return (J,) how often motions (T, J) cross their line."""
+    return np.count_nonzero(np.diff(np.sign(_without_line(told)), axis=0), axis=0)
+
+
+def _without_line(path: Array) -> Array:
+    """Return (T, J) less the straight line that fits it best."""
+    line = np.linalg.qr(np.stack([np.ones(len(path)), np.arange(len(path))], axis=1))[0]
+    return np.asarray(path - line @ (line.T @ path))
+
+
 class Watchdog:
     """Holds every reading of a moving arm against the limits, then shows it to whoever else watches.
 
@@ -225,6 +263,7 @@ class Watchdog:
         self.lost = ""
         self._limits, self._watch, self._force = limits, watch, force
         self._past = deque[ArmSample]()
+        self._next = -np.inf  # time of the reading at which swings are looked at again
 
     def __call__(self, sample: ArmSample) -> None:
         self._check_fresh(sample)
@@ -244,8 +283,8 @@ class Watchdog:
 
         With `stale_after` = 0.1 s: a joint that freezes, to the bit or with noise below `SHOWS` of its travel, is
         noticed within 0.2 s where its command goes faster than 0.04 rad/s all the while, else within 0.35 s where it
-        travels 2 mrad in any 0.2 s of them: a swing of 3 mrad at 2 Hz, of 1.3 mrad at 4 Hz. What lags by up to 0.15 s
-        is not.
+        travels 2 mrad in any 0.2 s of them: a swing of 3 mrad at 2 Hz, of 1.3 mrad at 4 Hz. From 10 Hz on a swing of
+        `SWINGS` is enough (`hidden_swing`). What lags by up to 0.15 s is not.
         """
         past, after = self._past, self._limits.stale_after
         if past and not sample.time > past[-1].time:
@@ -258,16 +297,20 @@ class Watchdog:
             begin = int(np.searchsorted(times, sample.time - span, side="right")) - 1
             if begin < 0:
                 return
+            swings = span == SPANS[-1] * after and sample.time >= self._next and _turns(told[begin:]).max() >= TURNS
             shown, doubted = np.ptp(read[begin:], axis=0), np.ptp(told, axis=0)
             for lag in np.linspace(0, LAG * after, num=7):
-                if not np.any((doubted > STILL) & (shown < SHOWS * doubted)):
+                if not (swings or np.any((doubted > STILL) & (shown < SHOWS * doubted))):
                     break
                 inside = (times >= sample.time - lag - span) & (times <= sample.time - lag)
                 doubted = np.minimum(doubted, np.ptp(told[inside], axis=0) if inside.any() else 0.0)
             else:
-                lost = np.flatnonzero((doubted > STILL) & (shown < SHOWS * doubted))
-                if len(lost):
-                    self._distrust(f"joint {lost[0]} reads the same for {span:.2f} s of motion")
+                hidden = (doubted > STILL) & (shown < SHOWS * doubted)
+                if swings:
+                    self._next = sample.time + after / 2  # it takes a quarter of a millisecond
+                    hidden |= hidden_swing(told[begin:], read[begin:], doubted)
+                if hidden.any():
+                    self._distrust(f"joint {np.flatnonzero(hidden)[0]} reads the same for {span:.2f} s of motion")
 
     def _distrust(self, why: str) -> None:
         self.lost = f"joint readings are stale: {why}. The arm holds; check its connection and start anew."
