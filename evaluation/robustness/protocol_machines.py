@@ -174,7 +174,7 @@ class Machines:
         for word, value in told.items():
             text = text.replace(f'"{word}"', json.dumps(value))
         for which in ("wrist", "side"):
-            plug = f'driver = "protocol_machines:PluggedCamera"\nplug = {json.dumps(str(self._folder / which))}'
+            plug = f'driver = "{__name__}:PluggedCamera"\nplug = {json.dumps(str(self._folder / which))}'
             text = text.replace('driver = "fake_robot:FakeCamera"', plug, 1)
         self.file.write_text(text.replace('driver = "robotiq-2f"', 'driver = "robotiq-2f"\ncounts = [3, 228]'))
 
