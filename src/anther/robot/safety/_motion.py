@@ -182,8 +182,8 @@ LAG = 1.5
 SPANS = (0.5, 2.0)
 """Travel is compared over so many times `stale_after`: fast motion is judged soon, slow or little motion later."""
 SWINGS, TURNS = 1e-4, 4
-"""A fast swing, with `TURNS` zero crossings or more in the longer span, must show from this travel on [rad]: 16 bits show
-it. Asked of joints that travel at least half as far as the one that travels furthest."""
+"""Fast swings, with `TURNS` zero crossings or more in the longer span, must show from this travel on [rad]: 16 bits do.
+Asked of joints that travel at least half as far as the one that travels furthest."""
 FORCE_STANDS = 1.0
 """A measured force is never the same to the last bit for so long while the arm moves [s]: it has noise."""
 
