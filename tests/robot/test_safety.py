@@ -478,6 +478,17 @@ def test_a_small_swing_that_is_soft_or_lost_in_noise_is_not_taken_for_stale(foll
     assert arm.done == 1
 
 
+def test_readings_at_uneven_times_make_no_swing_of_a_steady_motion() -> None:
+    times = np.cumsum(0.004 * np.random.default_rng(1).uniform(0.6, 1.4, 700))
+    times -= times[0]
+    share = times / times[-1]
+    x, rate = 0.1 * share**2 * (3 - 2 * share), 0.6 * share * (1 - share) / times[-1]
+    along = np.eye(len(sawyer.NEUTRAL))[0]
+    arm = readings(lambda n, s: replace(s, measured=s.commanded + NOISE[n]))
+    GuardedArm(arm, LIMITS).follow(JointTrajectory(times, sawyer.NEUTRAL + x[:, None] * along, rate[:, None] * along))
+    assert arm.done == 1
+
+
 def test_an_arm_that_feels_nothing_is_not_stopped_for_it() -> None:
     arm = readings(lambda _, s: replace(s, force=float("nan")))
     GuardedArm(arm, LIMITS).follow(SOUND)

@@ -218,37 +218,34 @@ class ForceCheck:
             raise DeviceError(f"{told}; allowed: {FORCE_STANDS:g} s. The sensor is stuck: check it, then start anew.")
 
 
-def hidden_swing(told: Array, read: Array, travel: Array) -> NDArray[np.bool_]:
-    """Return (J,) which joints show nothing of a swing that is commanded.
+def hidden_swing(times: Array, told: Array, read: Array, travel: Array) -> NDArray[np.bool_]:
+    """Return (J,) which joints show nothing of a fast swing that is commanded.
 
     What is read is fitted by the command and its rate, so that size and phase are free: a soft arm is late and swings
-    less. A swing is hidden where the fitted one, and three standard errors more, is below `SHOWS` of the travel.
+    less. A swing is hidden where the fitted one, and three standard errors more, is below `SHOWS` of it. All beside the
+    straight line that fits the motion best.
 
     Args:
-        told: (T, J) commanded joints of the last T readings [rad].
+        times: (T,) of the last readings [s].
+        told: (T, J) commanded joints then [rad].
         read: (T, J) measured ones [rad].
         travel: (J,) of the command, the least within the lag that is healthy [rad].
     """
-    count, hidden = len(told), np.zeros(len(travel), dtype=bool)
-    asked = (travel >= SWINGS) & (2 * travel >= travel.max()) & (_turns(told) >= TURNS)
-    swing, rate, found = _without_line(told), _without_line(np.gradient(told, axis=0)), _without_line(read)
-    for j in np.flatnonzero(asked):
+    swing, rate, found = (_beside_line(times, x) for x in (told, np.gradient(told, times, axis=0), read))
+    size, turns = np.minimum(np.ptp(swing, axis=0), travel), np.count_nonzero(np.diff(np.sign(swing), axis=0), axis=0)
+    hidden = np.zeros(len(size), dtype=bool)
+    for j in np.flatnonzero((turns >= TURNS) & (size >= max(SWINGS, 0.5 * float(size.max())))):
         basis = np.linalg.qr(np.stack([swing[:, j], rate[:, j]], axis=1))[0]
         part = basis.T @ found[:, j]
-        rest = np.linalg.norm(found[:, j] - basis @ part) / np.sqrt(max(count - 4, 1))
-        size = np.linalg.norm(part) / np.sqrt(count) + 3 * rest * np.sqrt(2 / count)
-        hidden[j] = 2 * np.sqrt(2) * size < SHOWS * travel[j]
+        rest = np.linalg.norm(found[:, j] - basis @ part) / np.sqrt(max(len(times) - 4, 1))
+        fitted = (np.linalg.norm(part) + 3 * np.sqrt(2) * rest) / np.sqrt(len(times))
+        hidden[j] = 2 * np.sqrt(2) * fitted < SHOWS * size[j]
     return hidden
 
 
-def _turns(told: Array) -> NDArray[np.int64]:
-    """Return (J,) how often motions (T, J) cross their line."""
-    return np.count_nonzero(np.diff(np.sign(_without_line(told)), axis=0), axis=0)
-
-
-def _without_line(path: Array) -> Array:
-    """Return (T, J) less the straight line that fits it best."""
-    line = np.linalg.qr(np.stack([np.ones(len(path)), np.arange(len(path))], axis=1))[0]
+def _beside_line(times: Array, path: Array) -> Array:
+    """Return (T, J) less the straight line over times (T,) that fits it best."""
+    line = np.linalg.qr(np.stack([np.ones(len(times)), times - times[0]], axis=1))[0]
     return np.asarray(path - line @ (line.T @ path))
 
 
@@ -297,7 +294,7 @@ class Watchdog:
             begin = int(np.searchsorted(times, sample.time - span, side="right")) - 1
             if begin < 0:
                 return
-            swings = span == SPANS[-1] * after and sample.time >= self._next and _turns(told[begin:]).max() >= TURNS
+            swings = span == SPANS[-1] * after and sample.time >= self._next
             shown, doubted = np.ptp(read[begin:], axis=0), np.ptp(told, axis=0)
             for lag in np.linspace(0, LAG * after, num=7):
                 if not (swings or np.any((doubted > STILL) & (shown < SHOWS * doubted))):
@@ -308,7 +305,7 @@ class Watchdog:
                 hidden = (doubted > STILL) & (shown < SHOWS * doubted)
                 if swings:
                     self._next = sample.time + after / 2  # it takes a quarter of a millisecond
-                    hidden |= hidden_swing(told[begin:], read[begin:], doubted)
+                    hidden |= hidden_swing(times[begin:], told[begin:], read[begin:], doubted)
                 if hidden.any():
                     self._distrust(f"joint {np.flatnonzero(hidden)[0]} reads the same for {span:.2f} s of motion")
 
