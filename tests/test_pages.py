@@ -394,6 +394,9 @@ def test_numbers_of_pages_are_those_of_the_runs_that_measured_them(monkeypatch: 
     for page in pages():
         text = page.read_text()
         assert filled(text) == text, f"{page}: python -m evaluation.numbers"
+        assert not re.search(r"^\s*<!--[\w/]+ [\w.-]+:", text, re.MULTILINE), (
+            f"{page}: a mark that begins a line ends a paragraph"
+        )
     wrong = "moved by <!--long/shaking plan_ms2:.1f-->99<!--/--> m/s2"
     assert filled(wrong) == wrong.replace("99", "5.4")
 
