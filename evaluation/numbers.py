@@ -6,7 +6,9 @@ A number in a page stands between two comments. The first names the file under d
 
     <!--long/shaking plan_ms2:.1f-->5.4<!--/-->
 
-It never begins a line, where Markdown would take the comment for a block. A block becomes a table of a quick run, docs/results/NAME.json, beside its campaign, docs/results/long/NAME.json. Its
+It never begins a line, where Markdown would take the comment for a block.
+
+A block becomes a table of a quick run, docs/results/NAME.json, beside its campaign, docs/results/long/NAME.json. Its
 head names the file and, after a comma, the metric that counts the cases and what a case is called. A row is a label and
 one or more metrics with their formats; a metric that a run lacks shows as "–":
 
