@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import ast
 import io
+import json
 import os
 import re
 import shlex
@@ -393,5 +394,35 @@ def test_numbers_of_pages_are_those_of_the_runs_that_measured_them(monkeypatch: 
     for page in pages():
         text = page.read_text()
         assert filled(text) == text, f"{page}: python -m evaluation.numbers"
+        assert not re.search(r"^\s*<!--[\w/]+ [\w.-]+:", text, re.MULTILINE), (
+            f"{page}: a mark that begins a line ends a paragraph"
+        )
     wrong = "moved by <!--long/shaking plan_ms2:.1f-->99<!--/--> m/s2"
     assert filled(wrong) == wrong.replace("99", "5.4")
+
+
+def test_numbers_of_a_quick_run_stand_beside_those_of_its_campaign(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    block = "<!-- compared: run, plants plants\nheld [%] = held:.0% (low:.0%)\nover = over:.1f\n-->\nold\n<!-- end -->"
+    with pytest.raises(FileNotFoundError):
+        filled(block)
+    run = {"command": "python -m run", "commit": "abc", "date": "2026-01-02"}
+    quick = run | {"metrics": {"plants": 6.0, "held": 0.5, "low": None}}
+    long = run | {"commit": "def", "metrics": {"plants": 1000, "held": 0.9, "low": 0.8, "over": 3.94}}
+    (tmp_path / "docs/results/long").mkdir(parents=True)
+    (tmp_path / "docs/results/run.json").write_text(json.dumps(quick))
+    with pytest.raises(KeyError, match="over"):
+        filled(block)
+    (tmp_path / "docs/results/long/run.json").write_text(json.dumps(long))
+    found = filled(block)
+    assert "old" not in found
+    assert [line for line in found.splitlines() if line.startswith("|")] == [
+        "|  | sample: 6 plants, abc, 2026-01-02 | campaign: 1,000 plants, def, 2026-01-02 |",
+        "| --- | --- | --- |",
+        "| held [%] | 50% (–) | 90% (80%) |",
+        "| over | – | 3.9 |",
+    ]
+    assert "Campaign: `python -m run`" in found
+    assert filled(found) == found
