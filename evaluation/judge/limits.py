@@ -18,14 +18,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.box import MARKDOWN
 from rich.console import Console
 from rich.table import Table
 
 from anther.core import Array, StageFailure
 from anther.core.files import write_json
 from anther.sim import grow_pepper, grow_tomato
-from evaluation.harness import swept
+from evaluation.harness import run_cases
 from evaluation.judge.breezes import WINDS, blown, breeze_metrics, breeze_table
 from evaluation.judge.limit_strains import (
     SPREAD_AT,
@@ -35,6 +34,7 @@ from evaluation.judge.limit_strains import (
     strain_rows,
     strain_table,
 )
+from evaluation.tables import markdown
 
 PIECE, QUICK_PIECE = 0.005, 0.01
 """Longest rigid piece [m]."""
@@ -59,7 +59,7 @@ def one_plant(row: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 def acceleration_table(strains: dict[str, Array]) -> Table:
     """Return quantiles of (n, Q, G, D) strains per acceleration of each crop by frequency."""
-    table = Table("crop", "Hz", "median", "98 %", "largest", box=MARKDOWN)
+    table = markdown(["crop", "Hz", "median", "98 %", "largest"])
     for crop, values in strains.items():
         for low, high in BANDS:
             here = values[:, (low <= SPREAD_AT) & (high >= SPREAD_AT)]
@@ -112,7 +112,7 @@ def main() -> None:
     args = parser.parse_args()
     count, piece = (1, QUICK_PIECE) if args.quick else (args.plants, PIECE)
     cases = [{"species": crop, "seed": args.seed + k, "piece": piece} for crop in CROPS for k in range(count)]
-    done = swept(one_plant, cases, args.out, args.jobs, lambda reason: {"lost": f"crashed: {reason}"})
+    done = run_cases(one_plant, cases, args.out, args.jobs, lambda reason: {"lost": f"crashed: {reason}"})
     found, console = [row for row in done if "lost" not in row], Console()
     rows = [StrainRow(*strain[:-1], np.array(strain[-1])) for row in found for strain in row["strains"]]
     crops = [crop for crop in CROPS if any(row["species"] == crop for row in found)]

@@ -34,7 +34,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -47,6 +46,7 @@ from evaluation.judge.frame_chain import HingedPlant
 from evaluation.judge.frame_fe import Array, ComplexArray, hysteretic_response, modal_response
 from evaluation.judge.frame_plant import FramedPlant
 from evaluation.prediction.shaken_plant import Params, ShakenPlant
+from evaluation.tables import markdown
 
 FREQUENCIES = np.geomspace(1, 30, 12)
 ELEMENT = 0.005
@@ -251,11 +251,11 @@ WORDS = {
 
 def tables(found: dict[str, float]) -> list[str | Table]:
     """Return the differences by cause, and by length of the pieces, each after a line that says what it shows."""
-    causes = Table("what differs", "median", "worst", box=MARKDOWN)
+    causes = markdown(["what differs", "median", "worst"])
     for name, words in WORDS.items():
         causes.add_row(words, f"{found[f'{name}_median']:.2%}", f"{found[f'{name}_max']:.1%}")
     heads = ("amplitude, median", "amplitude, worst", "natural frequencies below 10 Hz, median shift")
-    pieces = Table("longest piece, mm", *heads, "MuJoCo itself, first plant, worst", box=MARKDOWN)
+    pieces = markdown(["longest piece, mm", *heads, "MuJoCo itself, first plant, worst"])
     for length in PIECES:
         shift, judged = (found.get(f"{name}_{length:g}{end}") for name, end in (("shift", ""), ("judge", "_max")))
         shown = ("–" if value is None else f"{value:.1%}" for value in (shift, judged))

@@ -28,10 +28,8 @@ from typing import Any, get_args
 import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
-from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 from scipy.optimize import minimize
 from scipy.spatial import KDTree
 
@@ -47,6 +45,7 @@ from anther.sim import Organ, SimPlant, grow, layout, photograph, views_at
 from anther.sim.simulated_cell import USUAL_DISTANCE
 from evaluation.perception.degraded_views import DEGRADATIONS
 from evaluation.perception.skeleton_truth import AXIS, NEAR, polyline, true_samples
+from evaluation.tables import markdown
 
 DEVELOPMENT, EVALUATION = range(10, 18), range(520, 528)
 VIEWS = 12
@@ -162,10 +161,7 @@ def fit(found: list[Sample]) -> dict[str, Array]:
     node = logistic(np.concatenate([s.support for s in found]), np.concatenate([s.node_right for s in found]))
     found = [replace(s, skeleton=replace(s.skeleton, confidence=probability(list(node), s.support))) for s in found]
     stems = np.stack([stem_evidence(s.skeleton, s.stem.node_ids) for s in found])
-    return {
-        "skeleton/support.py": node,
-        "stem/confidence.py": logistic(stems, np.array([s.stem_right for s in found])),
-    }
+    return {"skeleton/support.py": node, "stem/confidence.py": logistic(stems, np.array([s.stem_right for s in found]))}
 
 
 def logistic(evidence: Array, right: NDArray[np.bool_], ridge: float = 1.0) -> Array:
@@ -270,7 +266,7 @@ def main() -> None:
 
 def _print(console: Console, numbers: dict[str, float], seen: list[Sample]) -> None:
     heads = ("number", "right", "Brier score", "of always saying the share that is right", "AUC", "calibration error")
-    table = Table("", *heads, f"wrong of those below {DOUBTFUL}", "wrong of the others", box=MARKDOWN)
+    table = markdown(["", *heads, f"wrong of those below {DOUBTFUL}", "wrong of the others"])
     for kind, words in KINDS.items():
         scores = [numbers[f"{kind}_{key}"] for key in ("brier", "base_brier", "auc", "calibration_error")]
         wrong = [numbers[f"{kind}_{key}"] for key in ("wrong_doubted", "wrong_trusted")]
@@ -280,7 +276,7 @@ def _print(console: Console, numbers: dict[str, float], seen: list[Sample]) -> N
     console.print(table)
     console.print("Share that is right by what is said, with the number of cases:")
     tenths = {kind: reliability(*claim) for kind, claim in claims(seen).items()}
-    table = Table("confidence", *KINDS.values(), box=MARKDOWN)
+    table = markdown(["confidence", *KINDS.values()])
     for tenth in range(10):
         cells = []
         for kind in KINDS:

@@ -19,7 +19,6 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -27,6 +26,7 @@ from rich.table import Table
 from anther.core.files import write_json
 from anther.perception.stem.confidence import DOUBTFUL
 from evaluation.perception.real.strict import Judged, judged_all, metrics, reported, table
+from evaluation.tables import markdown
 
 DATA = Path(os.environ.get("ANTHER_DATA", Path(__file__).parents[3] / "shared" / "data"))
 BINS = (0.25, 0.5, DOUBTFUL, 0.9)
@@ -55,7 +55,7 @@ def main() -> None:
 
 def wrong_ones(rows: Sequence[Judged]) -> Table:
     """Return the plants whose grasp is off the stem, with the confidence it had."""
-    found = Table("plant", "seen", "confidence", box=MARKDOWN)
+    found = markdown(["plant", "seen", "confidence"])
     for row in rows:
         if not row.on_stem:
             found.add_row(row.plant, row.kind, "no answer" if row.refused else f"{row.confidence:.2f}")

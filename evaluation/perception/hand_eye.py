@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -28,6 +27,7 @@ from anther.robot.calibration import BoardCorners, board_views
 from anther.robot.calibration._hand_eye import METHODS, closed_form
 from anther.robot.calibration._refinement import Noise, Problem, refine
 from anther.show.pictures.estimates import draw_calibration
+from evaluation.tables import markdown
 
 CAMERA = Intrinsics(1280, 720, 640.0, 640.0, 639.5, 359.5)
 CORNERS = 0.03 * np.array([[column, row, 0] for row in range(1, 5) for column in range(1, 7)])
@@ -156,8 +156,8 @@ def tables(metrics: dict[str, float]) -> tuple[Table, Table]:
     """Return the errors of each method, and what became of the views."""
     shown = {"refined": "refined", "tsai": "Tsai-Lenz", "park": "Park", "daniilidis": "Daniilidis"}
     shown |= {"pixels_only": "arm taken for exact"}
-    errors = Table("case", *(f"{words} (°, mm)" for words in shown.values()), box=MARKDOWN)
-    views = Table("case", "wrong views found", "good views kept", "error over what is stated, RMS", box=MARKDOWN)
+    errors = markdown(["case", *(f"{words} (°, mm)" for words in shown.values())])
+    views = markdown(["case", "wrong views found", "good views kept", "error over what is stated, RMS"])
     for name, case in CASES.items():
         found = [[metrics.get(f"{name}_{method}_{what}") for what in OF_ERRORS] for method in shown]
         cells = ["" if None in row else "{:.3f} ({:.3f}), {:.2f} ({:.2f})".format(*row) for row in found]

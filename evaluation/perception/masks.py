@@ -42,6 +42,7 @@ from anther.sim._greenhouse import Setting
 from anther.sim.simulated_cell import USUAL_DISTANCE
 from evaluation.perception.colour_images import segment_images
 from evaluation.perception.masks_pictures import light_sheet, overlaid
+from evaluation.tables import markdown
 
 DATA = Path(os.environ.get("ANTHER_DATA", Path(__file__).parents[3] / "shared" / "data"))
 CHECK = Path(__file__).with_name("romi_arabidopsis_check.json")
@@ -198,7 +199,7 @@ def main() -> None:
 
 def _print(console: Console, rows: dict[tuple[Crop, str], dict[str, float]], values: dict[str, float]) -> None:
     heads = ("IoU", "IoU where depth is read", "petal pixels: recall", "precision", "flowers found")
-    table = Table("plant", "light", *heads, "pot or soil in the cloud", "other things in it", "s, CPU", box=MARKDOWN)
+    table = markdown(["plant", "light", *heads, "pot or soil in the cloud", "other things in it", "s, CPU"])
     for (species, name), row in rows.items():
         quality = (f"{row[key]:.3f}" for key in ("iou", "iou_with_depth"))
         shares = (f"{row[key]:.0%}" for key in ("flower_recall", "flower_precision", "flowers_found"))

@@ -22,10 +22,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
@@ -48,6 +46,7 @@ from evaluation.perception.skeleton_truth import (
     visible_flowers,
 )
 from evaluation.perception.skeletons import take
+from evaluation.tables import markdown
 
 PLANTS = [*(("tomato", k) for k in range(10, 14)), *(("pepper", k) for k in range(10, 16))]
 LEAN, BEND = 25.0, 0.6
@@ -184,13 +183,13 @@ def main() -> None:
 
 def show(console: Console, found: dict[str, float], plants: int) -> None:
     """Print the verdicts, and the plants as they stand, leaning and bent."""
-    table = Table(f"of {plants} plants", "share", box=MARKDOWN)
+    table = markdown([f"of {plants} plants", "share"])
     for key, words in VERDICTS.items():
         table.add_row(words, f"{found[key]:.0%}")
     console.print(table)
     console.print(f"The same plants, leaning by {LEAN:.0f}°, and bent by {100 * BEND / 4:.0f} cm at half a metre:")
     heads = ("main stem's error, 95th percentile, mm", "true stem found", "recall at 5 mm", "precision at 5 mm")
-    table = Table("plants", *heads, "junctions at 10 mm, F1", box=MARKDOWN)
+    table = markdown(["plants", *heads, "junctions at 10 mm, F1"])
     for name in ("upright", "leaning", "bent"):
         error, *shares, score_f1 = (found[f"{name}_{key}"] for key in POSED)
         table.add_row(name, f"{error:.1f}", *(f"{share:.1%}" for share in shares), f"{score_f1:.2f}")

@@ -47,7 +47,7 @@ from anther.perception.masks import FLOWER
 from anther.perception.masks.by_words import NETWORKS
 from evaluation.perception.photographs_looks import Look, by_colour, by_words
 from evaluation.perception.photographs_sheet import Judged, contact_sheet
-from evaluation.trials.grasping_table import interval
+from evaluation.statistics import interval
 
 LABELS = Path(__file__).parent / "real" / "photographs.json"
 FOLDER = os.environ.get("ANTHER_PHOTOS")

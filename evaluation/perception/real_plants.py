@@ -32,10 +32,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 
 from anther.core.files import write_json
 from anther.perception import Cloud
@@ -63,6 +61,7 @@ from evaluation.perception.real.plants import (
 )
 from evaluation.perception.real.start import started
 from evaluation.perception.real.strict import judged_all, metrics, reported
+from evaluation.tables import markdown
 
 DATA = Path(os.environ.get("ANTHER_DATA", Path(__file__).parents[3] / "shared" / "data"))
 ENOUGH = 0.95
@@ -256,12 +255,12 @@ def main() -> None:
 
 def _print(console: Console, found: Run) -> None:
     rows = found.rows()
-    table = Table("", *(HEADS[name] for name in rows), box=MARKDOWN)
+    table = markdown(["", *(HEADS[name] for name in rows)])
     for key, (words, form) in ROWS.items():
         table.add_row(words, *(f"{row[key]:{form}}" for row in rows.values()))
     console.print(table)
     console.print("Against the published graphs: recall and precision at 3 voxels, and ends that they do not have.")
-    table = Table("plant", *(HEADS[name] for name in rows), box=MARKDOWN)
+    table = markdown(["plant", *(HEADS[name] for name in rows)])
     for plant in WITH_REFERENCE:
         table.add_row(plant, *(_on_graph(row, plant) for row in rows.values()))
     console.print(table)

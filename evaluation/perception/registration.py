@@ -27,10 +27,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import Progress
-from rich.table import Table
 
 from anther.core import Array, inverse, transform_points
 from anther.core.files import replacing, write_json
@@ -44,12 +42,10 @@ from anther.sim import CaptureTruth, Organ, layout
 from anther.sim.capture import perturbed_hand_eye
 from anther.sim.simulated_cell import USUAL_DISTANCE
 from evaluation.perception.skeletons import take
+from evaluation.tables import markdown
 
 TEN: list[tuple[Crop, int]] = [*(("tomato", k) for k in range(2)), *(("pepper", k) for k in range(8))]
-DEVELOPMENT: list[tuple[Crop, int]] = [
-    *(("tomato", 10 + k) for k in range(4)),
-    *(("pepper", 10 + k) for k in range(6)),
-]
+DEVELOPMENT: list[tuple[Crop, int]] = [*(("tomato", 10 + k) for k in range(4)), *(("pepper", 10 + k) for k in range(6))]
 METHODS = {"kinematics": None, "joint": Params()}
 
 ERRORS = {"usual": (1.0, 1.0), "poses": (2.0, 1.0), "hand_eye": (1.0, 2.0)}
@@ -198,7 +194,7 @@ def draw(outcomes: list[dict[tuple[str, str], Outcome]], file: Path) -> None:
 def show(console: Console, table: dict[str, float], plants: int, noisier: int) -> None:
     """Print the tables."""
     heads = ("displacement, RMS, mm", "worst plant, mm", "shape, mm", "rigid, mm", "time, median, s")
-    rows = Table("the robot's errors", "plants", "poses", *heads, box=MARKDOWN)
+    rows = markdown(["the robot's errors", "plants", "poses", *heads])
     for error, words in WORDS.items():
         for method in METHODS:
             if f"{method}_{error}_rms_mm" not in table:  # without --noisier plants
@@ -209,7 +205,7 @@ def show(console: Console, table: dict[str, float], plants: int, noisier: int) -
             rows.add_row(words, str(count), poses, *(f"{value:.2f}" for value in of))
     console.print(rows)
     console.print("What filters of pixels do, on the same views:")
-    rows = Table("filter", "flying pixels removed", "petioles' pixels kept", box=MARKDOWN)
+    rows = markdown(["filter", "flying pixels removed", "petioles' pixels kept"])
     for name, words in FILTERS.items():
         rows.add_row(words, *(f"{table[f'{name}_{key}']:.1%}" for key in ("flying_removed", "petioles_kept")))
     console.print(rows)

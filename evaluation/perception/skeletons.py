@@ -18,9 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.box import MARKDOWN
 from rich.console import Console
-from rich.table import Table
 
 from anther.core import AntherError
 from anther.core.files import write_json
@@ -29,9 +27,10 @@ from anther.plant import Crop
 from anther.robot.arm.views import Params as ViewParams
 from anther.sim import CaptureTruth, SimPlant, grow, layout, photograph, views_at
 from anther.sim.simulated_cell import USUAL_DISTANCE
-from evaluation.harness import FOLDER, swept
+from evaluation.harness import FOLDER, run_cases
 from evaluation.perception.skeleton_figures import draw_ten
 from evaluation.perception.skeleton_truth import Score, pooled, score, visible_flowers
+from evaluation.tables import markdown
 
 VIEWS = 30
 TEN: list[tuple[Crop, int]] = [*(("tomato", k) for k in range(2)), *(("pepper", k) for k in range(8))]
@@ -129,7 +128,7 @@ def metrics(rows: dict[tuple[str, int], dict[str, Any]]) -> dict[str, float]:
 
 def show(table: dict[str, float], console: Console) -> None:
     """Print the parts side by side."""
-    shown = Table("", "target", "all", "tomato", "pepper", "the paper's ten", "further plants", box=MARKDOWN)
+    shown = markdown(["", "target", "all", "tomato", "pepper", "the paper's ten", "further plants"])
     for name, (words, target, form) in SHOWN.items():
         values = [table.get(prefix + name) for prefix in ("", "tomato_", "pepper_", "ten_", "hundred_")]
         shown.add_row(words, target, *("" if value is None else f"{value:{form}}" for value in values))
@@ -165,7 +164,9 @@ def main() -> None:
     chosen = [*TEN[:4:2], *HUNDRED[:2]] if args.quick else [*TEN, *HUNDRED[: args.further]]
     chosen = [(species, seed + args.seed) for species, seed in chosen]
     cases = [{"species": species, "seed": seed} for species, seed in chosen]
-    rows = dict(zip(chosen, swept(one_plant, cases, args.out, args.jobs, lambda why: {"failure": why}), strict=True))
+    rows = dict(
+        zip(chosen, run_cases(one_plant, cases, args.out, args.jobs, lambda why: {"failure": why}), strict=True)
+    )
     table = metrics(rows)
     show(table, console)
     if worst := [which for which, row in rows.items() if is_poor(row)]:

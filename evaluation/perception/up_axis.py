@@ -20,10 +20,8 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 
 from anther.core import Array
 from anther.core.files import write_json
@@ -31,6 +29,7 @@ from anther.perception import read_cloud
 from anther.perception.formats.clouds import TO_Z_UP, Axis, axis_notes
 from anther.sim import grow_pepper, grow_tomato
 from evaluation.perception.real.plants import TRACKPLANT
+from evaluation.tables import markdown
 
 DATA = Path(os.environ.get("ANTHER_DATA", Path(__file__).parents[3] / "shared" / "data"))
 POINTS, NOISE = 30_000, 5e-4
@@ -109,7 +108,7 @@ def show(console: Console, found: dict[str, float]) -> None:
         "named": "wrong files whose axis is named",
         "misnamed": "wrong files of which another is named",
     }
-    table = Table("plants", "number", *heads.values(), "processor time, median, s", box=MARKDOWN)
+    table = markdown(["plants", "number", *heads.values(), "processor time, median, s"])
     for words, prefix in (("real", "real_"), ("simulated", "simulated_"), ("all", "")):
         if f"{prefix}plants" in found:
             shares = (f"{found[prefix + key]:.0%}" for key in heads)

@@ -9,10 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 SHOWN = ("stem_error_median_mm", "stem_error_p95_mm", "recall_5mm", "flower_recall")
-CHOICES = {
-    "fixed": ("evenly spread", "C0", "o-"),
-    "narrow": ("evenly spread within 75°", "C2", "^-"),
-}
+CHOICES = {"fixed": ("evenly spread", "C0", "o-"), "narrow": ("evenly spread within 75°", "C2", "^-")}
 
 Rows = list[dict[str, dict[str, Any]]]
 

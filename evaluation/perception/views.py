@@ -21,10 +21,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 
 from anther.core import AntherError
 from anther.core.files import read_json, write_json
@@ -37,6 +35,7 @@ from anther.sim import SimPlant, grow, layout, photograph
 from anther.sim.simulated_cell import PRESETS, USUAL_DISTANCE
 from evaluation.perception.skeleton_truth import pooled, score, visible_flowers
 from evaluation.perception.view_figure import draw
+from evaluation.tables import markdown
 
 POOL = 60
 COUNTS = {"fixed": (5, 8, 12, 20, 30), "narrow": (8, 10, 12)}
@@ -152,7 +151,7 @@ def show(table: dict[str, float], choices: list[str], console: Console) -> None:
     """Print one row a choice: the means over the plants, and their spread."""
     console.print(f"Means over {table['plants']} plants ± standard deviation between them.", highlight=False)
     heads = (title.replace(" [", ", ").replace("]", "") for title in METRICS.values())
-    shown = Table("views", *heads, box=MARKDOWN)
+    shown = markdown(["views", *heads])
     for choice in choices:
         shown.add_row(choice.replace("_", " "), *(_with_spread(table, f"{choice}_{name}") for name in METRICS))
     console.print(shown)

@@ -100,12 +100,7 @@ class ShakenPlant:
     """
 
     def __init__(
-        self,
-        plant: SimPlant,
-        point: ArrayLike,
-        direction: ArrayLike,
-        params: Params = Params(),
-        truth: Truth = NOMINAL,
+        self, plant: SimPlant, point: ArrayLike, direction: ArrayLike, params: Params = Params(), truth: Truth = NOMINAL
     ) -> None:
         """Hold the piece of the main stem whose middle is nearest to `point` (3,) [m]; shake along `direction` (3,).
 

@@ -17,13 +17,9 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import asdict
-from pathlib import Path
 
-from rich.console import Console
-
-from anther.core.files import write_json
 from anther.plant import Crop
-from evaluation.harness import swept
+from evaluation.harness import CROPS, finish, lost, options, plants_named, run_cases
 from evaluation.prediction.vibration_figures import draw
 from evaluation.prediction.vibration_plant import FAST_FREQUENCIES, PAPER_FREQUENCIES, Case, one_plant
 from evaluation.prediction.vibration_table import metrics, report
@@ -34,12 +30,11 @@ FIRST_RANDOM = 2000
 def chosen(args: argparse.Namespace) -> list[Case]:
     """Return the plants: two shaken thoroughly if asked for, the random ones with fewer shakes."""
     if args.plants:
-        pairs: list[tuple[Crop, int]] = [_plant(word) for word in args.plants]
+        pairs = plants_named(args.plants)
         return [Case(*pair) if args.thorough else brief(*pair) for pair in pairs]
-    both: tuple[Crop, Crop] = ("tomato", "pepper")
-    two = [Case(species, args.seed) for species in both] if args.thorough else []
+    two = [Case(species, args.seed) for species in CROPS] if args.thorough else []
     count = 1 if args.quick else args.random
-    return two + [brief(both[k % 2], FIRST_RANDOM + args.seed + k) for k in range(count)]
+    return two + [brief(CROPS[k % 2], FIRST_RANDOM + args.seed + k) for k in range(count)]
 
 
 def brief(species: Crop, seed: int) -> Case:
@@ -47,37 +42,25 @@ def brief(species: Crop, seed: int) -> Case:
     return Case(species, seed, PAPER_FREQUENCIES + FAST_FREQUENCIES, (4e-3, 8e-3, 12e-3), stepped_below=0.0)
 
 
-def _plant(word: str) -> tuple[Crop, int]:
-    species, _, seed = word.partition("-")
-    if species not in ("tomato", "pepper") or not seed.isdigit():
-        raise SystemExit(f"--plants: got {word}; allowed: tomato-SEED or pepper-SEED, such as pepper-10.")
-    return ("tomato" if species == "tomato" else "pepper"), int(seed)
-
-
 def main() -> None:
     """Do what is not there yet, print the tables, write --json and the figures."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--quick", action="store_true", help="one plant")
-    parser.add_argument("--seed", type=int, default=0, help="of the thorough plants; added to those of the random ones")
-    parser.add_argument("--random", type=int, default=30, help="how many random plants")
-    parser.add_argument("--thorough", action="store_true", help="two more plants, or those of --plants, of more shakes")
-    parser.add_argument("--plants", nargs="*", help="these instead, such as tomato-10 pepper-11")
-    parser.add_argument("--jobs", type=int, default=1, help="plants at a time")
-    parser.add_argument("--out", type=Path, default=Path("runs/vibration"), help="where finished plants are kept")
-    parser.add_argument("--figures", type=Path, help="write vibration_amplitude.png and others into this folder")
-    args = parser.parse_args()
-    console, cases = Console(), chosen(args)
-    told = map(asdict, cases)
-    rows = swept(one_plant, told, args.out, args.jobs, lambda reason: {"lost": f"crashed: {reason}"})
-    lost = [row["lost"] for row in rows if "lost" in row]
-    rows = [row for row in rows if "lost" not in row]
-    for part in report(rows):
-        console.print(part)
-    for why in lost:
-        console.print(f"Left out: {why}")
-    if args.json:
-        write_json(args.json, metrics(rows) | {"plants_lost": len(lost)})
+    args = options(
+        __doc__,
+        quick="one plant",
+        seed=(0, "of the thorough plants; added to those of the random ones"),
+        jobs="plants",
+        out="runs/vibration",
+        figures="vibration_amplitude.png and others",
+        own={
+            "--random": (30, "how many random plants"),
+            "--thorough": (False, "two more plants, or those of --plants, of more shakes"),
+            "--plants": ((), "these instead, such as tomato-10 pepper-11"),
+        },
+    )
+    done = run_cases(one_plant, map(asdict, chosen(args)), args.out, args.jobs, lost)
+    rows, without = ([row for row in done if ("lost" in row) == gone] for gone in (False, True))
+    numbers = metrics(rows) | {"plants_lost": len(without)}
+    finish(args, numbers, *report(rows), *(f"Left out: {row['lost']}" for row in without))
     if args.figures:
         draw(rows, args.figures)
 

@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter, StrMethodFormatter
 
-from anther.core.files import replacing
+from evaluation.harness import save
 from evaluation.prediction.vibration_plant import HEIGHTS
 from evaluation.prediction.vibration_table import BANDS, Row, location, score, shakes_in
 
@@ -21,10 +20,10 @@ COLOURS = {"paper": "#b04a3f", "prior": "#7a8fa6", "probe": "#2f7d4f", "true": "
 
 def draw(rows: Sequence[Row], folder: Path) -> None:
     """Write the pictures of the first two plants, and of all plants if there are more."""
-    _write(amplitudes(rows[:2]), folder / "vibration_amplitude.png")
-    _write(locations(rows[:2]), folder / "vibration_location.png")
+    save(amplitudes(rows[:2]), folder / "vibration_amplitude.png", 100)
+    save(locations(rows[:2]), folder / "vibration_location.png", 100)
     if len(rows) > 2:
-        _write(errors(rows), folder / "vibration_errors.png")
+        save(errors(rows), folder / "vibration_errors.png", 100)
 
 
 def amplitudes(rows: Sequence[Row]) -> Figure:
@@ -113,9 +112,3 @@ def _square(axes: Any, values: Any) -> None:
     axes.set_xlim(low / 10, high)
     axes.set_ylim(low / 10, high)
     axes.set_aspect("equal")
-
-
-def _write(figure: Figure, path: Path) -> None:
-    FigureCanvasAgg(figure)
-    with replacing(path) as temporary:
-        figure.savefig(temporary, dpi=100)

@@ -16,9 +16,7 @@ from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.box import MARKDOWN
 from rich.console import Console
-from rich.table import Table
 
 from anther.core import Array, Box
 from anther.core.files import write_json
@@ -34,6 +32,7 @@ from anther.sim.plant import POT_HEIGHT
 from anther.sim.robot import SimArm
 from anther.sim.simulated_cell import PRESETS, USUAL_DISTANCE
 from evaluation.robustness.path_judge import SIGHT, Surroundings, judge_path
+from evaluation.tables import markdown
 
 LOOK = 0.2  # s to either side of a view
 SHOWN = {
@@ -162,7 +161,7 @@ def main() -> None:
         width = np.array([pot.radius, pot.radius, 0])
         body = Box(pot.centre - width - [0, 0, POT_HEIGHT], pot.centre + width)
         rows[name] = judged(views, body) | driven(views, species, args.seed)
-    table = Table("", *(f"preset `{name}`" for name in rows), box=MARKDOWN)
+    table = markdown(["", *(f"preset `{name}`" for name in rows)])
     for what, words in SHOWN.items():
         far = what.startswith("clearance")
         table.add_row(words, *(_cell(row[what], SIGHT * 1000 if far else np.inf) for row in rows.values()))

@@ -29,9 +29,7 @@ from pathlib import Path
 from typing import Any, cast, get_args
 
 import numpy as np
-from rich.box import MARKDOWN
 from rich.console import Console
-from rich.table import Table
 
 from anther.core import InputError, Run, StageFailure
 from anther.core.files import read_json, write_json
@@ -48,11 +46,12 @@ from anther.sim.cell import BENCH, POT, Cell
 from anther.sim.plant import OF_SEGMENTS
 from anther.sim.robot import SimArm, SimGripper
 from anther.sim.simulated_cell import PRESETS, safety_limits
-from evaluation.harness import kept, swept
+from evaluation.harness import kept, run_cases
 from evaluation.perception.replay_camera import ReplayCamera
 from evaluation.robustness.fault_machines import ClockCamera, Kept, Pieces, left_behind
 from evaluation.robustness.fault_truth import peak, true_grip, true_stress
 from evaluation.robustness.faulty_machines import STALE, Fault, FaultyCamera, Kind, with_faults
+from evaluation.tables import markdown
 
 SPECIES, SEED, DISTANCE = "tomato", 10, 0.72
 FEWEST_VIEWS = 3
@@ -346,7 +345,7 @@ def alone(case: Case, base: Path, folder: Path) -> None:
 
 def summary(outcomes: list[Outcome]) -> dict[str, float]:
     """Print a table and return the metrics."""
-    table = Table("fault", "struck", "safe ends", "records lost", "gone on with", box=MARKDOWN)
+    table = markdown(["fault", "struck", "safe ends", "records lost", "gone on with"])
     metrics: dict[str, float] = {}
     names = [o.case.fault.kind + (" (views)" if o.case.views else "") for o in outcomes]
     for name in ["", *sorted(set(names))]:
@@ -409,7 +408,7 @@ def main() -> None:
         for kind in [{"kind": kind} for kind in args.kinds] or [{}]
         for number in numbers
     ]
-    swept(one, cases, args.out / "faults", args.jobs, crashed)
+    run_cases(one, cases, args.out / "faults", args.jobs, crashed)
     rows = kept(args.out / "faults", crashed)
     drawn = [draw(row["number"], row["seed"], row.get("kind")) for row in rows]
     names = [field.name for field in fields(Outcome) if field.name != "case"]

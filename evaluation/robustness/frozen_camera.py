@@ -26,7 +26,6 @@ from typing import Any, NamedTuple
 from unittest.mock import patch
 
 import numpy as np
-from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -39,6 +38,7 @@ from anther.pollination import escalation
 from anther.pollination.escalation._option import limits_of
 from anther.pollination.response.points import Swings
 from anther.pollination.shake.observables import ComplexArray
+from evaluation.tables import markdown
 
 NOISE = 3e-5  # m, of what is seen
 PLANNED, REACH = 0.002, 0.03  # m, at every tone: what the model allows, and what the actuator can do
@@ -149,7 +149,7 @@ def shaken(case: Case) -> Outcome:
 def report(cases: list[Case], outcomes: list[Outcome], soft: float) -> tuple[Table, dict[str, float]]:
     """Return a table, a row for each lie and look, and the metrics."""
     heads = [f"{name}, {what}" for what in ("as believed", f"{soft:g} times softer") for name in COLUMNS]
-    table = Table("shown", "from look", *heads, box=MARKDOWN)
+    table = markdown(["shown", "from look", *heads])
     for lie, since in [(lie, look) for lie, (_, looks) in LIES.items() for look in looks]:
         cells = []
         for softer in (1.0, soft):

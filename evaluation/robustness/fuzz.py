@@ -33,9 +33,7 @@ from types import FrameType
 from typing import Any
 
 import numpy as np
-from rich.box import MARKDOWN
 from rich.console import Console
-from rich.table import Table
 
 from anther.cli.main import main as anther
 from anther.core import StageFailure
@@ -43,6 +41,7 @@ from anther.core.files import write_json
 from anther.sim import simulated_cell
 from evaluation.robustness import fuzz_inputs
 from evaluation.robustness.fuzz_inputs import COMMAND_LINES, KNOWN, VALUES, Known
+from evaluation.tables import markdown
 
 PATIENCE, LOST = 20, 90
 """Seconds after which a command is told to stop, and after which a process that does not is killed."""
@@ -270,7 +269,7 @@ def main() -> None:
             print(f"{row['broke']}: input {row['number']}: anther {shlex.join(row['words'])}  [{row['what']}]")
             print("    " + row["said"].strip().replace("\n", "\n    ")[-700:])
     found = metrics(rows)
-    table = Table("what became of an input", "inputs", box=MARKDOWN)
+    table = markdown(["what became of an input", "inputs"])
     table.add_row("all", f"{found['inputs']:,}")
     table.add_row("refused with one line", f"{found['refused']:,}")
     table.add_row("accepted: it made no difference, or a valid one", f"{found['done']:,}")

@@ -34,10 +34,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 
 from anther.core import AntherError, Array, InputError
 from anther.core.files import read_json, write_json
@@ -48,6 +46,7 @@ from anther.robot.arm import sawyer
 from evaluation.robustness.faults import options, planned, prepare
 from evaluation.robustness.protocol_anther import PATHS, Anther
 from evaluation.robustness.protocol_machines import Machines
+from evaluation.tables import markdown
 
 PHASES = {"views": 6.0, EARLY: 2.5, "approach": 1.5, "close": 1.5, "shake": 3.5, "retreat": 1.0}
 """Where faults strike, and how long each lasts about [s]."""
@@ -335,7 +334,7 @@ def crashed(why: str) -> dict[str, Any]:
 def summary(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
     """Print a table and return the metrics."""
     heads = ("struck", "safe ends", "records lost", "gone on with", "arm stands after: median, most (ms)")
-    table = Table("fault", *heads, box=MARKDOWN)
+    table = markdown(["fault", *heads])
     metrics: dict[str, float] = {}
     for kind in ["", *EXPECTED]:
         some = [row for row in rows if kind in ("", row["kind"])]

@@ -36,9 +36,7 @@ sys.path.append(str(Path(__file__).parents[2] / "tests" / "support"))
 from fake_robot import LIMITS, FakeCamera, fake_robot
 from fake_ros_master import FakeMaster
 from fake_sawyer import FakeSawyer, swing
-from rich.box import MARKDOWN
 from rich.console import Console
-from rich.table import Table
 
 from anther.core import Array
 from anther.core.files import write_json
@@ -49,8 +47,9 @@ from anther.robot.drivers.intera import types
 from anther.robot.drivers.ros1 import Node
 from anther.robot.drivers.sawyer_ros1 import Sawyer
 from anther.show import Log
-from evaluation.harness import swept
+from evaluation.harness import run_cases
 from evaluation.robustness.served_trial import served
+from evaluation.tables import markdown
 
 FIRST = 9800
 """The first of the plants, tomatoes and peppers in turn; in no other table."""
@@ -156,7 +155,7 @@ def trials(count: int, truth: str, arm: ArmName, jobs: int, out: Path) -> dict[s
         | ({} if arm == "sawyer" else {"arm": arm})
         for i in range(count)
     ]
-    rows = swept(served, asked, out, jobs, lambda reason: {"held": False, "unharmed": False, "message": reason})
+    rows = run_cases(served, asked, out, jobs, lambda reason: {"held": False, "unharmed": False, "message": reason})
     for row in rows:
         said = "held" if row["held"] else row.get("message") or row.get("reason")
         print(f"{row['species']} {row['seed']}: {said}", file=sys.stderr)
@@ -191,7 +190,7 @@ def main() -> None:
     metrics = trials(count, args.truth, args.arm, args.jobs, args.out) if count else {}
     if args.arm == "sawyer":
         metrics |= measure(3, 5.0) if args.quick else measure(args.kills, args.seconds)
-    table = Table("what", "measured", box=MARKDOWN)
+    table = markdown(["what", "measured"])
     for key in (key for key in WORDS if key in metrics):
         value = metrics[key]
         table.add_row(WORDS[key], f"{value:,}" if isinstance(value, int) else f"{value:.3g}")

@@ -16,10 +16,8 @@ import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 
 from anther.core.files import write_json
 from evaluation.rods.ends import end_cases
@@ -30,6 +28,7 @@ from evaluation.rods.peer_references import planar_cases, reference_cases
 from evaluation.rods.statics import static_cases
 from evaluation.rods.table import Findings, Row, metrics
 from evaluation.rods.vibrations import decay_cases, frequency_cases, response_cases
+from evaluation.tables import markdown
 
 DATA = Path(os.environ.get("ANTHER_DATA", Path(__file__).parents[3] / "shared" / "data"))
 Case = Callable[[bool], Findings]
@@ -77,7 +76,7 @@ def main() -> None:
 def _print(console: Console, rows: list[tuple[str, Row]]) -> None:
     for group in (THEORY, ORDERS, PEERS):
         last = ("measured",) if group == ORDERS else ()
-        table = Table("row", "compared", "error", "limit", *last, "verdict", box=MARKDOWN)
+        table = markdown(["row", "compared", "error", "limit", *last, "verdict"])
         for row in (row for of, row in rows if of == group):
             verdict = "" if row.limit is None else "FAILED" if row.failed else "met"
             measured = (row.detail,) if last else ()

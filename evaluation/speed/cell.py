@@ -17,10 +17,8 @@ from typing import get_args
 
 import mujoco
 import numpy as np
-from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 
 from anther.core import Array, StageFailure, transform
 from anther.core.files import write_json
@@ -33,6 +31,7 @@ from anther.sim.cell import Cell
 from anther.sim.judge import judge
 from anther.sim.robot import SimArm, SimGripper
 from anther.sim.simulated_cell import USUAL_DISTANCE
+from evaluation.tables import markdown
 
 WORDS = {
     "degrees_of_freedom": "degrees of freedom",
@@ -130,7 +129,7 @@ def main() -> None:
     seeds = range(args.seed, args.seed + (1 if args.quick else 3))
     todo = [(species, seed) for species in get_args(Crop) for seed in seeds]
     rows = {f"{s}_{n}": measure(s, n) for s, n in track(todo, "cells")}
-    table = Table("what", *(plant.replace("_", " ") for plant in rows), box=MARKDOWN)
+    table = markdown(["what", *(plant.replace("_", " ") for plant in rows)])
     for what, words in WORDS.items():
         table.add_row(words, *(f"{row[what]:.3g}" for row in rows.values()))
     Console().print(table)

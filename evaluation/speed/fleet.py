@@ -31,9 +31,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.box import MARKDOWN
 from rich.console import Console
-from rich.table import Table
 from sqlalchemy import create_engine, text
 
 from anther.core import AntherError, Array
@@ -43,6 +41,8 @@ from anther.plant import TOMATO
 
 sys.path.append(str(Path(__file__).parents[2] / "tests" / "support"))
 from postgresql_server import Server, start
+
+from evaluation.tables import markdown
 
 NOW = datetime.now(UTC).replace(microsecond=0)
 WRITERS, FLOWERS, SEASON = 20, 3, 200
@@ -267,7 +267,7 @@ def main() -> None:
         finally:
             if isinstance(server, Server):
                 server.remove()
-    shown = Table("what", "measured", box=MARKDOWN)
+    shown = markdown(["what", "measured"])
     for key, words in WORDS.items():
         shown.add_row(words, f"{table[key]:,.0f}" if table[key] >= 100 else f"{table[key]:.3g}")
     Console().print(shown)

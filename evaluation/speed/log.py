@@ -31,10 +31,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 
 sys.path.append(str(Path(__file__).parents[2] / "tests" / "support"))
 from fake_robot import LIMITS, FakeCamera, fake_robot
@@ -53,6 +51,7 @@ from anther.robot.drivers.intera import types
 from anther.robot.drivers.ros1 import Node
 from anther.robot.drivers.sawyer_ros1 import Sawyer
 from anther.show import Log
+from evaluation.tables import markdown
 
 PERIOD, AMPLITUDE = 0.01, 0.03  # s, rad of every joint: 0.36 rad/s
 FRAMES = 30.0  # a second
@@ -206,7 +205,7 @@ def main() -> None:
     for number in track([n for _ in range(rounds) for n in rng.permutation(len(todo))], "swings"):
         found[todo[number]].append(measure(*todo[number], seconds))
     metrics: dict[str, float] = {"drivers_that_gave_up": sum(rows.count(None) for rows in found.values())}
-    table = Table("driver", "log's disk", *SHOWN.values(), box=MARKDOWN)
+    table = markdown(["driver", "log's disk", *SHOWN.values()])
     rows = {case: summed([one for one in tried if one is not None]) for case, tried in found.items()}
     for (where, disk), row in rows.items():
         without = rows[where, "none"].get("mean_ms", np.nan)

@@ -23,10 +23,8 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from rich.box import MARKDOWN
 from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 
 from anther.core import Array, Box, transform_points
 from anther.core.files import replacing, write_json
@@ -36,6 +34,7 @@ from anther.pollination import grasp
 from anther.robot.arm.views import Params as ViewParams
 from anther.sim import Organ, grow, layout, photograph, views_at
 from anther.sim.simulated_cell import USUAL_DISTANCE
+from evaluation.tables import markdown
 
 VIEWS = 30
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "2"}
@@ -91,11 +90,7 @@ def take(species: Crop, seed: int) -> tuple[Capture, Array, list[Array]]:
     joints = views_at(USUAL_DISTANCE, ViewParams(count=VIEWS)).joints
     capture, truth = photograph(grow(species, seed, 0.0, USUAL_DISTANCE), joints, seed)
     pairs = zip(truth.depth, truth.organ, strict=True)
-    return (
-        capture,
-        truth.T_world_cam,
-        [capture.intrinsics.back_project(d, o <= Organ.FLOWER)[::7] for d, o in pairs],
-    )
+    return (capture, truth.T_world_cam, [capture.intrinsics.back_project(d, o <= Organ.FLOWER)[::7] for d, o in pairs])
 
 
 def _peak_gb() -> float:
@@ -146,7 +141,7 @@ def _in_new_process(species: str, seed: int, repeats: int) -> dict[str, float]:
 def _report(
     rows: dict[str, dict[str, float]], table: dict[str, float], json_file: Path | None, figure: Path | None
 ) -> None:
-    shown = Table("of one plant, 30 views", "target", *rows, box=MARKDOWN)
+    shown = markdown(["of one plant, 30 views", "target", *rows])
     for stage in STAGES:
         times = (f"{row[f'{stage}_s']:.2f}, {row[f'{stage}_s'] / row['total_s']:.0%}" for row in rows.values())
         shown.add_row(f"{stage}, s, share", "", *times)

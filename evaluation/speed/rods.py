@@ -42,15 +42,7 @@ from rich.progress import track
 
 from anther.core import AntherError
 from anther.core.files import read_json, write_json
-from anther.rods import (
-    Clamp,
-    Drive,
-    Rods,
-    natural_frequencies,
-    response_map,
-    simulate,
-    with_gravity_equilibrium,
-)
+from anther.rods import Clamp, Drive, Rods, natural_frequencies, response_map, simulate, with_gravity_equilibrium
 from evaluation.speed.networks import bush, reference_network, tall_plant, tips
 from evaluation.speed.peers import ONE_THREAD, Case, run_dismech, run_pyelastica
 from evaluation.speed.roofline import Roofline, measure_roofline

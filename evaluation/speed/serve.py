@@ -26,9 +26,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
-from rich.box import MARKDOWN
 from rich.console import Console
-from rich.table import Table
 
 from anther.core.files import write_json
 from anther.history import record_trial
@@ -36,6 +34,8 @@ from evaluation.speed.fleet import NOW, SEASON, fill, record
 
 sys.path.append(str(Path(__file__).parents[2] / "tests" / "support"))
 from postgresql_server import Server, start
+
+from evaluation.tables import markdown
 
 BROWSERS = 4
 WORDS = {
@@ -167,7 +167,7 @@ def main() -> None:
         finally:
             if isinstance(server, Server):
                 server.remove()
-    shown = Table("what", "measured", box=MARKDOWN)
+    shown = markdown(["what", "measured"])
     for key, words in WORDS.items():
         value = table[key]
         shown.add_row(words, value if isinstance(value, str) else f"{value:,}" if value >= 100 else f"{value:.2g}")

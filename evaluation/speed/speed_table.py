@@ -6,11 +6,10 @@ import os
 from dataclasses import dataclass, field
 
 import numpy as np
-from rich.box import MARKDOWN
 from rich.console import Console
-from rich.table import Table
 
 from evaluation.speed.roofline import Roofline
+from evaluation.tables import markdown
 
 COLUMNS = ("case", "unit", "best", "median", "worst", "limit", "floor", "best over floor")
 
@@ -72,7 +71,7 @@ def missed(rows: list[Row]) -> str:
 
 def print_table(rows: list[Row], ceilings: Roofline) -> None:
     """Print the table."""
-    table = Table(*COLUMNS, box=MARKDOWN)
+    table = markdown([*COLUMNS])
     for row in rows:
         table.add_row(*row.cells)
     console = Console()

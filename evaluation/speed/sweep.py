@@ -33,14 +33,13 @@ from typing import Any
 import numpy as np
 import psutil
 from distributed import Client, LocalCluster
-from rich.box import MARKDOWN
 from rich.console import Console
-from rich.table import Table
 
 from anther.cli import sweep as sweep_command
 from anther.core.files import write_json
 from anther.history import sweep
 from anther.history.sweep._running import ONE_THREAD
+from evaluation.tables import markdown
 
 Rows = list[dict[str, Any]]
 WORDS = {
@@ -258,7 +257,7 @@ def main() -> None:
             metrics |= speedup(folder / "speedup", quick=args.quick)
         if "kills" in parts:
             metrics |= kills(folder / "kills", 60 if args.quick else args.killed, args.every)
-    table = Table("what", "measured", box=MARKDOWN)
+    table = markdown(["what", "measured"])
     for key in (key for key in WORDS if key in metrics):
         value = metrics[key]
         table.add_row(WORDS[key], f"{value:,}" if isinstance(value, int) else f"{value:.3g}")

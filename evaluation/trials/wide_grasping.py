@@ -9,9 +9,10 @@ import numpy as np
 from rich.console import RenderableType
 
 from anther.plant import Crop
-from evaluation.trials.grasping_table import effects, interval
+from evaluation.statistics import interval
+from evaluation.tables import markdown
+from evaluation.trials.grasping_table import EFFECTS, effect_cells, effects
 from evaluation.trials.grasping_trial import Case
-from evaluation.trials.trial_tables import EFFECTS, effect_cells, table_of
 
 SPECIES: tuple[Crop, ...] = ("tomato", "pepper")
 VIEWPOINTS = (0, 90, 180, 270)  # degrees
@@ -45,4 +46,4 @@ def told(metrics: dict[str, float], rows: Sequence[Row]) -> list[RenderableType]
     line = (len(rows), f"{won}/{len(rows)} = {metrics['success']:.1%}", between, f"{metrics['held']:.1%}")
     heads = ("trials", "held and unharmed", "95 % interval", "held", *(words for words, _ in EFFECTS.values()))
     said = "Whole trials with everything drawn; of flowers and pollen the medians over trials."
-    return [said, table_of(heads, [(*line, *effect_cells(metrics))])]
+    return [said, markdown(heads, [(*line, *effect_cells(metrics))])]
