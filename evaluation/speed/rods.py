@@ -41,12 +41,14 @@ import numpy as np
 from rich.progress import track
 
 from anther.core import AntherError
-from anther.core.files import read_json, write_json
+from anther.core.files import read_json
 from anther.rods import Clamp, Drive, Rods, natural_frequencies, response_map, simulate, with_gravity_equilibrium
+from evaluation.harness import finish, options
 from evaluation.speed.networks import bush, reference_network, tall_plant, tips
 from evaluation.speed.peers import ONE_THREAD, Case, run_dismech, run_pyelastica
 from evaluation.speed.roofline import Roofline, measure_roofline
-from evaluation.speed.speed_table import Row, print_table
+from evaluation.speed.speed_table import COLUMNS, Row, describe, missed
+from evaluation.tables import markdown
 
 # The floor of a Newton iteration is stated from two counts per node.
 # Operations: count_operations.py runs the kernels on numbers that count, when this benchmark starts. On the 86-node
@@ -346,18 +348,15 @@ def measure(args: argparse.Namespace) -> tuple[list[Row], Roofline]:
 
 def main() -> None:
     """Measure, print, write --json."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path, help="write the metrics here")
-    parser.add_argument("--quick", action="store_true", help="smaller cases, fewer repeats")
-    parser.add_argument("--dismech", type=Path, help="a checkout of dismech-python, to be run as well")
-    parser.add_argument("--pyelastica", type=Path, help="a Python that has PyElastica, to be run as well")
-    args = parser.parse_args()
+    own = {
+        "--dismech": (Path, "a checkout of dismech-python, to be run as well"),
+        "--pyelastica": (Path, "a Python that has PyElastica, to be run as well"),
+    }
+    args = options(__doc__, quick="smaller cases, fewer repeats", own=own)
     rows, ceilings = measure(args)
-    print_table(rows, ceilings)
-    if args.json:
-        metrics = {key: value for row in rows for key, value in row.metrics.items()}
-        metrics |= {f"core_{name}": value for name, value in ceilings._asdict().items()}
-        write_json(args.json, metrics)
+    metrics = {key: value for row in rows for key, value in row.metrics.items()}
+    metrics |= {f"core_{name}": value for name, value in ceilings._asdict().items()}
+    finish(args, metrics, markdown(COLUMNS, [row.cells for row in rows]), missed(rows), describe(ceilings))
 
 
 if __name__ == "__main__":

@@ -6,10 +6,8 @@ import os
 from dataclasses import dataclass, field
 
 import numpy as np
-from rich.console import Console
 
 from evaluation.speed.roofline import Roofline
-from evaluation.tables import markdown
 
 COLUMNS = ("case", "unit", "best", "median", "worst", "limit", "floor", "best over floor")
 
@@ -67,13 +65,3 @@ def missed(rows: list[Row]) -> str:
     over = [row for row in rows if row.samples and row.limit is not None and min(row.samples) > row.limit]
     words = "; ".join(f"{row.case} ({min(row.samples):.3g} against {row.limit:g} {row.unit})" for row in over)
     return f"Limits missed: {words or 'none'}."
-
-
-def print_table(rows: list[Row], ceilings: Roofline) -> None:
-    """Print the table."""
-    table = markdown([*COLUMNS])
-    for row in rows:
-        table.add_row(*row.cells)
-    console = Console()
-    console.print(table)
-    console.print(missed(rows), describe(ceilings), sep="\n", highlight=False)

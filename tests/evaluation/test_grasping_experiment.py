@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 
 from evaluation.harness import FOLDER, run_cases
+from evaluation.statistics import interval, mcnemar
+from evaluation.tables import say
 from evaluation.trials import grasping
 from evaluation.trials.grasping_pictures import TILE, sheet
-from evaluation.trials.grasping_table import as_counted, effects, metrics
-from evaluation.statistics import interval, mcnemar
+from evaluation.trials.grasping_table import as_counted, effects, metrics, report
 from evaluation.trials.grasping_trial import crashed
-from evaluation.trials.grasping_table import report
-from evaluation.tables import say
 
 
 def told(capsys, rows: list) -> str:
