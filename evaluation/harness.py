@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
@@ -35,6 +34,8 @@ DATA = Path(os.environ.get("ANTHER_DATA", Path(__file__).parents[2] / "shared" /
 CROPS: tuple[Crop, ...] = ("tomato", "pepper")
 FOLDER = "folder"
 """Key of a row under which the folder is that its function wrote into."""
+ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+"""Environment of a process that is to keep to one core."""
 HIDDEN = argparse.SUPPRESS
 """The help of an option that only the script itself uses."""
 
@@ -151,7 +152,7 @@ def run_cases(
     """
     done = sweep.run(function, cases, out, workers=jobs, tries=1, again=True)
     for job in (job for job in done if job.result is None):
-        print(f"crashed: {job.row}: {job.reason}", file=sys.stderr)
+        print(f"crashed: {job.row}: {job.reason}")
     return _rows(done, out, crashed)
 
 

@@ -7,16 +7,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from rich.box import MARKDOWN
 from rich.console import Console, RenderableType
 from rich.table import Table
-from rich.text import Text
 
 
 def markdown(heads: Iterable[str], rows: Iterable[Sequence[object]] = ()) -> Table:
-    """Return a table; brackets in a cell are a unit, not a style."""
-    table = Table(box=MARKDOWN)
-    for head in heads:
-        table.add_column(Text(head))
+    """Return a table, for `say`."""
+    table = Table(*heads, box=MARKDOWN)
     for row in rows:
-        table.add_row(*(Text(str(cell).replace("\n", " ")) for cell in row))
+        table.add_row(*(str(cell).replace("\n", " ") for cell in row))
     return table
 
 

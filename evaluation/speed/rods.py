@@ -43,9 +43,9 @@ from rich.progress import track
 from anther.core import AntherError
 from anther.core.files import read_json
 from anther.rods import Clamp, Drive, Rods, natural_frequencies, response_map, simulate, with_gravity_equilibrium
-from evaluation.harness import finish, options
+from evaluation.harness import ONE_THREAD, finish, options
 from evaluation.speed.networks import bush, reference_network, tall_plant, tips
-from evaluation.speed.peers import ONE_THREAD, Case, run_dismech, run_pyelastica
+from evaluation.speed.peers import Case, run_dismech, run_pyelastica
 from evaluation.speed.roofline import Roofline, measure_roofline
 from evaluation.speed.speed_table import COLUMNS, Row, describe, missed
 from evaluation.tables import markdown

@@ -35,8 +35,7 @@ from distributed import Client, LocalCluster
 
 from anther.cli import sweep as sweep_command
 from anther.history import sweep
-from anther.history.sweep._running import ONE_THREAD
-from evaluation.harness import HIDDEN, finish, options
+from evaluation.harness import HIDDEN, ONE_THREAD, finish, options
 from evaluation.tables import measured
 
 Rows = list[dict[str, Any]]
