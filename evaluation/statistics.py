@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.stats import binomtest
 
@@ -95,8 +95,3 @@ def median(values: Iterable[Any]) -> float:
     """Return the median of what is known; NaN of nothing."""
     found = np.fromiter((np.nan if value is None else value for value in values), dtype=float)
     return float(np.nanmedian(found)) if np.isfinite(found).any() else np.nan
-
-
-def spread(name: str, values: ArrayLike) -> dict[str, float]:
-    """Return <name>_median and <name>_max."""
-    return {f"{name}_median": float(np.median(values)), f"{name}_max": float(np.max(values))}

@@ -25,7 +25,7 @@ def measured(values: Mapping[str, object], words: Mapping[str, str]) -> Table:
 def number(value: object) -> str:
     """Return a count with its thousands, another number with three digits, a text as it is."""
     if isinstance(value, float):
-        return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.3g}"
+        return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
     return f"{value:,}" if isinstance(value, int) else str(value)
 
 

@@ -213,7 +213,9 @@ def predictors(
     radius = float(np.mean(plant.stem_centreline()[1]))
     paper, soft = paper_model(it.seen, case.species, radius)
     scripts, _ = paper_model(it.seen, case.species, radius, as_scripted=True)
-    out: dict[str, tuple[Predictor, str]] = {name: (partial(amplitude_at, it), "seen") for name, it in beliefs.items()}
+    out: dict[str, tuple[Predictor, str]] = {
+        name: (partial(amplitude_at, belief), "seen") for name, belief in beliefs.items()
+    }
     out |= {"paper": (paper.response, "seen"), "paper as scripted": (scripts.response, "seen")}
     stiff = {"youngs": float(plant.youngs[0]), "damping_ratio": float(plant.damping_ratio[0])}
     made: dict[str, tuple[Callable[[], Model], str]] = {

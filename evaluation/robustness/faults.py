@@ -48,8 +48,7 @@ from anther.sim.simulated_cell import PRESETS, safety_limits
 from evaluation.harness import HIDDEN, Row, finish, kept, run_cases
 from evaluation.perception.replay_camera import ReplayCamera
 from evaluation.robustness.campaign import asked, counted, crashed, numbers
-from evaluation.robustness.fault_machines import ClockCamera, Kept, Pieces, left_behind
-from evaluation.robustness.fault_truth import peak, true_grip, true_stress
+from evaluation.robustness.fault_machines import ClockCamera, Kept, Pieces, left_behind, peak, true_grip, true_stress
 from evaluation.robustness.faulty_machines import STALE, Fault, FaultyCamera, Kind, with_faults
 
 SPECIES, SEED, DISTANCE = "tomato", 10, 0.72

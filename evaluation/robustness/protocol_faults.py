@@ -97,7 +97,6 @@ STALE_KINDS = ("stale with noise", "one joint stale")
 GOES_ON = ("the master dies", "5 % of messages lost", "joints in another order", "a second process")
 LIES = ("gripper says that it holds", "gripper feels nothing")
 """Of a gripper that obeys."""
-OF_ANTHER = ("Ctrl-C", "kill -9", "paused", "the arm's process killed", "a second process")
 PAUSE = 0.5
 """Anther's processes stand still for so long [s]: beyond every time-out of an arm."""
 BRAKES = (

@@ -9,7 +9,7 @@ import numpy as np
 from rich.console import RenderableType
 
 from anther.plant.limits import MOVED
-from evaluation.statistics import bootstrap, interval
+from evaluation.statistics import bootstrap, interval, median
 from evaluation.tables import markdown
 
 Row = dict[str, Any]
@@ -123,8 +123,7 @@ def _known(cell: str) -> str:
 
 
 def _middle(rows: Sequence[Row], key: str, factor: float = 1.0) -> float:
-    known = [row[key] for row in rows if row.get(key) is not None and np.isfinite(row[key])]
-    return factor * float(np.median(known)) if known else float("nan")
+    return factor * median(row.get(key) for row in rows)
 
 
 def _flowers(rows: Sequence[Row]) -> list[str]:
