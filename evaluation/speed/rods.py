@@ -38,12 +38,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from rich.progress import track
 
 from anther.core import AntherError
 from anther.core.files import read_json
 from anther.rods import Clamp, Drive, Rods, natural_frequencies, response_map, simulate, with_gravity_equilibrium
-from evaluation.harness import ONE_THREAD, finish, options
+from evaluation.harness import ONE_THREAD, finish, options, progress
 from evaluation.speed.networks import bush, reference_network, tall_plant, tips
 from evaluation.speed.peers import Case, run_dismech, run_pyelastica
 from evaluation.speed.roofline import Roofline, measure_roofline
@@ -105,7 +104,7 @@ def reference_rows(case: Case, operations: float, ceilings: Roofline, repeats: i
     tail, twist = ("_twist", "with twist") if case.twist else ("", "no twist")
     limits, rows = (45.0, 0.25) if case.twist else (25.0, 0.12), []
     floor = ceilings.floor(operations * len(case.rods.nodes), BYTES * len(case.rods.nodes))
-    for variant, how, shaken, integrator in track(variants(case), f"86 nodes, {twist}"):
+    for variant, how, shaken, integrator in progress(variants(case), f"86 nodes, {twist}"):
         key, words = tail + variant, f"86 nodes, {twist}, {how}"
         try:
             cost(replace(shaken, steps=3), integrator)
@@ -133,7 +132,7 @@ def scaling_rows(ceilings: Roofline, operations: float, shoots: tuple[int, ...],
     made = (replace(bush(count), viscous_time=1e-4) for count in shoots)
     cases = [Case(rods, tolerance=1e-7, twist=True, steps=max(10, 34_000 // len(rods.nodes))) for rods in made]
     cost(cases[0], gravity=(0, 0, 0))
-    for case in track(cases, "nodes"):
+    for case in progress(cases, "nodes"):
         runs = [cost(case, gravity=(0, 0, 0)) for _ in range(repeats)]
         nodes.append(len(case.rods.nodes))
         times.append(min(run.seconds / run.iterations for run in runs))
@@ -173,7 +172,7 @@ def map_rows(ceilings: Roofline, frequencies: int, repeats: int) -> list[Row]:
     hertz, grips = np.geomspace(1, 35, frequencies), np.arange(20, 120, 2)
     response_map(plant, clamp, grips, np.eye(3), hertz[:2], observe=flowers)
     walls, processor = [], []
-    for _ in track(range(repeats), "response map"):
+    for _ in progress(range(repeats), "response map"):
         begin, begin_cpu = time.perf_counter(), time.process_time()
         response_map(plant, clamp, grips, np.eye(3), hertz, observe=flowers)
         walls.append(time.perf_counter() - begin)
@@ -207,7 +206,7 @@ def map_flops(plant: Rods, grips: Any, seen: Any) -> float:
 def mode_rows(repeats: int) -> list[Row]:
     """The six lowest modes of 20,000 nodes in line, hanging sideways under gravity; compilation not included."""
     rods, times = Rods(np.linspace(0, [0.3, 0, 0], 20_000), np.arange(20_000) - 1, 3e-3, 2e8, 1100.0), []
-    for _ in track(range(repeats + 1), "modes"):
+    for _ in progress(range(repeats + 1), "modes"):
         begin = time.process_time()
         natural_frequencies(rods, Clamp.root(rods), 6)
         times.append(time.process_time() - begin)
@@ -224,7 +223,7 @@ def many_rows(quick: bool, repeats: int) -> list[Row]:
     ]
     scenarios = scenarios[::4] if quick else 4 * scenarios
     count, cores, all_cores, alone, iterations = len(scenarios), os.cpu_count() or 1, [], [], 0
-    for _ in track(range(repeats), "many scenarios"):
+    for _ in progress(range(repeats), "many scenarios"):
         for workers, times in ((cores, all_cores), (1, alone)):
             begin = time.perf_counter()
             with ThreadPoolExecutor(workers) as pool:
@@ -261,7 +260,7 @@ def start_rows(repeats: int) -> list[Row]:
         (Path(folder) / "kernel.py").write_text(LEAST_KERNEL)
         _start(LEAST_START, folder)  # compiles
         _start(START, here)  # compiles, where that is still to do
-        for _ in track(range(repeats), "second start"):
+        for _ in progress(range(repeats), "second start"):
             begin, _, _, end, _ = _start(LEAST_START, folder)
             least.append(end - begin)
             begin, first, imported, end, spent = _start(START, here)
@@ -286,7 +285,7 @@ def peer_rows(name: str, words: str, run_peer: Callable[[Case], dict[str, Any]],
     """Peer and we in turn on one case: paired ratios. An implicit peer meets our implicit Euler, else our midpoint."""
     ours, theirs = [], []
     cost(replace(case, steps=3), "implicit_euler")
-    for _ in track(range(rounds), words):
+    for _ in progress(range(rounds), words):
         peer = run_peer(case)
         if "failed" in peer:
             return [Row(name, f"{words}: fails ({peer['failed']})", "", (), more={f"{name}_failed": 1.0})]
