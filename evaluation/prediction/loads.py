@@ -202,9 +202,16 @@ def main() -> None:
         "--plants": (24, "tomatoes and peppers by turns"),
         "--development": (False, "the plants on which the errors were set"),
     }
-    args = options(__doc__, quick="two plants", jobs="plants", out="runs/loads", own=own)
+    args = options(
+        __doc__,
+        quick="two plants",
+        seed=(0, "added to the seeds of all plants"),
+        jobs="plants",
+        out="runs/loads",
+        own=own,
+    )
     first, count = DEVELOPMENT if args.development else FIRST, 2 if args.quick else args.plants
-    cases = [{"species": species, "seed": seed} for species, seed in by_turns(count, first)]
+    cases = [{"species": species, "seed": seed} for species, seed in by_turns(count, first + args.seed)]
     done = run_cases(one_plant, cases, args.out, args.jobs, lambda _: {"loads": []})
     table = metrics([row for part in done for row in part["loads"]])
     words = f"{table['plants']:.0f} plants, two grips, fourteen tones each. Asked: 5 % past the margin."

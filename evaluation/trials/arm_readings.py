@@ -80,9 +80,11 @@ def read_and_true(seed: int, joints: Array, along: Array, tones: Array) -> tuple
 
 def main() -> None:
     """Measure, print a table, write --json."""
-    args = options(__doc__, quick="three arms", own={"--arms": (24, "simulated Sawyers")})
+    args = options(
+        __doc__, quick="three arms", seed=(FIRST, "of the first truth"), own={"--arms": (24, "simulated Sawyers")}
+    )
     arms = 3 if args.quick else args.arms
-    cases = [(FIRST + k, line) for k in range(arms) for line in range(LINES)]
+    cases = [(args.seed + k, line) for k in range(arms) for line in range(LINES)]
     along, read, true = map(np.array, zip(*(swings(*case) for case in progress(cases, "arms")), strict=True))
     error, size = np.linalg.norm(true - read, axis=2), np.linalg.norm(true, axis=2)
     straight = np.einsum("nqx,nx->nq", true, along)

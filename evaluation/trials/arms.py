@@ -75,9 +75,10 @@ def wins(rows: Sequence[Row], arm: str, species: str) -> tuple[int, int]:
 def main() -> None:
     """Run what is not there yet, print the tables, write --json."""
     arms = {"--arms": (get_args(ArmName), "of the trials", get_args(ArmName))}
-    args = options(__doc__, quick="one plant of each species from two sides", jobs="trials", out="runs/arms", own=arms)
+    quick, seed = "one plant of each species from two sides", (0, "added to the seeds of all plants")
+    args = options(__doc__, quick=quick, seed=seed, jobs="trials", out="runs/arms", own=arms)
     plants, sides = ([TEN[0], TEN[2]], VIEWPOINTS[:2]) if args.quick else (TEN, VIEWPOINTS)
-    cases = [Case(*plant, side, arm=arm) for arm in args.arms for plant in plants for side in sides]
+    cases = [Case(s, k + args.seed, side, arm=arm) for arm in args.arms for s, k in plants for side in sides]
     rows = run_cases(one_trial, asked(cases, rule=False), args.out, args.jobs, crashed)
     table: dict[str, float] = {}
     for arm in args.arms:
