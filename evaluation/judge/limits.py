@@ -101,14 +101,9 @@ def report(rows: list[StrainRow], spread: dict[str, Array], breezes: Any) -> lis
 
 def main() -> None:
     """Compare, print the tables, write the metrics."""
-    args = options(
-        __doc__,
-        quick="one plant of each crop, pieces of 10 instead of 5 mm",
-        seed=(10, "of the first plant of each crop"),
-        jobs="plants",
-        out="runs/limits",
-        own={"--plants": (5, "of each crop")},
-    )
+    quick, seed = "one plant of each crop, pieces of 10 instead of 5 mm", (10, "of the first plant of each crop")
+    own = {"--plants": (5, "of each crop")}
+    args = options(__doc__, quick=quick, seed=seed, jobs="plants", out="runs/limits", own=own)
     count, piece = (1, QUICK_PIECE) if args.quick else (args.plants, PIECE)
     cases = [{"species": crop, "seed": args.seed + k, "piece": piece} for crop in GROW for k in range(count)]
     done = run_cases(one_plant, cases, args.out, args.jobs, lost)

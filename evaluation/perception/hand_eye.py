@@ -175,13 +175,9 @@ def _case_metrics(name: str, errors: dict[str, list], judged: dict[str, list]) -
 
 def main() -> None:
     """Run, print the table, write --json and the picture that `anther calibrate` makes of one calibration."""
-    args = options(
-        __doc__,
-        quick="5 calibrations a case",
-        seed=(0, "of the cases"),
-        figure="one calibration with an inexact arm and outliers",
-        own={"--count": (40, "calibrations a case")},
-    )
+    quick, seed = "5 calibrations a case", (0, "of the cases")
+    own = {"--count": (40, "calibrations a case")}
+    args = options(__doc__, quick=quick, seed=seed, figure="one calibration with an inexact arm and outliers", own=own)
     seeds = 5 if args.quick else args.count
     metrics = measure(seeds, args.seed)
     words = (

@@ -212,17 +212,13 @@ def report(table: dict[str, float], plants: int, noisier: int) -> list[Renderabl
 
 def main() -> None:
     """Run, print, write."""
-    args = options(
-        __doc__,
-        quick="one plant only",
-        seed=(0, "of the robot's errors"),
-        figures="registration.png",
-        own={
-            "--development": (False, "other plants, on which parameters were chosen"),
-            "--plants": (10, "only the first so many"),
-            "--noisier": (2, "how many of them are also tried with doubled errors"),
-        },
-    )
+    quick = "one plant only"
+    own = {
+        "--development": (False, "other plants, on which parameters were chosen"),
+        "--plants": (10, "only the first so many"),
+        "--noisier": (2, "how many of them are also tried with doubled errors"),
+    }
+    args = options(__doc__, quick=quick, seed=(0, "of the robot's errors"), figures="registration.png", own=own)
     plants = (DEVELOPMENT if args.development else TEN)[: 1 if args.quick else args.plants]
     outcomes, filters = [], []
     for number, which in enumerate(progress(plants, "plants")):

@@ -159,15 +159,9 @@ def report(table: dict[str, float], rows: dict[tuple[Crop, int], dict[str, Any]]
 
 def main() -> None:
     """Run what is not there yet, print the table, list the worst plants, write --json."""
-    args = options(
-        __doc__,
-        quick="two plants of each species",
-        seed=(0, "added to the seeds of all plants"),
-        jobs="plants",
-        out="runs/skeletons",
-        figures="skeletons.png",
-        own={"--further": (100, "how many of the hundred further plants")},
-    )
+    quick, seed, figures = "two plants of each species", (0, "added to the seeds of all plants"), "skeletons.png"
+    own = {"--further": (100, "how many of the hundred further plants")}
+    args = options(__doc__, quick=quick, seed=seed, jobs="plants", out="runs/skeletons", figures=figures, own=own)
     chosen = [*TEN[:4:2], *HUNDRED[:2]] if args.quick else [*TEN, *HUNDRED[: args.further]]
     chosen = [(species, seed + args.seed) for species, seed in chosen]
     cases = [{"species": species, "seed": seed} for species, seed in chosen]

@@ -89,13 +89,9 @@ HEADS = {
 
 def main() -> None:
     """Read all, print what was not noticed, write --json."""
-    args = options(
-        __doc__,
-        quick="two simulated plants of each kind, no real ones",
-        seed=(SEED, "of the first simulated plant"),
-        data="clouds",
-        own={"--each": (10, "simulated plants of each kind")},
-    )
+    quick = "two simulated plants of each kind, no real ones"
+    own = {"--each": (10, "simulated plants of each kind")}
+    args = options(__doc__, quick=quick, seed=(SEED, "of the first simulated plant"), data="clouds", own=own)
     rows, missed = list[dict[str, object]](), list[str]()
     plants = [("simulated", *plant) for plant in simulated(2 if args.quick else args.each, args.seed)]
     plants += [] if args.quick else [("real", *plant) for plant in real(args.data)]

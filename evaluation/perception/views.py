@@ -159,15 +159,10 @@ def report(table: dict[str, float], choices: list[str]) -> list[RenderableType]:
 
 def main() -> None:
     """Run the plants that are not there yet, print the table, write --json and --figure."""
-    args = options(
-        __doc__,
-        quick="one plant of each species, 8 views",
-        seed=(0, "added to the seeds of all plants"),
-        jobs="plants",
-        out="runs/views",
-        figure="quality against views and seconds",
-        own={"--each": (4, "plants of each species")},
-    )
+    figure = "quality against views and seconds"
+    quick, seed = "one plant of each species, 8 views", (0, "added to the seeds of all plants")
+    own = {"--each": (4, "plants of each species")}
+    args = options(__doc__, quick=quick, seed=seed, jobs="plants", out="runs/views", figure=figure, own=own)
     counts = dict.fromkeys(COUNTS, (8,)) if args.quick else COUNTS
     cases = [
         {"species": species, "seed": k + args.seed, "counts": counts}

@@ -159,15 +159,9 @@ def draw(found: dict[str, float]) -> Figure:
 
 def main() -> None:
     """Run, print the tables, write metrics and the picture."""
-    args = options(
-        __doc__,
-        quick="one plant of each crop, not scanned",
-        seed=(1000, "of the first plant of each crop"),
-        jobs="plants",
-        out="runs/ablation",
-        figure="the changes",
-        own={"--plants": (5, "of each crop"), "--scanned": (2, "of each crop that are reconstructed too")},
-    )
+    quick, seed = "one plant of each crop, not scanned", (1000, "of the first plant of each crop")
+    own = {"--plants": (5, "of each crop"), "--scanned": (2, "of each crop that are reconstructed too")}
+    args = options(__doc__, quick=quick, seed=seed, jobs="plants", out="runs/ablation", figure="the changes", own=own)
     plants, scans = (1, 0) if args.quick else (args.plants, args.scanned)
     cases = [{"species": s, "seed": args.seed + k, "scan": k < scans} for s in CROPS for k in range(plants)]
     found = metrics(run_cases(one_plant, cases, args.out, args.jobs, lambda _: {}))

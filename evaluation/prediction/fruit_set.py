@@ -64,13 +64,9 @@ def score(learned: FruitSet, truth: Array) -> dict[str, float]:
 
 def main() -> None:
     """Fit, print a table, write metrics and the picture."""
-    args = options(
-        __doc__,
-        quick="4 truths and 8 or 24 plants, not 72",
-        seed=(0, "of truths and counts"),
-        figure="what forty plants teach",
-        own={"--truths": (40, "drawn for each way to shake and number of plants")},
-    )
+    quick = "4 truths and 8 or 24 plants, not 72"
+    own = {"--truths": (40, "drawn for each way to shake and number of plants")}
+    args = options(__doc__, quick=quick, seed=(0, "of truths and counts"), figure="what forty plants teach", own=own)
     sizes, repeats = ((8, 24), 4) if args.quick else ((8, 24, 72), args.truths)
     metrics: dict[str, float] = {"truths": repeats}
     lines = []

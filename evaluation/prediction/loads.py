@@ -202,14 +202,8 @@ def main() -> None:
         "--plants": (24, "tomatoes and peppers by turns"),
         "--development": (False, "the plants on which the errors were set"),
     }
-    args = options(
-        __doc__,
-        quick="two plants",
-        seed=(0, "added to the seeds of all plants"),
-        jobs="plants",
-        out="runs/loads",
-        own=own,
-    )
+    seed = (0, "added to the seeds of all plants")
+    args = options(__doc__, quick="two plants", seed=seed, jobs="plants", out="runs/loads", own=own)
     first, count = DEVELOPMENT if args.development else FIRST, 2 if args.quick else args.plants
     cases = [{"species": species, "seed": seed} for species, seed in by_turns(count, first + args.seed)]
     done = run_cases(one_plant, cases, args.out, args.jobs, lambda _: {"loads": []})

@@ -217,18 +217,12 @@ def draw(rows: Sequence[Measured]) -> Figure:
 
 def main() -> None:
     """Render, measure, print a table, draw the figure, write --json."""
-    args = options(
-        __doc__,
-        quick="one plant, two shakes",
-        seed=(2100, "of the first plant"),
-        jobs="cases",
-        out="runs/response",
-        figure="measured over true amplitude",
-        own={
-            "--plants": (3, "of each crop"),
-            "--blind": (len(BLIND), "recordings whose frame rate hides the shake"),
-        },
-    )
+    quick, seed, figure = "one plant, two shakes", (2100, "of the first plant"), "measured over true amplitude"
+    own = {
+        "--plants": (3, "of each crop"),
+        "--blind": (len(BLIND), "recordings whose frame rate hides the shake"),
+    }
+    args = options(__doc__, quick=quick, seed=seed, jobs="cases", out="runs/response", figure=figure, own=own)
     plants = [(crop, args.seed + k) for k in range(1 if args.quick else args.plants) for crop in CROPS]
     plants, shakes = (plants[:1], SHAKES[:2]) if args.quick else (plants, SHAKES)
     jobs = [(*p, a, f, choose_rate(f, RATES)) for p in plants for a, f in shakes]

@@ -150,19 +150,14 @@ def _square(axes: Any, values: Any) -> None:
 
 def main() -> None:
     """Do what is not there yet, print the tables, write --json and the figures."""
-    args = options(
-        __doc__,
-        quick="one plant",
-        seed=(0, "of the thorough plants; added to those of the random ones"),
-        jobs="plants",
-        out="runs/vibration",
-        figures="vibration_amplitude.png and others",
-        own={
-            "--random": (30, "how many random plants"),
-            "--thorough": (False, "two more plants, or those of --plants, of more shakes"),
-            "--plants": ((), "these instead, such as tomato-10 pepper-11"),
-        },
-    )
+    figures = "vibration_amplitude.png and others"
+    seed = (0, "of the thorough plants; added to those of the random ones")
+    own = {
+        "--random": (30, "how many random plants"),
+        "--thorough": (False, "two more plants, or those of --plants, of more shakes"),
+        "--plants": ((), "these instead, such as tomato-10 pepper-11"),
+    }
+    args = options(__doc__, quick="one plant", seed=seed, jobs="plants", out="runs/vibration", figures=figures, own=own)
     done = run_cases(one_plant, map(asdict, chosen(args)), args.out, args.jobs, lost)
     rows, without = ([row for row in done if ("lost" in row) == gone] for gone in (False, True))
     numbers = metrics(rows) | {"plants_lost": len(without)}

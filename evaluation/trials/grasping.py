@@ -72,15 +72,8 @@ def main() -> None:
         "--plants": ((), "these instead of the ten, such as tomato-10 pepper-11"),
         "--without-paper": (False, "leave out the paper's own grasp"),
     }
-    args = options(
-        __doc__,
-        quick="one plant of each species from two sides, 30 views",
-        seed=(0, "added to the seeds of all plants"),
-        jobs="trials",
-        out="runs/grasping",
-        figures="grasping.png",
-        own=own,
-    )
+    quick, seed = "one plant of each species from two sides, 30 views", (0, "added to the seeds of all plants")
+    args = options(__doc__, quick=quick, seed=seed, jobs="trials", out="runs/grasping", figures="grasping.png", own=own)
     cases = chosen(args)
     rows = run_cases(one_trial, asked(cases, rule=not args.without_paper), args.out, args.jobs, crashed)
     table = metrics(rows)

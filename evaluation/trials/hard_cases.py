@@ -194,14 +194,9 @@ def _aim(row: dict[str, Any]) -> str:
 
 def main() -> None:
     """Run what is not there yet, print the table, write --json."""
-    args = options(
-        __doc__,
-        quick="one plant of each species instead of three",
-        seed=(3000, "first seed"),
-        jobs="trials",
-        out="runs/hard_cases",
-        own={"--cases": (CASES, "these alone", CASES)},
-    )
+    quick = "one plant of each species instead of three"
+    own = {"--cases": (CASES, "these alone", CASES)}
+    args = options(__doc__, quick=quick, seed=(3000, "first seed"), jobs="trials", out="runs/hard_cases", own=own)
     seeds = range(args.seed, args.seed + (1 if args.quick else 3))
     cases = [asdict(Case(kind, crop, seed)) for kind in args.cases for crop in CROPS for seed in seeds]
     rows = run_cases(one_trial, cases, args.out, args.jobs, failed)
