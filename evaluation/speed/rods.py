@@ -32,7 +32,7 @@ import time
 import tracemalloc
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -46,7 +46,6 @@ from evaluation.harness import ONE_THREAD, finish, options, progress
 from evaluation.speed.networks import bush, reference_network, tall_plant, tips
 from evaluation.speed.peers import Case, run_dismech, run_pyelastica
 from evaluation.speed.roofline import Roofline, measure_roofline
-from evaluation.speed.speed_table import COLUMNS, Row, describe, missed
 from evaluation.tables import markdown
 
 # The floor of a Newton iteration is stated from two counts per node.
@@ -343,6 +342,64 @@ def measure(args: argparse.Namespace) -> tuple[list[Row], Roofline]:
     rows += map_rows(ceilings, 20 if args.quick else 200, repeats) + mode_rows(3)
     rows += start_rows(repeats) + many_rows(args.quick, repeats)
     return rows + all_peer_rows(args, network, 1 if args.quick else 3), ceilings
+
+
+COLUMNS = ("case", "unit", "best", "median", "worst", "limit", "floor", "best over floor")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table: samples in `unit`, floor and limit, if there are any; `more` goes to --json.
+
+    Without samples the line only says what the case says: that something failed, for instance.
+    """
+
+    key: str
+    case: str
+    unit: str
+    samples: tuple[float, ...]
+    floor: float | None = None
+    limit: float | None = None
+    more: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def metrics(self) -> dict[str, float]:
+        """The row in the flat form of the --json file."""
+        if not self.samples:
+            return self.more
+        out = {self.key: min(self.samples)} | self.more
+        if len(self.samples) > 1:
+            out |= {f"{self.key}_median": float(np.median(self.samples)), f"{self.key}_max": max(self.samples)}
+        return out if self.floor is None else out | {f"{self.key}_floor": self.floor}
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """The row as text, one for each of COLUMNS. A single sample leaves median and worst empty."""
+        if not self.samples:
+            return (self.case, *("",) * (len(COLUMNS) - 1))
+        best, spread = min(self.samples), ("", "")
+        if len(self.samples) > 1:
+            spread = (f"{np.median(self.samples):.3g}", f"{max(self.samples):.3g}")
+        limit = "" if self.limit is None else f"{self.limit:g}"
+        floor = ("", "") if self.floor is None else (f"{self.floor:.2g}", f"{best / self.floor:.1f}")
+        return (self.case, self.unit, f"{best:.3g}", *spread, limit, *floor)
+
+
+def describe(ceilings: Roofline) -> str:
+    """Return what one core could do in this run, in words."""
+    return (
+        f"One core in this run: {ceilings.vector / 1e9:.0f} Gflop/s with SIMD (this gives the floor), "
+        f"{ceilings.scalar / 1e9:.0f} one number at a time; {ceilings.small / 1e9:.0f} GB/s in the second-level cache, "
+        f"{ceilings.large / 1e9:.0f} with 24 MB. Load of the machine at the end: {os.getloadavg()[0]:.1f} on "
+        f"{os.cpu_count()} cores."
+    )
+
+
+def missed(rows: list[Row]) -> str:
+    """Return which limits the best samples miss, in words."""
+    over = [row for row in rows if row.samples and row.limit is not None and min(row.samples) > row.limit]
+    words = "; ".join(f"{row.case} ({min(row.samples):.3g} against {row.limit:g} {row.unit})" for row in over)
+    return f"Limits missed: {words or 'none'}."
 
 
 def main() -> None:
