@@ -42,7 +42,7 @@ def measure(command: str, commit: str) -> str:
     name = module.rpartition(".")[2]
     out, metrics = KEPT / commit / name, KEPT / commit / f"{name}.json"
     source = Path(f"{module.replace('.', '/')}.py").read_text()
-    own = ["--out", str(out)] if '"--out"' in source and "--out" not in options else []
+    own = ["--out", str(out)] if 'out="runs/' in source and "--out" not in options else []
     metrics.parent.mkdir(parents=True, exist_ok=True)
     begin = time.perf_counter()
     said = subprocess.run(

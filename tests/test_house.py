@@ -40,7 +40,6 @@ BEHIND = {
     "evaluation/rods/objectivity.py",
     "evaluation/speed/cell.py",
     "evaluation/speed/count_operations.py",
-    "evaluation/speed/sweep.py",
     "evaluation/trials/arm_readings.py",
     "evaluation/trials/hard_plants.py",
     "evaluation/trials/paper_grasp.py",

@@ -47,12 +47,7 @@ def main(out: str, species: str = "tomato", seed: str = "0") -> None:
     pictures = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     Path(out).parent.mkdir(parents=True, exist_ok=True)
     pictures[0].save(
-        out,
-        save_all=True,
-        append_images=pictures[1:],
-        duration=round(SLOWER * 1000 / RATE),
-        loop=0,
-        optimize=True,
+        out, save_all=True, append_images=pictures[1:], duration=round(SLOWER * 1000 / RATE), loop=0, optimize=True
     )
     print(f"{out}: {len(pictures)} pictures, {Path(out).stat().st_size / 1e6:.1f} MB, {done.shake.reason}")
 

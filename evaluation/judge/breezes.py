@@ -10,12 +10,12 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from rich.box import MARKDOWN
 from rich.table import Table
 
 from anther.core import Array, StageFailure
 from anther.sim import NOMINAL, Organ, SimPlant, as_true
 from anther.sim.sway import CALM, TIMESTEP, gusts
+from evaluation.tables import markdown
 
 WINDS = (2.0, 4.0, 6.0)
 """Mean speeds at the plant [m/s]."""
@@ -108,7 +108,7 @@ def breeze_metrics(found: dict[tuple[str, float], list[dict[str, float]]]) -> di
 def breeze_table(found: dict[tuple[str, float], list[dict[str, float]]]) -> Table:
     """Return medians over plants, and the range of the worst pedicel."""
     heads = ("flower, m/s²", "pedicel strain", "worst pedicel of a plant", "stem strain", "base strain", "leaf base, g")
-    table = Table("crop", "wind, m/s", *heads, box=MARKDOWN)
+    table = markdown(["crop", "wind, m/s", *heads])
     for (crop, wind), rows in found.items():
         middle = {what: float(np.nanmedian([row[what] for row in rows])) for what in rows[0]}
         worst = [row["pedicel_worst"] for row in rows]

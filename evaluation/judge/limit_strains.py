@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.box import MARKDOWN
 from rich.table import Table
 
 from anther.core import Array
@@ -23,6 +22,7 @@ from anther.sim import Organ, SimPlant, _plant_mechanics
 from evaluation.judge.finer_plant import divided
 from evaluation.judge.limit_rods import TrueRods, bare, true_rods
 from evaluation.prediction.shaken_plant import Params, ShakenPlant
+from evaluation.tables import markdown
 
 FREQUENCIES = np.array([1.0, 2.0, 5.0, 10.0, 30.0])
 HELD_AT = 0.5
@@ -163,7 +163,7 @@ def _kinds(both: Shaken, finer: SimPlant) -> dict[str, NDArray[Any]]:
 def strain_table(rows: list[StrainRow]) -> Table:
     """Return the errors by kind and frequency, over the plants."""
     heads = ("largest: median", "worst", "tapered sections, worst", "MuJoCo's own damping, worst")
-    table = Table("strain of", "Hz", "plants", *heads, "places: median", "places: 90 %", box=MARKDOWN)
+    table = markdown(["strain of", "Hz", "plants", *heads, "places: median", "places: 90 %"])
     for kind in dict.fromkeys(row.kind for row in rows):
         for frequency in FREQUENCIES:
             mine = [row for row in rows if (row.kind, row.frequency) == (kind, frequency)]

@@ -13,19 +13,16 @@ Plants go through a sweep in --out: what is done is not done again.
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.box import MARKDOWN
-from rich.console import Console
+from rich.console import RenderableType
 from rich.table import Table
 
 from anther.core import Array, StageFailure
-from anther.core.files import write_json
 from anther.sim import grow_pepper, grow_tomato
-from evaluation.harness import swept
+from evaluation.harness import finish, lost, options, run_cases
 from evaluation.judge.breezes import WINDS, blown, breeze_metrics, breeze_table
 from evaluation.judge.limit_strains import (
     SPREAD_AT,
@@ -35,10 +32,11 @@ from evaluation.judge.limit_strains import (
     strain_rows,
     strain_table,
 )
+from evaluation.tables import markdown
 
 PIECE, QUICK_PIECE = 0.005, 0.01
 """Longest rigid piece [m]."""
-CROPS = {"tomato": grow_tomato, "pepper": grow_pepper}
+GROW = {"tomato": grow_tomato, "pepper": grow_pepper}
 BANDS = ((1, 5), (5, 10), (10, 17), (17, 35))
 
 
@@ -47,25 +45,25 @@ def one_plant(row: dict[str, Any], folder: Path) -> dict[str, Any]:
     del folder
     crop, seed = row["species"], row["seed"]
     try:
-        strains = strain_rows(CROPS[crop](seed), row["piece"])
+        strains = strain_rows(GROW[crop](seed), row["piece"])
     except StageFailure as buckles:
         return {"lost": f"{crop} {seed} is left out: {buckles}"}
     return {
         "strains": [list(strain) for strain in strains],
-        "spread": strain_per_acceleration(CROPS[crop](seed), QUICK_PIECE),
-        "breezes": {f"{wind:g}": blown(CROPS[crop](seed), wind) for wind in WINDS},
+        "spread": strain_per_acceleration(GROW[crop](seed), QUICK_PIECE),
+        "breezes": {f"{wind:g}": blown(GROW[crop](seed), wind) for wind in WINDS},
     }
 
 
 def acceleration_table(strains: dict[str, Array]) -> Table:
     """Return quantiles of (n, Q, G, D) strains per acceleration of each crop by frequency."""
-    table = Table("crop", "Hz", "median", "98 %", "largest", box=MARKDOWN)
+    lines = []
     for crop, values in strains.items():
         for low, high in BANDS:
             here = values[:, (low <= SPREAD_AT) & (high >= SPREAD_AT)]
             shown = (np.median(here), np.quantile(here, 0.98), here.max())
-            table.add_row(crop, f"{low}–{high}", *(f"{100 * value:.3f} %" for value in shown))
-    return table
+            lines.append((crop, f"{low}–{high}", *(f"{100 * value:.3f} %" for value in shown)))
+    return markdown(("crop", "Hz", "median", "98 %", "largest"), lines)
 
 
 def acceleration_metrics(strains: dict[str, Array]) -> dict[str, float]:
@@ -83,53 +81,45 @@ def _numbers(kept: dict[str, float | None]) -> dict[str, float]:
     return {what: float("nan") if value is None else value for what, value in kept.items()}
 
 
-def show(console: Console, rows: list[StrainRow], spread: dict[str, Array], breezes: Any) -> None:
-    """Print the tables."""
-    numbers = strain_metrics(rows)
-    console.print("Errors of the largest strain of a kind on a plant, and of the strain at single places:")
-    console.print(strain_table(rows))
-    console.print(
-        f"All kinds, plants and frequencies: median {numbers['strain_error_median']:.1%}, 90 % within "
-        f"{numbers['strain_error_p90']:.1%}, worst {numbers['strain_error_max']:.1%}. Up to 5 Hz: median "
-        f"{numbers['strain_error_median_to_5hz']:.1%}, 90 % within {numbers['strain_error_p90_to_5hz']:.1%}, worst "
-        f"{numbers['strain_error_max_to_5hz']:.1%}."
+def report(rows: list[StrainRow], spread: dict[str, Array], breezes: Any) -> list[RenderableType]:
+    """Return the tables."""
+    all_of, slow = (
+        "median {strain_error_median%s:.1%%}, 90 %% within {strain_error_p90%s:.1%%}, worst {strain_error_max%s:.1%%}."
+        % ((band,) * 3)
+        for band in ("", "_to_5hz")
     )
-    console.print("The largest pedicel strain for 1 m/s² of the grip, beyond 10 Hz as if at 10 Hz:")
-    console.print(acceleration_table(spread))
-    console.print("What a breeze does, medians over the plants; of the worst pedicel the range:")
-    console.print(breeze_table(breezes))
+    return [
+        "Errors of the largest strain of a kind on a plant, and of the strain at single places:",
+        strain_table(rows),
+        f"All kinds, plants and frequencies: {all_of} Up to 5 Hz: {slow}".format(**strain_metrics(rows)),
+        "The largest pedicel strain for 1 m/s² of the grip, beyond 10 Hz as if at 10 Hz:",
+        acceleration_table(spread),
+        "What a breeze does, medians over the plants; of the worst pedicel the range:",
+        breeze_table(breezes),
+    ]
 
 
 def main() -> None:
     """Compare, print the tables, write the metrics."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--quick", action="store_true", help="one plant of each crop, pieces of 10 instead of 5 mm")
-    parser.add_argument("--plants", type=int, default=5, help="of each crop")
-    parser.add_argument("--seed", type=int, default=10, help="of the first plant of each crop")
-    parser.add_argument("--jobs", type=int, default=1, help="plants at a time")
-    parser.add_argument("--out", type=Path, default=Path("runs/limits"), help="where finished plants are kept")
-    args = parser.parse_args()
+    quick, seed = "one plant of each crop, pieces of 10 instead of 5 mm", (10, "of the first plant of each crop")
+    own = {"--plants": (5, "of each crop")}
+    args = options(__doc__, quick=quick, seed=seed, jobs="plants", out="runs/limits", own=own)
     count, piece = (1, QUICK_PIECE) if args.quick else (args.plants, PIECE)
-    cases = [{"species": crop, "seed": args.seed + k, "piece": piece} for crop in CROPS for k in range(count)]
-    done = swept(one_plant, cases, args.out, args.jobs, lambda reason: {"lost": f"crashed: {reason}"})
-    found, console = [row for row in done if "lost" not in row], Console()
+    cases = [{"species": crop, "seed": args.seed + k, "piece": piece} for crop in GROW for k in range(count)]
+    done = run_cases(one_plant, cases, args.out, args.jobs, lost)
+    found = [row for row in done if "lost" not in row]
     rows = [StrainRow(*strain[:-1], np.array(strain[-1])) for row in found for strain in row["strains"]]
-    crops = [crop for crop in CROPS if any(row["species"] == crop for row in found)]
-    spread = {crop: np.array([row["spread"] for row in found if row["species"] == crop]) for crop in crops}
+    by_crop = {crop: [row for row in found if row["species"] == crop] for crop in GROW}
+    spread = {crop: np.array([row["spread"] for row in mine]) for crop, mine in by_crop.items() if mine}
     breezes = {
-        (crop, wind): [_numbers(row["breezes"][f"{wind:g}"]) for row in found if row["species"] == crop]
-        for crop in crops
+        (crop, wind): [_numbers(row["breezes"][f"{wind:g}"]) for row in by_crop[crop]]
+        for crop in spread
         for wind in WINDS
     }
-    console.print(", ".join(f"{row['species']} {row['seed']}" for row in found) + ".")
-    for row in done:
-        if "lost" in row:
-            console.print(row["lost"])
-    show(console, rows, spread, breezes)
-    if args.json:
-        numbers = {"plants": len(found), **strain_metrics(rows), **acceleration_metrics(spread)}
-        write_json(args.json, {**numbers, **breeze_metrics(breezes)})
+    named = ", ".join(f"{row['species']} {row['seed']}" for row in found) + "."
+    without = [row["lost"] for row in done if "lost" in row]
+    numbers = {"plants": len(found), **strain_metrics(rows), **acceleration_metrics(spread), **breeze_metrics(breezes)}
+    finish(args, numbers, named, *without, *report(rows, spread, breezes))
 
 
 if __name__ == "__main__":

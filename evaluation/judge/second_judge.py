@@ -28,25 +28,21 @@ plants_that_buckle (passed over).
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 from scipy.spatial import KDTree
 
-from anther.core.files import write_json
 from anther.pollination.shake.observables import semi_major
 from anther.sim import SimPlant, _pieces, _plant_mechanics, grow_pepper, grow_tomato
+from evaluation.harness import finish, options, progress
 from evaluation.judge.frame_chain import HingedPlant
 from evaluation.judge.frame_fe import Array, ComplexArray, hysteretic_response, modal_response
 from evaluation.judge.frame_plant import FramedPlant
 from evaluation.prediction.shaken_plant import Params, ShakenPlant
+from evaluation.tables import markdown, percent
 
 FREQUENCIES = np.geomspace(1, 30, 12)
 ELEMENT = 0.005
@@ -251,45 +247,36 @@ WORDS = {
 
 def tables(found: dict[str, float]) -> list[str | Table]:
     """Return the differences by cause, and by length of the pieces, each after a line that says what it shows."""
-    causes = Table("what differs", "median", "worst", box=MARKDOWN)
-    for name, words in WORDS.items():
-        causes.add_row(words, f"{found[f'{name}_median']:.2%}", f"{found[f'{name}_max']:.1%}")
+    causes = [(words, f"{found[f'{name}_median']:.2%}", f"{found[f'{name}_max']:.1%}") for name, words in WORDS.items()]
+    keys = ("pieces_{:g}_median", "pieces_{:g}_max", "shift_{:g}", "judge_{:g}_max")
+    pieces = [(f"{length:g}", *(percent(found.get(k.format(length)), 1) for k in keys)) for length in PIECES]
     heads = ("amplitude, median", "amplitude, worst", "natural frequencies below 10 Hz, median shift")
-    pieces = Table("longest piece, mm", *heads, "MuJoCo itself, first plant, worst", box=MARKDOWN)
-    for length in PIECES:
-        shift, judged = (found.get(f"{name}_{length:g}{end}") for name, end in (("shift", ""), ("judge", "_max")))
-        shown = ("–" if value is None else f"{value:.1%}" for value in (shift, judged))
-        sizes = (f"{found[f'pieces_{length:g}_{end}']:.1%}" for end in ("median", "max"))
-        pieces.add_row(f"{length:g}", *sizes, *shown)
     which = "Pieces alone, in the frame's code, against none; springs with the same loss factor on both sides:"
-    return ["Differences of the flowers' amplitudes:", causes, which, pieces]
+    lengths = markdown(("longest piece, mm", *heads, "MuJoCo itself, first plant, worst"), pieces)
+    return [
+        "Differences of the flowers' amplitudes:",
+        markdown(("what differs", "median", "worst"), causes),
+        which,
+        lengths,
+    ]
 
 
 def main() -> None:
     """Compare, print and write --json."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path, help="write the metrics here")
-    parser.add_argument("--quick", action="store_true", help="one plant of each species, pieces of 12 mm in MuJoCo")
-    parser.add_argument("--plants", type=int, default=3, help="of each species")
-    parser.add_argument("--seed", type=int, default=7000, help="of the first plant of each species")
-    args = parser.parse_args()
-    console, count = Console(), 1 if args.quick else args.plants
-    tomatoes, soft = standing(grow_tomato, args.seed, count)
-    peppers, softer = standing(grow_pepper, args.seed, count)
-    plants = [*tomatoes, *peppers]
-    rows = [compare(p) for p in track(plants, "two judges", console=Console(stderr=True))]
+    quick, own = "one plant of each species, pieces of 12 mm in MuJoCo", {"--plants": (3, "of each species")}
+    args = options(__doc__, quick=quick, seed=(7000, "of the first plant of each species"), own=own)
+    chosen = [standing(grow, args.seed, 1 if args.quick else args.plants) for grow in (grow_tomato, grow_pepper)]
+    plants, soft = [plant for some, _ in chosen for plant in some], sum(passed for _, passed in chosen)
+    rows = [compare(plant) for plant in progress(plants, "two judges")]
     found = metrics(rows) | finer_in_mujoco(plants[0], FINER[:1] if args.quick else FINER)
-    found |= {"plants_that_buckle": soft + softer}
-    console.print(
+    found |= {"plants_that_buckle": soft}
+    words = (
         f"{found['plants']:.0f} plants, {found['flowers']:.0f} flowers, {len(FREQUENCIES)} frequencies. Of pairs of "
         f"plant and frequency the carried judge is within 3 % in "
         f"{found['second_judge_error_share_within_3_percent']:.0%}. Elements of half the length change at most "
-        f"{found['frame_mesh_change_max']:.1%}. Plants that buckle and were passed over: {soft + softer}."
+        f"{found['frame_mesh_change_max']:.1%}. Plants that buckle and were passed over: {soft}."
     )
-    for part in tables(found):
-        console.print(part)
-    if args.json:
-        write_json(args.json, found)
+    finish(args, found, words, *tables(found))
 
 
 if __name__ == "__main__":

@@ -18,41 +18,45 @@ captures, refused (captures that ended in a StageFailure), silent_wrong_stems (w
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
-from scipy.optimize import minimize
+from rich.console import RenderableType
 from scipy.spatial import KDTree
 
 from anther.core import Array, StageFailure
-from anther.core.files import write_json
 from anther.perception import Capture, Cloud, Skeleton, Stem, find_stem, flower_centres, fuse, masks, skeletonize
 from anther.perception.skeleton.support import node_support, probability
 from anther.perception.stem.confidence import DOUBTFUL, stem_evidence
 from anther.plant import Crop
 from anther.pollination import plan_grasps
-from anther.robot.arm.views import Params as ViewParams
-from anther.sim import Organ, SimPlant, grow, layout, photograph, views_at
+from anther.sim import Organ, SimPlant, grow
 from anther.sim.simulated_cell import USUAL_DISTANCE
+from evaluation.harness import finish, options, progress
 from evaluation.perception.degraded_views import DEGRADATIONS
+from evaluation.perception.simulated import BOX, take
 from evaluation.perception.skeleton_truth import AXIS, NEAR, polyline, true_samples
+from evaluation.statistics import auc, logistic, reliability
+from evaluation.tables import markdown
 
 DEVELOPMENT, EVALUATION = range(10, 18), range(520, 528)
-VIEWS = 12
+VIEWS, EACH = 12, 4
+"""Of a capture, and degraded captures of each plant."""
 NODE_AXES = (Organ.STEM, Organ.BRANCH, Organ.PETIOLE, Organ.RACHIS, Organ.PEDUNCLE, Organ.PEDICEL)
 RIGHT_SHARE = 0.95
 KINDS = {"node": "nodes of skeletons", "stem": "main stems", "grasp": "ranked grasps"}
+
+
+HEADS = (
+    *("", "number", "right", "Brier score", "of always saying the share that is right", "AUC", "calibration error"),
+    *(f"wrong of those below {DOUBTFUL}", "wrong of the others"),
+)
 PLACES = 0.01
 """Distance along the stem of the places that a grasp's confidence is fitted on [m]."""
 
@@ -114,8 +118,7 @@ def _cloud(plant: SimPlant, name: str, draw: int, kept: Path | None) -> Cloud:
     capture = photographed(plant.species, plant.seed)
     if name != "as taken":
         capture = DEGRADATIONS[name](capture, np.random.default_rng([plant.seed, draw]))
-    box = layout(USUAL_DISTANCE).workspace
-    cloud = fuse(capture, masks.segment(capture, box), box)
+    cloud = fuse(capture, masks.segment(capture, BOX), BOX)
     if file is not None:
         file.parent.mkdir(parents=True, exist_ok=True)
         cloud.save(file)
@@ -125,8 +128,7 @@ def _cloud(plant: SimPlant, name: str, draw: int, kept: Path | None) -> Cloud:
 @cache
 def photographed(species: Crop, seed: int) -> Capture:
     """Return the capture of a plant as `anther trial` would take it, in VIEWS views."""
-    views = views_at(USUAL_DISTANCE, ViewParams(count=VIEWS))
-    return photograph(grow(species, seed, 0.0, USUAL_DISTANCE), views.joints, seed)[0]
+    return take(species, seed, VIEWS)[1]
 
 
 def _sample(name: str, plant: SimPlant, cloud: Cloud) -> Sample:
@@ -162,46 +164,15 @@ def fit(found: list[Sample]) -> dict[str, Array]:
     node = logistic(np.concatenate([s.support for s in found]), np.concatenate([s.node_right for s in found]))
     found = [replace(s, skeleton=replace(s.skeleton, confidence=probability(list(node), s.support))) for s in found]
     stems = np.stack([stem_evidence(s.skeleton, s.stem.node_ids) for s in found])
-    return {
-        "skeleton/support.py": node,
-        "stem/confidence.py": logistic(stems, np.array([s.stem_right for s in found])),
-    }
-
-
-def logistic(evidence: Array, right: NDArray[np.bool_], ridge: float = 1.0) -> Array:
-    """Return constant and weights of the logistic regression of `right` (n,) on `evidence` (n, k).
-
-    The weights of the standardised evidence are not negative, since larger is better for each, and have a penalty of
-    `ridge` observations: a few wrong stems do not make a certainty.
-    """
-    mean, spread = evidence.mean(axis=0), evidence.std(axis=0) + 1e-9
-    design = np.column_stack([np.ones(len(evidence)), (evidence - mean) / spread])
-    sign = np.where(right, 1.0, -1.0)
-
-    def loss(weights: Array) -> float:
-        penalty = 0.5 * ridge * float(weights[1:] @ weights[1:])
-        return float(np.logaddexp(0, -sign * (design @ weights)).sum() + penalty) / len(evidence)
-
-    bounds = [(None, None), *[(0, None)] * evidence.shape[1]]
-    weights = minimize(loss, np.zeros(len(bounds)), method="L-BFGS-B", bounds=bounds).x
-    slopes = weights[1:] / spread
-    return np.concatenate([[weights[0] - mean @ slopes], slopes])
+    return {"skeleton/support.py": node, "stem/confidence.py": logistic(stems, np.array([s.stem_right for s in found]))}
 
 
 def claims(found: list[Sample]) -> dict[str, tuple[Array, NDArray[np.bool_]]]:
     """Return, for node, stem and grasp, what was claimed and what was right."""
-    return {
-        "node": (_flat([s.skeleton.confidence for s in found]), _flat([s.node_right for s in found]).astype(bool)),
-        "stem": (np.array([s.stem.confidence for s in found]), np.array([s.stem_right for s in found])),
-        "grasp": (_flat([s.grasp_confidence for s in found]), _flat([s.grasp_right for s in found]).astype(bool)),
-    }
-
-
-def reliability(claimed: Array, right: NDArray[np.bool_]) -> Array:
-    """Return per tenth of the confidence that occurs: (mean confidence, share right, count), (b, 3)."""
-    tenth = np.minimum((claimed * 10).astype(int), 9)
-    rows = [(claimed[tenth == b].mean(), right[tenth == b].mean(), (tenth == b).sum()) for b in np.unique(tenth)]
-    return np.array(rows, dtype=np.float64)
+    nodes = np.concatenate([s.skeleton.confidence for s in found]), np.concatenate([s.node_right for s in found])
+    grasps = np.concatenate([s.grasp_confidence for s in found]), np.concatenate([s.grasp_right for s in found])
+    stems = np.array([s.stem.confidence for s in found]), np.array([s.stem_right for s in found])
+    return {"node": nodes, "stem": stems, "grasp": grasps}
 
 
 def metrics(found: list[Sample | None]) -> dict[str, float]:
@@ -215,7 +186,7 @@ def metrics(found: list[Sample | None]) -> dict[str, float]:
             f"{kind}_brier": float(np.mean((claimed - right) ** 2)),
             f"{kind}_base_brier": float(right.mean() * (1 - right.mean())),
             f"{kind}_right": float(right.mean()),
-            f"{kind}_auc": _auc(claimed, right),
+            f"{kind}_auc": auc(claimed, right),
             f"{kind}_calibration_error": float(np.average(np.abs(bins[:, 0] - bins[:, 1]), weights=bins[:, 2])),
             f"{kind}_wrong_doubted": float(1 - right[doubted].mean()) if doubted.any() else np.nan,
             f"{kind}_wrong_trusted": float(1 - right[~doubted].mean()) if not doubted.all() else np.nan,
@@ -241,72 +212,50 @@ def draw(found: list[Sample], path: Path) -> None:
     plt.close(figure)
 
 
+def report(numbers: dict[str, float], seen: list[Sample]) -> list[RenderableType]:
+    """Return the scores of the three confidences, and what was right by what was said."""
+    lines = []
+    for kind, words in KINDS.items():
+        scores = (f"{numbers[f'{kind}_{key}']:.3f}" for key in ("brier", "base_brier", "auc", "calibration_error"))
+        wrong = (numbers[f"{kind}_{key}"] for key in ("wrong_doubted", "wrong_trusted"))
+        shares = ("none" if np.isnan(share) else f"{share:.0%}" for share in wrong)
+        lines.append((words, numbers[f"{kind}_count"], f"{numbers[f'{kind}_right']:.1%}", *scores, *shares))
+    tenths = {kind: reliability(*claim) for kind, claim in claims(seen).items()}
+    cells = {(kind, min(int(10 * p), 9)): f"{right:.0%} of {n:.0f}" for kind in KINDS for p, right, n in tenths[kind]}
+    by_tenth = [
+        (f"{k / 10:.1f} to {(k + 1) / 10:.1f}", *(cells.get((kind, k), "–") for kind in KINDS)) for k in range(10)
+    ]
+    wrong_stems = sum(not s.stem_right for s in seen)
+    return [
+        markdown(HEADS, lines),
+        "Share that is right by what is said, with the number of cases:",
+        markdown(("confidence", *KINDS.values()), by_tenth),
+        f"{numbers['captures']} captures, {numbers['refused']} refused. Of {wrong_stems} wrong stems "
+        f"{numbers['silent_wrong_stems']} came without any warning.",
+    ]
+
+
 def main() -> None:
     """Fit or evaluate, print, and write --json and --figure."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--fit", action="store_true", help="fit the constants on the development seeds instead")
-    parser.add_argument("--clouds", type=Path, help="keep clouds in this folder, and use those that are there")
-    parser.add_argument("--figure", type=Path, help="draw the reliability here")
-    parser.add_argument("--json", type=Path, help="write the metrics here")
-    parser.add_argument("--quick", action="store_true", help="two plants of each species")
-    parser.add_argument("--each", type=int, help="so many plants of each species")
-    parser.add_argument("--seed", type=int, default=7, help="of the degradations")
-    args = parser.parse_args()
+    own = {
+        "--fit": (False, "fit the constants on the development seeds instead"),
+        "--clouds": (Path, "keep clouds in this folder, and use those that are there"),
+        "--each": (int, "so many plants of each species"),
+    }
+    quick = "two plants of each species"
+    args = options(__doc__, quick=quick, seed=(7, "of the degradations"), figure="the reliability", own=own)
     seeds = (DEVELOPMENT if args.fit else EVALUATION)[: 2 if args.quick else args.each]
-    console, each = Console(), 4
-    drawn = samples(seeds, each, args.seed, args.clouds)
-    found = list(track(drawn, "captures", total=2 * len(seeds) * (1 + each), console=console))
+    drawn = samples(seeds, EACH, args.seed, args.clouds)
+    found = list(progress(drawn, "captures", 2 * len(seeds) * (1 + EACH)))
     seen = [s for s in found if s is not None]
     if args.fit:
         for file, weights in fit(seen).items():
-            console.print(f"{file}: FITTED = ({', '.join(f'{w:.2f}' for w in weights)})", highlight=False)
+            print(f"{file}: FITTED = ({', '.join(f'{w:.2f}' for w in weights)})")
         return
-    _print(console, metrics(found), seen)
+    numbers = metrics(found)
+    finish(args, numbers, *report(numbers, seen))
     if args.figure:
         draw(seen, args.figure)
-    if args.json:
-        write_json(args.json, metrics(found))
-
-
-def _print(console: Console, numbers: dict[str, float], seen: list[Sample]) -> None:
-    heads = ("number", "right", "Brier score", "of always saying the share that is right", "AUC", "calibration error")
-    table = Table("", *heads, f"wrong of those below {DOUBTFUL}", "wrong of the others", box=MARKDOWN)
-    for kind, words in KINDS.items():
-        scores = [numbers[f"{kind}_{key}"] for key in ("brier", "base_brier", "auc", "calibration_error")]
-        wrong = [numbers[f"{kind}_{key}"] for key in ("wrong_doubted", "wrong_trusted")]
-        shares = ("none" if np.isnan(share) else f"{share:.0%}" for share in wrong)
-        count = f"{numbers[f'{kind}_count']}"
-        table.add_row(words, count, f"{numbers[f'{kind}_right']:.1%}", *(f"{score:.3f}" for score in scores), *shares)
-    console.print(table)
-    console.print("Share that is right by what is said, with the number of cases:")
-    tenths = {kind: reliability(*claim) for kind, claim in claims(seen).items()}
-    table = Table("confidence", *KINDS.values(), box=MARKDOWN)
-    for tenth in range(10):
-        cells = []
-        for kind in KINDS:
-            row = [f"{right:.0%} of {n:.0f}" for p, right, n in tenths[kind] if min(int(10 * p), 9) == tenth]
-            cells.append(row[0] if row else "–")
-        table.add_row(f"{tenth / 10:.1f} to {(tenth + 1) / 10:.1f}", *cells)
-    console.print(table)
-    wrong = sum(not s.stem_right for s in seen)
-    console.print(
-        f"{numbers['captures']} captures, {numbers['refused']} refused. Of {wrong} wrong stems "
-        f"{numbers['silent_wrong_stems']} came without any warning.",
-        highlight=False,
-    )
-
-
-def _flat(parts: list[Any]) -> Array:
-    return np.concatenate([np.asarray(p, dtype=np.float64) for p in parts])
-
-
-def _auc(claimed: Array, right: NDArray[np.bool_]) -> float:
-    """Return the chance that a right case is claimed with more confidence than a wrong one (Mann-Whitney)."""
-    if right.all() or not right.any():
-        return np.nan
-    order = np.sort(claimed[~right])
-    below, upto = (np.searchsorted(order, claimed[right], side=side) for side in ("left", "right"))
-    return float((below + upto).mean() / 2 / len(order))
 
 
 if __name__ == "__main__":

@@ -12,54 +12,34 @@ refusal being wrong and doubted; all disturbances), strict_cases, strict_wrong.
 
 from __future__ import annotations
 
-import argparse
-import os
-from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
 
-from anther.core.files import write_json
 from anther.perception.stem.confidence import DOUBTFUL
+from evaluation.harness import finish, options, progress
 from evaluation.perception.real.strict import Judged, judged_all, metrics, reported, table
+from evaluation.tables import markdown
 
-DATA = Path(os.environ.get("ANTHER_DATA", Path(__file__).parents[3] / "shared" / "data"))
 BINS = (0.25, 0.5, DOUBTFUL, 0.9)
 """Between the groups of confidence that are drawn."""
 
 
 def main() -> None:
     """Run, print the table and each wrong grasp, write --json and --figure."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=DATA / "clouds", help="folder of the clouds")
-    parser.add_argument("--json", type=Path, help="write the metrics here")
-    parser.add_argument("--figure", type=Path, help="draw how often grasps are right by their confidence")
-    parser.add_argument("--quick", action="store_true", help="every 31st seedling")
-    args = parser.parse_args()
-    console = Console()
-    rows = judged_all(track(reported(args.data, quick=args.quick), "plants", console=console))
-    console.print(table(rows))
-    if any(not row.on_stem for row in rows):
-        console.print("Every grasp that is off the stem:")
-        console.print(wrong_ones(rows))
+    figure = "how often grasps are right by their confidence"
+    args = options(__doc__, quick="every 31st seedling", data="clouds", figure=figure)
+    rows = judged_all(progress(reported(args.data, quick=args.quick), "plants"))
+    wrong = [
+        (row.plant, row.kind, "no answer" if row.refused else f"{row.confidence:.2f}")
+        for row in rows
+        if not row.on_stem
+    ]
+    parts = ["Every grasp that is off the stem:", markdown(("plant", "seen", "confidence"), wrong)] if wrong else []
+    finish(args, metrics(rows), table(rows), *parts)
     if args.figure:
         draw_reliability(rows, args.figure)
-    if args.json:
-        write_json(args.json, metrics(rows))
-
-
-def wrong_ones(rows: Sequence[Judged]) -> Table:
-    """Return the plants whose grasp is off the stem, with the confidence it had."""
-    found = Table("plant", "seen", "confidence", box=MARKDOWN)
-    for row in rows:
-        if not row.on_stem:
-            found.add_row(row.plant, row.kind, "no answer" if row.refused else f"{row.confidence:.2f}")
-    return found
 
 
 def draw_reliability(rows: list[Judged], path: Path) -> None:

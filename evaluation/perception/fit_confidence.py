@@ -12,8 +12,6 @@ base is in the cloud. The grasp: right when the strict rule says so, in a captur
 
 from __future__ import annotations
 
-import argparse
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -21,8 +19,6 @@ from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.progress import track
 from scipy.optimize import minimize
 
 from anther.core import Array
@@ -30,13 +26,14 @@ from anther.perception import skeleton as skeleton_stage
 from anther.perception.skeleton.raw_tree import RawTree
 from anther.perception.skeleton.support import PlantBase, base_evidence, find_root
 from anther.pollination.grasp._candidates import place_evidence
-from evaluation.perception.confidence import DEVELOPMENT, logistic, samples
+from evaluation.harness import options, progress
+from evaluation.perception.confidence import DEVELOPMENT, samples
 from evaluation.perception.real.answers import NoAnswer, anther
 from evaluation.perception.real.grown import grown_plants
 from evaluation.perception.real.plants import HARD, LABELLED, Labelled, develops, labelled_plants, plant_size
 from evaluation.perception.real.strict import AT_BASE, disturbed, on_stem
+from evaluation.statistics import logistic
 
-DATA = Path(os.environ.get("ANTHER_DATA", Path(__file__).parents[3] / "shared" / "data"))
 GROWN, FIRST_GROWN = 48, 300
 CAPTURED = DEVELOPMENT[:2]
 SPARSE = 8
@@ -102,29 +99,22 @@ def fit_root(choices: list[Choice], ridge: float = 0.5) -> tuple[Array, Array]:
 
 def main() -> None:
     """Gather, fit and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=DATA / "clouds", help="folder of the clouds")
-    parser.add_argument("--clouds", type=Path, help="keep the captures' clouds in this folder, and use those there")
-    parser.add_argument("--quick", action="store_true", help="six grown plants, every 31st scan, no captures")
-    args = parser.parse_args()
-    console, found = Console(), Gathered([], [], [])
+    clouds = {"--clouds": (Path, "keep the captures' clouds in this folder, and use those there")}
+    args = options(__doc__, quick="six grown plants, every 31st scan, no captures", data="clouds", own=clouds)
+    found = Gathered([], [], [])
     real = labelled_plants(args.data, 31 if args.quick else 3, LABELLED + HARD)
     plants = [*grown_plants(6 if args.quick else GROWN, FIRST_GROWN), *filter(develops, real)]
-    for plant in track(plants, "plants", console=console):
+    for plant in progress(plants, "plants"):
         for other, base in {kind: case for kind, *case in reversed([*disturbed(plant)])}.values():
             found.add(other, base)
-    weights, seen = fit_root(found.choices)
-    _say(console, "skeleton/support.py: BASE_FITTED", weights)
-    _say(console, "skeleton/support.py: BASE_SEEN", seen)
     for s in [] if args.quick else samples(CAPTURED, 4, 7, args.clouds):
         if s is not None and len(s.arcs):
             found.evidence += list(place_evidence(s.stem, s.skeleton, s.arcs[::SPARSE]))
             found.right += s.place_right[::SPARSE].tolist()
-    _say(console, "grasp/_candidates.py: FITTED", logistic(np.array(found.evidence), np.array(found.right)))
-
-
-def _say(console: Console, name: str, numbers: Array) -> None:
-    console.print(f"{name} = ({', '.join(f'{number:.2f}' for number in numbers)})", highlight=False)
+    names = ("skeleton/support.py: BASE_FITTED", "skeleton/support.py: BASE_SEEN", "grasp/_candidates.py: FITTED")
+    fitted = [*fit_root(found.choices), logistic(np.array(found.evidence), np.array(found.right))]
+    for name, weights in zip(names, fitted, strict=True):
+        print(f"{name} = ({', '.join(f'{weight:.2f}' for weight in weights)})")
 
 
 if __name__ == "__main__":

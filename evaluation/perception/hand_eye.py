@@ -8,26 +8,22 @@ f = 640 px; its corners are projected and given noise. "arm" is the standard dev
 
 from __future__ import annotations
 
-import argparse
 from collections import defaultdict
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from anther.core import Array, Intrinsics, inverse, look_at, transform_points
-from anther.core.files import replacing, write_json
 from anther.core.geometry import small_transform
 from anther.robot import calibrate, estimate_intrinsics
 from anther.robot.calibration import BoardCorners, board_views
 from anther.robot.calibration._hand_eye import METHODS, closed_form
 from anther.robot.calibration._refinement import Noise, Problem, refine
 from anther.show.pictures.estimates import draw_calibration
+from evaluation.harness import finish, options, progress, save
+from evaluation.tables import markdown
 
 CAMERA = Intrinsics(1280, 720, 640.0, 640.0, 639.5, 359.5)
 CORNERS = 0.03 * np.array([[column, row, 0] for row in range(1, 5) for column in range(1, 7)])
@@ -134,30 +130,28 @@ def run(case: Case, rng: np.random.Generator) -> tuple[dict[str, tuple[float, fl
     return errors, judged
 
 
-def measure(seeds: int, seed: int, console: Console) -> dict[str, float]:
+def measure(seeds: int, seed: int) -> dict[str, float]:
     """Run all cases and return the metrics."""
     metrics: dict[str, float] = {}
     for name, case in CASES.items():
         errors, judged = defaultdict(list), defaultdict(list)
-        for k in track(range(seeds), name, console=console):
+        for k in progress(range(seeds), name):
             found, views = run(case, np.random.default_rng([seed, k]))
             for method, values in found.items():
                 errors[method].append(values)
             for key, value in views.items():
                 judged[key].append(value)
         metrics |= _case_metrics(name, errors, judged)
-    metrics["rows_failed"] = float(
-        metrics["exact_arm_0.2px_refined_deg"] > TARGET[0] or metrics["exact_arm_0.2px_refined_mm"] > TARGET[1]
-    )
-    return metrics
+    best = (metrics[f"exact_arm_0.2px_refined_{unit}"] for unit in ("deg", "mm"))
+    return metrics | {"rows_failed": float(any(value > most for value, most in zip(best, TARGET, strict=True)))}
 
 
 def tables(metrics: dict[str, float]) -> tuple[Table, Table]:
     """Return the errors of each method, and what became of the views."""
     shown = {"refined": "refined", "tsai": "Tsai-Lenz", "park": "Park", "daniilidis": "Daniilidis"}
     shown |= {"pixels_only": "arm taken for exact"}
-    errors = Table("case", *(f"{words} (°, mm)" for words in shown.values()), box=MARKDOWN)
-    views = Table("case", "wrong views found", "good views kept", "error over what is stated, RMS", box=MARKDOWN)
+    errors = markdown(["case", *(f"{words} (°, mm)" for words in shown.values())])
+    views = markdown(["case", "wrong views found", "good views kept", "error over what is stated, RMS"])
     for name, case in CASES.items():
         found = [[metrics.get(f"{name}_{method}_{what}") for what in OF_ERRORS] for method in shown]
         cells = ["" if None in row else "{:.3f} ({:.3f}), {:.2f} ({:.2f})".format(*row) for row in found]
@@ -179,34 +173,22 @@ def _case_metrics(name: str, errors: dict[str, list], judged: dict[str, list]) -
     return out
 
 
-def draw(path: Path, seed: int) -> None:
-    """Write the picture that `anther calibrate` makes, of one calibration with an inexact arm and outliers."""
-    flange, corners, _ = seen(CASES["outliers_arm_0.1deg_1mm_0.2px"], np.random.default_rng([seed, 0]))
-    views = board_views(corners, CAMERA)
-    with replacing(path) as temporary:
-        draw_calibration(calibrate(flange, views, CAMERA), views, flange).savefig(temporary, dpi=110)
-
-
 def main() -> None:
-    """Run, print the table, write --json."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path, help="write the metrics here")
-    parser.add_argument("--quick", action="store_true", help="5 calibrations a case")
-    parser.add_argument("--count", type=int, default=40, help="calibrations a case")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--figure", type=Path, help="write the picture of one calibration here")
-    args = parser.parse_args()
-    if args.figure:
-        draw(args.figure, args.seed)
+    """Run, print the table, write --json and the picture that `anther calibrate` makes of one calibration."""
+    quick, seed = "5 calibrations a case", (0, "of the cases")
+    own = {"--count": (40, "calibrations a case")}
+    args = options(__doc__, quick=quick, seed=seed, figure="one calibration with an inexact arm and outliers", own=own)
     seeds = 5 if args.quick else args.count
-    metrics = measure(seeds, args.seed, Console(stderr=True))
-    errors, views = tables(metrics)
-    told = (
+    metrics = measure(seeds, args.seed)
+    words = (
         f"Error of T_flange_cam over {seeds} calibrations a case: median (95th percentile) in degrees and millimetres."
     )
-    Console().print(told, errors, "Of the refinement:", views)
-    if args.json:
-        write_json(args.json, metrics)
+    errors, views = tables(metrics)
+    finish(args, metrics, words, errors, "Of the refinement:", views)
+    if args.figure:
+        flange, corners, _ = seen(CASES["outliers_arm_0.1deg_1mm_0.2px"], np.random.default_rng([args.seed, 0]))
+        views = board_views(corners, CAMERA)
+        save(draw_calibration(calibrate(flange, views, CAMERA), views, flange), args.figure)
 
 
 if __name__ == "__main__":

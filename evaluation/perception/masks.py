@@ -16,34 +16,30 @@ that are masked.
 
 from __future__ import annotations
 
-import argparse
-import os
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
+from rich.console import RenderableType
 from scipy.spatial import KDTree
 
 from anther.core import Box
-from anther.core.files import read_json, write_json
+from anther.core.files import read_json
 from anther.perception import Capture, Masks, cloud, masks
-from anther.perception.masks import FLOWER
+from anther.perception.masks import FLOWER, PLANT
 from anther.plant import Crop
 from anther.robot.arm.views import Params as ViewParams
 from anther.sim import CaptureTruth, Organ, Scene, SimPlant, _greenhouse, grow, layout, photograph, views_at
 from anther.sim._greenhouse import Setting
 from anther.sim.simulated_cell import USUAL_DISTANCE
+from evaluation.harness import CROPS, DATA, finish, options, progress
 from evaluation.perception.colour_images import segment_images
-from evaluation.perception.masks_pictures import light_sheet, overlaid
+from evaluation.tables import markdown
 
-DATA = Path(os.environ.get("ANTHER_DATA", Path(__file__).parents[3] / "shared" / "data"))
 CHECK = Path(__file__).with_name("romi_arabidopsis_check.json")
 SETTINGS = {
     "daylight": Setting(),
@@ -61,6 +57,9 @@ SETTINGS = {
 QUICK = ("daylight", "warm", "dim", "red_led", "stake")
 BLEEDING = ("plant_kept", "pot_soil_in_cloud", "foot_mm")
 PICTURED = 14  # the view shown in the picture
+
+
+GREEN, MAGENTA = (60, 220, 60), (230, 40, 230)
 
 
 def taken(plant: SimPlant, setting: Setting, seed: int, count: int) -> tuple[Capture, CaptureTruth, Box, Scene]:
@@ -160,65 +159,78 @@ def arabidopsis(folder: Path) -> dict[str, float]:
     }
 
 
-def main() -> None:
-    """Run, print the table, write --json and --pictures."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path, help="write the metrics here")
-    parser.add_argument("--pictures", type=Path, help="write masks_light.png here")
-    parser.add_argument("--quick", action="store_true", help=f"ten views, only {', '.join(QUICK)}")
-    parser.add_argument("--views", type=int, default=30, help="of each plant in each light")
-    parser.add_argument("--lights", nargs="+", choices=SETTINGS, default=[*SETTINGS], help="only these")
-    parser.add_argument("--seed", type=int, default=10, help="of both plants")
-    args = parser.parse_args()
-    console = Console()
-    lights, count = (QUICK, 10) if args.quick else (tuple(args.lights), args.views)
-    kinds: tuple[Crop, ...] = ("tomato", "pepper")
-    plants = {species: grow(species, args.seed, 0.0, USUAL_DISTANCE) for species in kinds}
-    in_one_light(plants["tomato"], "daylight", 2)  # compiles
-    cases = [(species, name) for species in kinds for name in lights]
-    rows, shown = {}, {}
-    for case in track(cases, "lights", console=console):
-        rows[case], shown[case] = in_one_light(plants[case[0]], case[1], count)
-    values = {f"{species}_{name}_{key}": v for (species, name), row in rows.items() for key, v in row.items()}
-    values |= {f"{key}_min": min(row[key] for row in rows.values()) for key in ("iou", "iou_with_depth")}
-    values["pot_soil_in_cloud_max"] = max(row["pot_soil_in_cloud"] for row in rows.values())
-    for plant in track(list(plants.values()), "bleeding masks", console=console):
-        values |= bleeding(plant, count)
-    if args.pictures:
-        light_sheet(args.pictures / "masks_light.png", shown)
-    folder = DATA / "captures" / "romi_arabidopsis" / "images"
-    if folder.exists():
-        values |= arabidopsis(folder)
-    else:
-        console.print(f"no real views: {folder} is missing (set ANTHER_DATA)")
-    _print(console, rows, values)
-    if args.json:
-        write_json(args.json, values)
+def overlaid(rgb: NDArray[Any], labels: NDArray[Any]) -> NDArray[Any]:
+    """Return an image (H, W, 3) beside itself darkened, with plant in green and flowers in magenta."""
+    out = rgb // 2
+    for label, colour in ((PLANT, GREEN), (FLOWER, MAGENTA)):
+        out[labels == label] = (0.4 * rgb[labels == label] + 0.6 * np.array(colour)).astype(np.uint8)
+    return np.hstack([rgb, out])
 
 
-def _print(console: Console, rows: dict[tuple[Crop, str], dict[str, float]], values: dict[str, float]) -> None:
-    heads = ("IoU", "IoU where depth is read", "petal pixels: recall", "precision", "flowers found")
-    table = Table("plant", "light", *heads, "pot or soil in the cloud", "other things in it", "s, CPU", box=MARKDOWN)
+def light_sheet(path: Path, shown: dict[Any, NDArray[Any]]) -> None:
+    """Draw the pictures of each (species, light), all of a species in one row."""
+    tiles = []
+    for (species, light), pair in shown.items():
+        left, right = np.hsplit(pair, 2)
+        tile = cv2.resize(np.hstack([left[:, 240:1040], right[:, 240:1040]]), (340, 153), interpolation=cv2.INTER_AREA)
+        cv2.putText(tile, f"{species}, {light}".replace("_", " "), (6, 14), 0, 0.42, (255, 255, 255), 1, cv2.LINE_AA)
+        tiles.append(tile)
+    columns = -(-len(tiles) // len({species for species, _ in shown}))  # a row for each species
+    rows = [np.hstack(tiles[i : i + columns]) for i in range(0, len(tiles), columns)]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    sheet = np.vstack(rows) // 16 * 16  # fewer colours, small enough for the documentation
+    cv2.imwrite(str(path), sheet[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])
+
+
+def report(rows: dict[tuple[Crop, str], dict[str, float]], values: dict[str, float]) -> Iterator[RenderableType]:
+    """Yield the masks by light, those that bleed, and the real views."""
+    lines = []
     for (species, name), row in rows.items():
         quality = (f"{row[key]:.3f}" for key in ("iou", "iou_with_depth"))
         shares = (f"{row[key]:.0%}" for key in ("flower_recall", "flower_precision", "flowers_found"))
         points = (f"{row[key]:.2%}" for key in ("pot_soil_in_cloud", "other_in_cloud"))
-        table.add_row(species, name.replace("_", " "), *quality, *shares, *points, f"{row['cpu_s']:.1f}")
-    console.print(table)
-    console.print("Masks that bleed as networks' do, freed of the ground:")
-    table = Table(
-        "bleeding", "plant", "plant kept", "pot or soil in the cloud", "stem begins above soil, mm", box=MARKDOWN
-    )
+        lines.append((species, name.replace("_", " "), *quality, *shares, *points, f"{row['cpu_s']:.1f}"))
+    heads = ("IoU", "IoU where depth is read", "petal pixels: recall", "precision", "flowers found")
+    yield markdown(("plant", "light", *heads, "pot or soil in the cloud", "other things in it", "s, CPU"), lines)
+    lines = []
     for kind, words in (("pot", "over all of pot and soil"), ("wide", "12 pixels too wide everywhere")):
         for species in dict.fromkeys(species for species, _ in rows):
-            kept, soil, foot = (values[f"bleed_{kind}_{species}_{key}"] for key in BLEEDING)
-            table.add_row(words, species, f"{kept:.1%}", f"{soil:.2%}", f"{foot:.0f}")
-    console.print(table)
+            share, soil, foot = (values[f"bleed_{kind}_{species}_{key}"] for key in BLEEDING)
+            lines.append((words, species, f"{share:.1%}", f"{soil:.2%}", f"{foot:.0f}"))
+    yield "Masks that bleed as networks' do, freed of the ground:"
+    heads = ("bleeding", "plant", "plant kept", "pot or soil in the cloud", "stem begins above soil, mm")
+    yield markdown(heads, lines)
     if "romi_views" in values:
-        words = ("stem", "leaves", "background")
-        shares = (values[f"romi_{key}"] for key in ("stem_covered", "leaves_covered", "background_masked"))
-        told = ", ".join(f"{word} {share:.0%}" for word, share in zip(words, shares, strict=True))
-        console.print(f"Real Arabidopsis, colour alone, {values['romi_views']} views: {told}.", highlight=False)
+        words = {"stem": "stem_covered", "leaves": "leaves_covered", "background": "background_masked"}
+        said = ", ".join(f"{word} {values[f'romi_{key}']:.0%}" for word, key in words.items())
+        yield f"Real Arabidopsis, colour alone, {values['romi_views']} views: {said}."
+
+
+def main() -> None:
+    """Run, print the table, write --json and --pictures."""
+    own = {
+        "--pictures": (Path, "write masks_light.png into this folder"),
+        "--views": (30, "of each plant in each light"),
+        "--lights": (tuple(SETTINGS), "only these", SETTINGS),
+    }
+    args = options(__doc__, quick=f"ten views, only {', '.join(QUICK)}", seed=(10, "of both plants"), own=own)
+    lights, count = (QUICK, 10) if args.quick else (tuple(args.lights), args.views)
+    plants = {species: grow(species, args.seed, 0.0, USUAL_DISTANCE) for species in CROPS}
+    in_one_light(plants["tomato"], "daylight", 2)  # compiles
+    rows, shown = {}, {}
+    for case in progress([(species, name) for species in CROPS for name in lights], "lights"):
+        rows[case], shown[case] = in_one_light(plants[case[0]], case[1], count)
+    values = {f"{species}_{name}_{key}": v for (species, name), row in rows.items() for key, v in row.items()}
+    values |= {f"{key}_min": min(row[key] for row in rows.values()) for key in ("iou", "iou_with_depth")}
+    values["pot_soil_in_cloud_max"] = max(row["pot_soil_in_cloud"] for row in rows.values())
+    for plant in progress(list(plants.values()), "bleeding masks"):
+        values |= bleeding(plant, count)
+    folder = DATA / "captures" / "romi_arabidopsis" / "images"
+    values |= arabidopsis(folder) if folder.exists() else {}
+    parts = [] if folder.exists() else [f"no real views: {folder} is missing (set ANTHER_DATA)"]
+    finish(args, values, *parts, *report(rows, values))
+    if args.pictures:
+        light_sheet(args.pictures / "masks_light.png", shown)
 
 
 def _surface_points(scene: Scene, count: int = 200_000) -> tuple[NDArray[Any], NDArray[Any]]:

@@ -13,28 +13,21 @@ stem_covered, recall_5mm, precision_5mm, junction_f1.
 
 from __future__ import annotations
 
-import argparse
-import multiprocessing
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from anther.core import Array
-from anther.core.files import write_json
-from anther.perception import cloud, flowers, masks, skeleton, stem
-from anther.sim import Organ, SimPlant, layout
-from anther.sim.simulated_cell import USUAL_DISTANCE
+from anther.perception import cloud, masks, skeleton, stem
+from anther.plant import Crop
+from anther.sim import Organ, SimPlant
+from evaluation.harness import CROPS, finish, in_processes, options
+from evaluation.perception.simulated import BOX, DEVELOPMENT, find, take
 from evaluation.perception.skeleton_truth import (
     AXIS,
     FLOWER_NEAR,
@@ -47,12 +40,17 @@ from evaluation.perception.skeleton_truth import (
     true_samples,
     visible_flowers,
 )
-from evaluation.perception.skeletons import take
+from evaluation.tables import markdown
 
-PLANTS = [*(("tomato", k) for k in range(10, 14)), *(("pepper", k) for k in range(10, 16))]
 LEAN, BEND = 25.0, 0.6
 """Degrees, and how far aside a plant is at height z: BEND z^2 [1/m], 0.15 m at half a metre."""
 POSED = ("stem_error_p95_mm", "stem_covered", "recall_5mm", "precision_5mm", "junction_f1")
+
+
+HEADS = (
+    *("plants", "main stem's error, 95th percentile, mm", "true stem found", "recall at 5 mm", "precision at 5 mm"),
+    "junctions at 10 mm, F1",
+)
 VERDICTS = {
     "flowers_one_to_one": "visible flowers with a found one of their own within 15 mm",
     "attached_to_organ": "of these, those on the organ that bears them",
@@ -61,15 +59,6 @@ VERDICTS = {
     "truss_precision_5mm": "found truss with a true peduncle or pedicel within 5 mm",
     "lost_to_leaf": "stem, branch and petiole that have a line, called leaf or truss",
 }
-
-Found = tuple[skeleton.Skeleton, stem.Stem, flowers.Flowers]
-
-
-def find(points: cloud.Cloud) -> Found:
-    """Return skeleton, stem and flowers of a cloud."""
-    tree = skeleton.skeletonize(points)
-    main = stem.find_stem(tree, flowers_at=flowers.flower_centres(points))
-    return tree, main, flowers.find_flowers(points, tree, main)
 
 
 def posed(plant: SimPlant, points: cloud.Cloud, lean: float, bend: float) -> tuple[SimPlant, cloud.Cloud]:
@@ -109,7 +98,7 @@ def near(points: Array, line: Array) -> NDArray[np.bool_]:
     return np.asarray(KDTree(line).query(points)[0]) <= NEAR if len(line) else np.zeros(len(points), dtype=bool)
 
 
-def flower_counts(plant: SimPlant, visible: NDArray[np.bool_], found: Found) -> dict[str, NDArray[np.bool_]]:
+def flower_counts(plant: SimPlant, visible: NDArray[np.bool_], found: Any) -> dict[str, NDArray[np.bool_]]:
     """Return the verdicts of the visible flowers, and of where those that were found hang."""
     tree, _, seen = found
     true = np.flatnonzero(visible)
@@ -140,11 +129,10 @@ def _on_axis(plant: SimPlant, points: Array) -> NDArray[np.bool_]:
     return np.asarray(KDTree(_true(plant, *AXIS)).query(points)[0] < KDTree(others).query(points)[0])
 
 
-def one_plant(species: Any, seed: int) -> tuple[dict[str, NDArray[np.bool_]], dict[str, Score]]:
+def one_plant(which: tuple[Crop, int]) -> tuple[dict[str, NDArray[np.bool_]], dict[str, Score]]:
     """Return the plant's verdicts, and its score upright, leaning and bent."""
-    plant, capture, truth = take(species, seed)
-    box = layout(USUAL_DISTANCE).workspace
-    points = cloud.fuse(capture, masks.segment(capture, box), box)
+    plant, capture, truth = take(*which)
+    points = cloud.fuse(capture, masks.segment(capture, BOX), BOX)
     visible = visible_flowers(plant, truth, capture.intrinsics)
     found = find(points)
     scores = {"upright": score(plant, visible, *found)}
@@ -164,37 +152,21 @@ def metrics(results: list[tuple[dict[str, NDArray[np.bool_]], dict[str, Score]]]
 
 
 def main() -> None:
-    """Run, print the table, write --json."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path, help="write the metrics here")
-    parser.add_argument("--quick", action="store_true", help="one plant of each species only")
-    parser.add_argument("--each", type=int, default=6, help="plants of each species, of four tomatoes and six peppers")
-    parser.add_argument("--jobs", type=int, default=1, help="plants at a time")
-    args = parser.parse_args()
-    console = Console()
+    """Run, print the verdicts and the plants as they stand, leaning and bent, write --json."""
+    own = {"--each": (6, "plants of each species, of four tomatoes and six peppers")}
+    args = options(__doc__, quick="one plant of each species only", jobs="plants", own=own)
     each = 1 if args.quick else args.each
-    plants = [plant for kind in ("tomato", "pepper") for plant in [p for p in PLANTS if p[0] == kind][:each]]
-    with ProcessPoolExecutor(args.jobs, multiprocessing.get_context("spawn")) as pool:
-        rows = pool.map(one_plant, *zip(*plants, strict=True))
-        found = metrics(list(track(rows, "plants", total=len(plants), console=console)))
-    show(console, found, len(plants))
-    if args.json:
-        write_json(args.json, found)
-
-
-def show(console: Console, found: dict[str, float], plants: int) -> None:
-    """Print the verdicts, and the plants as they stand, leaning and bent."""
-    table = Table(f"of {plants} plants", "share", box=MARKDOWN)
-    for key, words in VERDICTS.items():
-        table.add_row(words, f"{found[key]:.0%}")
-    console.print(table)
-    console.print(f"The same plants, leaning by {LEAN:.0f}°, and bent by {100 * BEND / 4:.0f} cm at half a metre:")
-    heads = ("main stem's error, 95th percentile, mm", "true stem found", "recall at 5 mm", "precision at 5 mm")
-    table = Table("plants", *heads, "junctions at 10 mm, F1", box=MARKDOWN)
+    plants = [plant for crop in CROPS for plant in [p for p in DEVELOPMENT if p[0] == crop][:each]]
+    found = metrics(in_processes(one_plant, plants, args.jobs, "plants"))
+    verdicts = markdown(
+        (f"of {len(plants)} plants", "share"), [(words, f"{found[key]:.0%}") for key, words in VERDICTS.items()]
+    )
+    lines = []
     for name in ("upright", "leaning", "bent"):
         error, *shares, score_f1 = (found[f"{name}_{key}"] for key in POSED)
-        table.add_row(name, f"{error:.1f}", *(f"{share:.1%}" for share in shares), f"{score_f1:.2f}")
-    console.print(table)
+        lines.append((name, f"{error:.1f}", *(f"{share:.1%}" for share in shares), f"{score_f1:.2f}"))
+    words = f"The same plants, leaning by {LEAN:.0f}°, and bent by {100 * BEND / 4:.0f} cm at half a metre:"
+    finish(args, found, verdicts, words, markdown(HEADS, lines))
 
 
 if __name__ == "__main__":

@@ -27,27 +27,25 @@ stem_precision, other, other_masked, other_masked_share (of the points without p
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import os
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 
-from anther.core.files import read_json, write_json
+from anther.core.files import read_json
 from anther.perception.masks import FLOWER
 from anther.perception.masks.by_words import NETWORKS
+from evaluation.harness import finish, options, progress
 from evaluation.perception.photographs_looks import Look, by_colour, by_words
-from evaluation.perception.photographs_sheet import Judged, contact_sheet
-from evaluation.trials.grasping_table import interval
+from evaluation.statistics import interval
+from evaluation.tables import markdown
 
 LABELS = Path(__file__).parent / "real" / "photographs.json"
 FOLDER = os.environ.get("ANTHER_PHOTOS")
@@ -195,46 +193,7 @@ def groups(found: Sequence[Judged]) -> dict[str, list[Judged]]:
     return named
 
 
-def table(values: dict[str, dict[str, float]]) -> Table:
-    """Return the numbers of each group, a row a group."""
-
-    def share(row: dict[str, float], name: str) -> str:
-        if name not in row:
-            return "–"
-        return f"{row[name]:.2f} ({row[f'{name}_low']:.2f}–{row[f'{name}_high']:.2f})"
-
-    shown = Table(
-        "images of",
-        "number",
-        "flowers",
-        "flowers' recall",
-        "flowers' precision",
-        "stems",
-        "stems found",
-        "stems' length masked",
-        "their length told",
-        "precision of what is told",
-        "no plant, but masked",
-        box=MARKDOWN,
-    )
-    for name, row in values.items():
-        shown.add_row(
-            name.replace("_", " "),
-            f"{row['images']:.0f}",
-            f"{row['flowers']:.0f}",
-            share(row, "flower_recall"),
-            share(row, "flower_precision"),
-            f"{row['stems']:.0f}",
-            share(row, "stem_recall"),
-            f"{row['stem_length_covered']:.2f}",
-            f"{row['stem_length_told']:.2f}",
-            share(row, "stem_precision"),
-            share(row, "other_masked_share"),
-        )
-    return shown
-
-
-def images(folder: Path, console: Console) -> list[tuple[dict[str, Any], Path]]:
+def images(folder: Path) -> list[tuple[dict[str, Any], Path]]:
     """Return the labelled images that are there and are the ones that were labelled; say which are not."""
     labels = read_json(LABELS)
     have = []
@@ -245,41 +204,136 @@ def images(folder: Path, console: Console) -> list[tuple[dict[str, Any], Path]]:
         else:
             state = "another file" if path.exists() else "missing"
             where = f"{source['repository']}@{source['commit'][:12]}:{source['folder']}/{row['file']}"
-            console.print(f"{row['file']} is {state}; it is {where}", highlight=False)
+            print(f"{row['file']} is {state}; it is {where}")
     return have
+
+
+SHOWN = {
+    "images": "number",
+    "flowers": "flowers",
+    "flower_recall": "flowers' recall",
+    "flower_precision": "flowers' precision",
+    "stems": "stems",
+    "stem_recall": "stems found",
+    "stem_length_covered": "stems' length masked",
+    "stem_length_told": "their length told",
+    "stem_precision": "precision of what is told",
+    "other_masked_share": "no plant, but masked",
+}
+
+
+def table(values: dict[str, dict[str, float]]) -> Table:
+    """Return the numbers of each group, a row a group."""
+
+    def cell(row: dict[str, float], name: str) -> str:
+        if name in ("images", "flowers", "stems"):
+            return f"{row[name]:.0f}"
+        between = f" ({row[f'{name}_low']:.2f}–{row[f'{name}_high']:.2f})" if f"{name}_low" in row else ""
+        return f"{row[name]:.2f}{between}" if name in row else "–"
+
+    lines = [(name.replace("_", " "), *(cell(row, key) for key in SHOWN)) for name, row in values.items()]
+    return markdown(("images of", *SHOWN.values()), lines)
+
+
+FOUND, MISSED, WRONG, MASK, STEM = (60, 220, 60), (255, 40, 40), (255, 0, 255), (0, 110, 255), (255, 255, 0)
+
+_WIDTH = 4200  # greatest, of a row of pictures [px]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judged:
+    """One image's masks beside the hand's labels.
+
+    Attributes:
+        row: the labels, as in real/photographs.json.
+        rgb, labels: (H, W, 3) and (H, W) uint8.
+        stems: (H, W) bool, what is told to be a stem.
+        seen: of each labelled flower, whether it was found.
+        right, wrong: (n, 2) middles of flower patches that are a flower, and that are none [px].
+        covered: of each labelled stem, whether each pixel of its centre line is masked.
+        told: the same, whether each pixel is told to be a stem.
+        told_right: of each point that was looked at and is told to be a stem, whether it is one.
+        other_masked: of each point that shows no plant, whether it is masked.
+    """
+
+    row: dict[str, Any]
+    rgb: NDArray[Any]
+    labels: NDArray[np.uint8]
+    stems: NDArray[np.bool_]
+    seen: list[bool]
+    right: NDArray[np.float64]
+    wrong: NDArray[np.float64]
+    covered: list[NDArray[np.bool_]]
+    told: list[NDArray[np.bool_]]
+    told_right: list[bool]
+    other_masked: list[bool]
+
+
+def contact_sheet(path: Path, found: Sequence[Judged], height: int = 700) -> None:
+    """Write all images side by side, each `height` px high.
+
+    The mask's outline is blue, that of what is told to be a stem yellow; flowers are green (found) or red (missed),
+    wrong patches magenta; stems are drawn red where the mask misses some of them, else green; points without plant that
+    are masked are magenta crosses.
+    """
+    rows: list[list[NDArray[Any]]] = [[]]
+    for one in found:
+        tile = cv2.copyMakeBorder(_tile(one, height), 0, 6, 0, 6, cv2.BORDER_CONSTANT)
+        if sum(other.shape[1] for other in rows[-1]) + tile.shape[1] > _WIDTH:
+            rows.append([])
+        rows[-1].append(tile)
+    lines = [np.hstack(row) for row in rows]
+    width = max(line.shape[1] for line in lines)
+    lines = [cv2.copyMakeBorder(line, 0, 0, 0, width - line.shape[1], cv2.BORDER_CONSTANT) for line in lines]
+    cv2.imwrite(str(path), np.vstack(lines)[..., ::-1])
+
+
+def _tile(one: Judged, height: int) -> NDArray[Any]:
+    image = one.rgb.copy()
+    for part, colour in ((one.labels > 0, MASK), (one.stems, STEM)):
+        outlines, _ = cv2.findContours(part.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+        cv2.drawContours(image, outlines, -1, colour, 1)
+    for (_, points), covered in zip(one.row["stems"], one.covered, strict=True):
+        missed = covered.mean() < 1
+        cv2.polylines(
+            image, [np.array(points, np.int32)], isClosed=False, color=MISSED if missed else FOUND, thickness=2
+        )
+    for (x, y, radius), seen in zip(one.row["flowers"], one.seen, strict=True):
+        cv2.circle(image, (int(x), int(y)), int(radius) + 3, FOUND if seen else MISSED, 2)
+    for x, y in one.wrong:
+        cv2.circle(image, (int(x), int(y)), 9, WRONG, 3)
+    for (x, y), hit in zip(one.row["other"], one.other_masked, strict=True):
+        if hit:
+            cv2.drawMarker(image, (int(x), int(y)), WRONG, cv2.MARKER_CROSS, 16, 3)
+    scale = height / image.shape[0]
+    return cv2.resize(image, (round(image.shape[1] * scale), height), interpolation=cv2.INTER_AREA)
 
 
 def main() -> None:
     """Run, print the table, write --json, --sheet and --pictures."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--folder", type=Path, default=FOLDER, help="of the images; default: $ANTHER_PHOTOS")
-    parser.add_argument("--json", type=Path, help="write the metrics here")
-    parser.add_argument("--sheet", type=Path, help="write a picture of what fails here; not to be published")
-    parser.add_argument("--pictures", type=Path, help="write photographs.jpg here, of CC BY 4.0 images")
-    parser.add_argument("--models", type=Path, help="look by words, with the networks in this folder")
-    parser.add_argument("--method", choices=sorted(NETWORKS), default="grounded-sam2", help="which networks")
-    args = parser.parse_args()
-    console = Console()
-    have = images(args.folder, console) if args.folder else []
+    own = {
+        "--folder": {"type": Path, "default": FOLDER, "help": "of the images; default: $ANTHER_PHOTOS"},
+        "--sheet": (Path, "write a picture of what fails here; not to be published"),
+        "--pictures": (Path, "write photographs.jpg into this folder, of CC BY 4.0 images"),
+        "--models": (Path, "look by words, with the networks in this folder"),
+        "--method": ("grounded-sam2", "which networks", sorted(NETWORKS)),
+    }
+    args = options(__doc__, quick="every eighth image", own=own)
+    have = images(args.folder)[:: 8 if args.quick else 1] if args.folder else []
     if not have:
-        console.print("no photographs: give --folder or set ANTHER_PHOTOS (real/photographs.json says where they are)")
+        print("no photographs: give --folder or set ANTHER_PHOTOS (real/photographs.json says where they are)")
         return
     look, found = by_words(args.models, args.method) if args.models else by_colour, []
-    for row, path in track(have, "photographs", console=console):
+    for row, path in progress(have, "photographs"):
         rgb = photograph(path)
         found.append(judged(row, rgb, *seen(rgb, row.get("crop"), look)))
     values = {name: metrics(group) for name, group in groups(found).items()}
-    console.print(table(values))
+    finish(args, {f"{group}_{key}": v for group, row in values.items() for key, v in row.items()}, table(values))
     if args.sheet:
         contact_sheet(args.sheet, found)
     if args.pictures:
-        contact_sheet(
-            args.pictures / "photographs.jpg",
-            [one for one in found if one.row["file"].startswith(PICTURED)],
-            height=380,
-        )
-    if args.json:
-        write_json(args.json, {f"{group}_{key}": v for group, row in values.items() for key, v in row.items()})
+        shown = [one for one in found if one.row["file"].startswith(PICTURED)]
+        contact_sheet(args.pictures / "photographs.jpg", shown, height=380)
 
 
 if __name__ == "__main__":

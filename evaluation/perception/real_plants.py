@@ -22,23 +22,23 @@ skeletonize_wall_s, help_wall_s, and both with cpu.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
-import os
+import resource
+import subprocess
+import sys
+import time
 from collections import Counter, defaultdict
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
+from rich.console import RenderableType
 
-from anther.core.files import write_json
 from anther.perception import Cloud
+from evaluation.harness import finish, options, progress
 from evaluation.perception.real.answers import Answer, Method, Seen, anther, asked
 from evaluation.perception.real.judge import (
     Outcome,
@@ -61,10 +61,10 @@ from evaluation.perception.real.plants import (
     references,
     unlabelled,
 )
-from evaluation.perception.real.start import started
 from evaluation.perception.real.strict import judged_all, metrics, reported
+from evaluation.statistics import mean
+from evaluation.tables import markdown
 
-DATA = Path(os.environ.get("ANTHER_DATA", Path(__file__).parents[3] / "shared" / "data"))
 ENOUGH = 0.95
 """Share of the main stem that must lie on the stem system."""
 SHOWN = (
@@ -193,19 +193,19 @@ def all_answers(cloud: Cloud, methods: dict[str, Method]) -> tuple[Seen, dict[st
 
 def _of_method(outcomes: list[Outcome], others: list[tuple[float, bool]]) -> dict[str, float]:
     return {
-        "trackplant_grasp_on_stem": _mean([o.grasp_on_stem for o in outcomes if "tomato1" in o.plant]),
-        "all_grasp_on_stem": _mean([o.grasp_on_stem for o in outcomes]),
-        "stem_on_label": _mean([o.stem_share for o in outcomes]),
-        "stem_on_label_95": _mean([o.stem_share >= ENOUGH for o in outcomes]),
-        "stem_reach": _mean([o.stem_reach for o in outcomes]),
+        "trackplant_grasp_on_stem": mean([o.grasp_on_stem for o in outcomes if "tomato1" in o.plant]),
+        "all_grasp_on_stem": mean([o.grasp_on_stem for o in outcomes]),
+        "stem_on_label": mean([o.stem_share for o in outcomes]),
+        "stem_on_label_95": mean([o.stem_share >= ENOUGH for o in outcomes]),
+        "stem_reach": mean([o.stem_reach for o in outcomes]),
         "stem_distance_median_mm": float(np.nanmedian([o.distance for o in outcomes])) * 1e3,
-        "single_trees": _mean([o.is_tree for o in outcomes]),
+        "single_trees": mean([o.is_tree for o in outcomes]),
         "tips_per_leaf": float(np.nanmedian([o.tips_per_leaf for o in outcomes])),
         "seconds_median": float(np.nanmedian([o.seconds for o in outcomes])),
         "no_answer": sum(o.failure is not None for o in outcomes),
         "plants": len(outcomes),
-        "others_reached": _mean([share for share, _ in others]),
-        "others_single_trees": _mean([is_tree for _, is_tree in others]),
+        "others_reached": mean([share for share, _ in others]),
+        "others_single_trees": mean([is_tree for _, is_tree in others]),
     }
 
 
@@ -216,76 +216,88 @@ def _on_graphs(found: dict[str, float]) -> dict[str, float]:
     return found | {"recall_3v": sum(recall) / len(WITH_REFERENCE), "spurious_tips": float(sum(tips))}
 
 
+CLOUD, RUNS = "sorghum_kinect_fused.npz", 7
+"""A plant of 50 thousand points, and how often a command is started."""
+
+
+def started(folder: Path) -> dict[str, float]:
+    """Return the wall time [s] of `anther --help` and of `anther skeletonize`, the best of some runs in processes of
+    their own after one that may compile, and the processor time of both [s], which other programs disturb less."""
+    asked = {"help": ["--help"], "skeletonize": ["skeletonize", str(folder / CLOUD)]}
+    found: dict[str, float] = {}
+    for name, words in asked.items():
+        _once(words)
+        runs = [_once(words) for _ in progress(range(RUNS), f"start of {name}")]
+        found |= {f"{name}_wall_s": min(wall for wall, _ in runs), f"{name}_cpu_s": min(cpu for _, cpu in runs)}
+    return found
+
+
+def _once(words: list[str]) -> tuple[float, float]:
+    """Run a command; return its wall time and its processor time [s]."""
+    before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    subprocess.run([sys.executable, "-m", "anther.cli", *words], check=True, stdout=subprocess.DEVNULL)
+    wall, after = time.perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
+    return wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def report(found: Run) -> Iterator[RenderableType]:
+    """Yield the methods side by side, and what went wrong."""
+    rows = found.rows()
+    heads = [HEADS[name] for name in rows]
+    lines = [(words, *(f"{row[key]:{form}}" for row in rows.values())) for key, (words, form) in ROWS.items()]
+    yield markdown(("", *heads), lines)
+    yield "Against the published graphs: recall and precision at 3 voxels, and ends that they do not have."
+    lines = []
+    for plant in WITH_REFERENCE:
+        each = ([row.get(f"{plant}_{k}", np.nan) for k in ("recall_3v", "precision_3v", TIPS)] for row in rows.values())
+        lines.append((plant, *(f"{recall:.0%}, {precision:.0%}, {tips:.0f}" for recall, precision, tips in each)))
+    yield markdown(("plant", *heads), lines)
+    ratio = found.beside_peers()["radius_over_points"]
+    yield f"The main stem's radius over the distance of its labelled points: {ratio:.2f} (median)."
+    poor = [o for o in found.outcomes["anther"] if not o.grasp_on_stem or o.stem_share < ENOUGH]
+    if poor:
+        yield "Anther's grasps off the stem system, and main stems with less than 95 % of their length on it:"
+    for o in poor:
+        grasp = "right" if o.grasp_on_stem else "off the stem"
+        yield f"{o.plant}: grasp {grasp}, {o.stem_share:.0%} of the main stem on it."
+    for method, outcomes in found.outcomes.items():
+        for reason, count in Counter(o.failure for o in outcomes if o.failure).items():
+            yield f"{HEADS[method]}: no answer on {count} plants: {reason}"
+
+
 def main() -> None:
     """Run, print a table, list what went wrong, write --json and the pictures."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=DATA / "clouds", help="folder of the clouds")
-    parser.add_argument("--json", type=Path, help="write the metrics here")
-    parser.add_argument("--figures", type=Path, help="write the pictures into this folder")
-    for name in WORKERS:
-        parser.add_argument(
-            f"--{name.replace('_', '-')}", type=Path, metavar="PYTHON", help=f"a Python that has {name}"
-        )
-    parser.add_argument("--peers-every", type=int, default=1, metavar="N", help="peers see every Nth seedling only")
-    parser.add_argument("--without-disturbed", action="store_true", help="leave them to disturbed_plants.py")
-    parser.add_argument("--quick", action="store_true", help="every eighth seedling only")
-    args = parser.parse_args()
-    console, found = Console(), Run()
-    wanted = [(name, python) for name in WORKERS if (python := getattr(args, name))]
-    fine = partial(plain_thinning, resolution=FINE)
+    own: dict[str, Any] = {
+        f"--{name.replace('_', '-')}": {"type": Path, "metavar": "PYTHON", "help": f"a Python that has {name}"}
+        for name in WORKERS
+    }
+    own |= {
+        "--peers-every": (1, "peers see every so many of the seedlings"),
+        "--without-disturbed": (False, "leave them to disturbed_plants.py"),
+    }
+    args = options(__doc__, quick="every eighth seedling only", data="clouds", figures="the pictures", own=own)
+    found, fine = Run(), partial(plain_thinning, resolution=FINE)
     plain: dict[str, Method] = {"plain": plain_thinning, "plain_fine": fine, "closed": partial(fine, closed=CLOSED)}
     with contextlib.ExitStack() as stack:
+        wanted = [(name, python) for name in WORKERS if (python := getattr(args, name))]
         peers = {name: stack.enter_context(contextlib.closing(Peer(name, python))) for name, python in wanted}
         methods = {**plain, **peers}
         plants = list(labelled_plants(args.data, 8 if args.quick else 1))
-        for k, plant in enumerate(track(plants, "labelled plants", console=console)):
+        for k, plant in enumerate(progress(plants, "labelled plants")):
             every = k % args.peers_every == 0 or plant.name in SHOWN
             found.add_labelled(plant, methods if every else plain)
-        for plant in track(list(references(args.data)), "published graphs", console=console):
+        for plant in progress(list(references(args.data)), "published graphs"):
             found.add_reference(plant, methods)
-        for name, cloud in track(list(unlabelled(args.data)), "without labels", console=console):
+        for name, cloud in progress(list(unlabelled(args.data)), "without labels"):
             found.add_other(name, cloud, methods)
-    _print(console, found)
-    if args.figures:
-        found.draw(args.figures)
+    numbers: dict[str, float] = {}
     if args.json:
         disturbed = [] if args.without_disturbed else reported(args.data, quick=args.quick)
-        strict = metrics(judged_all(track(disturbed, "disturbed plants", console=console))) if disturbed else {}
-        write_json(args.json, found.metrics() | strict | started(args.data))
-
-
-def _print(console: Console, found: Run) -> None:
-    rows = found.rows()
-    table = Table("", *(HEADS[name] for name in rows), box=MARKDOWN)
-    for key, (words, form) in ROWS.items():
-        table.add_row(words, *(f"{row[key]:{form}}" for row in rows.values()))
-    console.print(table)
-    console.print("Against the published graphs: recall and precision at 3 voxels, and ends that they do not have.")
-    table = Table("plant", *(HEADS[name] for name in rows), box=MARKDOWN)
-    for plant in WITH_REFERENCE:
-        table.add_row(plant, *(_on_graph(row, plant) for row in rows.values()))
-    console.print(table)
-    ratio = found.beside_peers()["radius_over_points"]
-    console.print(f"The main stem's radius over the distance of its labelled points: {ratio:.2f} (median).")
-    poor = [o for o in found.outcomes["anther"] if not o.grasp_on_stem or o.stem_share < ENOUGH]
-    if poor:
-        console.print("Anther's grasps off the stem system, and main stems with less than 95 % of their length on it:")
-    for o in poor:
-        grasp = "right" if o.grasp_on_stem else "off the stem"
-        console.print(f"{o.plant}: grasp {grasp}, {o.stem_share:.0%} of the main stem on it.", highlight=False)
-    for method, outcomes in found.outcomes.items():
-        for reason, count in Counter(o.failure for o in outcomes if o.failure).items():
-            console.print(f"{HEADS[method]}: no answer on {count} plants: {reason}", highlight=False)
-
-
-def _on_graph(row: dict[str, float], plant: str) -> str:
-    """Return what a method reached on one published graph."""
-    recall, precision, tips = (row.get(f"{plant}_{key}", np.nan) for key in ("recall_3v", "precision_3v", TIPS))
-    return f"{recall:.0%}, {precision:.0%}, {tips:.0f}"
-
-
-def _mean(values: list[Any]) -> float:
-    return float(np.mean(values)) if values else float("nan")
+        strict = metrics(judged_all(progress(disturbed, "disturbed plants"))) if disturbed else {}
+        numbers = found.metrics() | strict | started(args.data)
+    finish(args, numbers, *report(found))
+    if args.figures:
+        found.draw(args.figures)
 
 
 if __name__ == "__main__":

@@ -18,38 +18,28 @@ _s (median wall seconds);
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.progress import Progress
-from rich.table import Table
+from rich.console import RenderableType
 
 from anther.core import Array, inverse, transform_points
-from anther.core.files import replacing, write_json
 from anther.core.geometry import small_transform
 from anther.perception import Capture, cloud, masks
 from anther.perception.cloud._fusion import supported_pixels
 from anther.perception.cloud._registration import Params, register
-from anther.plant import Crop
 from anther.robot.arm import sawyer
 from anther.sim import CaptureTruth, Organ, layout
 from anther.sim.capture import perturbed_hand_eye
 from anther.sim.simulated_cell import USUAL_DISTANCE
-from evaluation.perception.skeletons import take
+from evaluation.harness import finish, options, progress, save
+from evaluation.perception.simulated import DEVELOPMENT, TEN, take
+from evaluation.tables import markdown
 
-TEN: list[tuple[Crop, int]] = [*(("tomato", k) for k in range(2)), *(("pepper", k) for k in range(8))]
-DEVELOPMENT: list[tuple[Crop, int]] = [
-    *(("tomato", 10 + k) for k in range(4)),
-    *(("pepper", 10 + k) for k in range(6)),
-]
 METHODS = {"kinematics": None, "joint": Params()}
 
 ERRORS = {"usual": (1.0, 1.0), "poses": (2.0, 1.0), "hand_eye": (1.0, 2.0)}
@@ -177,7 +167,7 @@ def metrics(
     return {name: float(value) for name, value in table.items()}
 
 
-def draw(outcomes: list[dict[tuple[str, str], Outcome]], file: Path) -> None:
+def draw(outcomes: list[dict[tuple[str, str], Outcome]]) -> Figure:
     """Draw every plant's displacement, method beside method."""
     figure = Figure(figsize=(9, 3.4), layout="constrained")
     for plot, error in zip(figure.subplots(1, len(ERRORS), sharey=True), ERRORS, strict=True):
@@ -191,59 +181,57 @@ def draw(outcomes: list[dict[tuple[str, str], Outcome]], file: Path) -> None:
         plot.set_yticks([0.5, 1, 2, 5, 10], ["0.5", "1", "2", "5", "10"])
         plot.grid(axis="y", alpha=0.3)
     figure.axes[0].set_ylabel("RMS displacement [mm]")
-    with replacing(file) as temporary:
-        figure.savefig(temporary, dpi=130, format="png")
+    return figure
 
 
-def show(console: Console, table: dict[str, float], plants: int, noisier: int) -> None:
-    """Print the tables."""
+def report(table: dict[str, float], plants: int, noisier: int) -> list[RenderableType]:
+    """Return the displacements, what filters do, and how registration went."""
     heads = ("displacement, RMS, mm", "worst plant, mm", "shape, mm", "rigid, mm", "time, median, s")
-    rows = Table("the robot's errors", "plants", "poses", *heads, box=MARKDOWN)
-    for error, words in WORDS.items():
-        for method in METHODS:
-            if f"{method}_{error}_rms_mm" not in table:  # without --noisier plants
-                continue
-            of = [table[f"{method}_{error}_{key}"] for key in ("rms_mm", "worst_mm", "shape_mm", "rigid_mm", "s")]
-            poses = {"kinematics": "the arm's own", "joint": "registered"}[method]
-            count = plants if error == "usual" else min(noisier, plants)
-            rows.add_row(words, str(count), poses, *(f"{value:.2f}" for value in of))
-    console.print(rows)
-    console.print("What filters of pixels do, on the same views:")
-    rows = Table("filter", "flying pixels removed", "petioles' pixels kept", box=MARKDOWN)
-    for name, words in FILTERS.items():
-        rows.add_row(words, *(f"{table[f'{name}_{key}']:.1%}" for key in ("flying_removed", "petioles_kept")))
-    console.print(rows)
+    keys, poses = ("rms_mm", "worst_mm", "shape_mm", "rigid_mm", "s"), ("the arm's own", "registered")
+    rows = [
+        (
+            *(words, plants if error == "usual" else min(noisier, plants), whose),
+            *(f"{table[f'{method}_{error}_{key}']:.2f}" for key in keys),
+        )
+        for error, words in WORDS.items()
+        for method, whose in zip(METHODS, poses, strict=True)
+        if f"{method}_{error}_rms_mm" in table  # without --noisier plants
+    ]
+    filters = [
+        (words, *(f"{table[f'{name}_{key}']:.1%}" for key in ("flying_removed", "petioles_kept")))
+        for name, words in FILTERS.items()
+    ]
     reach, accepted = table["reach_px"], table["accepted"]
-    console.print(f"Registrations accepted: {accepted:.0%}. Reach of the matching window: {reach:.1f} pixels.")
+    return [
+        markdown(("the robot's errors", "plants", "poses", *heads), rows),
+        "What filters of pixels do, on the same views:",
+        markdown(("filter", "flying pixels removed", "petioles' pixels kept"), filters),
+        f"Registrations accepted: {accepted:.0%}. Reach of the matching window: {reach:.1f} pixels.",
+    ]
 
 
 def main() -> None:
     """Run, print, write."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path, help="write the metrics here")
-    parser.add_argument("--figures", type=Path, help="write registration.png into this folder")
-    parser.add_argument("--quick", action="store_true", help="one plant only")
-    parser.add_argument("--development", action="store_true", help="other plants, on which parameters were chosen")
-    parser.add_argument("--seed", type=int, default=0, help="of the robot's errors")
-    parser.add_argument("--plants", type=int, default=10, help="only the first so many")
-    parser.add_argument("--noisier", type=int, default=2, help="how many of them are also tried with doubled errors")
-    args = parser.parse_args()
+    quick = "one plant only"
+    own = {
+        "--development": (False, "other plants, on which parameters were chosen"),
+        "--plants": (10, "only the first so many"),
+        "--noisier": (2, "how many of them are also tried with doubled errors"),
+    }
+    args = options(__doc__, quick=quick, seed=(0, "of the robot's errors"), figures="registration.png", own=own)
     plants = (DEVELOPMENT if args.development else TEN)[: 1 if args.quick else args.plants]
-    outcomes, filters, console = [], [], Console()
-    with Progress(console=console) as progress:
-        for number, (species, seed) in enumerate(progress.track(plants, description="plants")):
-            _, capture, truth = take(species, seed)
-            labels = masks.segment(capture, layout(USUAL_DISTANCE).workspace).labels
-            errors = list(ERRORS) if number < args.noisier else ["usual"]
-            rng = np.random.default_rng([args.seed, number])
-            outcomes.append(register_all(capture, truth, labels, errors, rng))
-            filters.append(filter_pixels(capture, truth, labels))
+    outcomes, filters = [], []
+    for number, which in enumerate(progress(plants, "plants")):
+        _, capture, truth = take(*which)
+        labels = masks.segment(capture, layout(USUAL_DISTANCE).workspace).labels
+        errors = list(ERRORS) if number < args.noisier else ["usual"]
+        rng = np.random.default_rng([args.seed, number])
+        outcomes.append(register_all(capture, truth, labels, errors, rng))
+        filters.append(filter_pixels(capture, truth, labels))
     table = metrics(outcomes, filters)
-    show(console, table, len(plants), args.noisier)
-    if args.json:
-        write_json(args.json, table)
+    finish(args, table, *report(table, len(plants), args.noisier))
     if args.figures:
-        draw(outcomes, args.figures / "registration.png")
+        save(draw(outcomes), args.figures / "registration.png", 130)
 
 
 if __name__ == "__main__":

@@ -12,30 +12,26 @@ a result).
 
 from __future__ import annotations
 
-import argparse
-import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.table import Table
+from matplotlib.figure import Figure
+from rich.console import RenderableType
 
 from anther.core import AntherError
-from anther.core.files import write_json
-from anther.perception import Capture, cloud, flowers, masks, skeleton, stem
+from anther.perception import Cloud, Skeleton, Stem
 from anther.plant import Crop
-from anther.robot.arm.views import Params as ViewParams
-from anther.sim import CaptureTruth, SimPlant, grow, layout, photograph, views_at
+from anther.show.pictures.plant import draw_side
+from anther.sim import grow
 from anther.sim.simulated_cell import USUAL_DISTANCE
-from evaluation.harness import FOLDER, swept
-from evaluation.perception.skeleton_figures import draw_ten
-from evaluation.perception.skeleton_truth import Score, pooled, score, visible_flowers
+from evaluation.harness import FOLDER, by_turns, finish, options, run_cases, save
+from evaluation.perception.simulated import TEN, perceive, take
+from evaluation.perception.skeleton_truth import AXIS, Score, pooled, score, visible_flowers
+from evaluation.tables import markdown
 
-VIEWS = 30
-TEN: list[tuple[Crop, int]] = [*(("tomato", k) for k in range(2)), *(("pepper", k) for k in range(8))]
-HUNDRED: list[tuple[Crop, int]] = [(species, 1000 + k) for k in range(50) for species in ("tomato", "pepper")]
+HUNDRED = by_turns(100, 1000)
 
 SHOWN = {
     "plants": ("plants", "", ".0f"),
@@ -60,38 +56,18 @@ SHOWN = {
 """What the table shows: its words, the target where there is one, and how it is written."""
 
 
-def take(species: Crop, seed: int, views: int = VIEWS) -> tuple[SimPlant, Capture, CaptureTruth]:
-    """Grow a plant in the cell and see it as `anther trial` does."""
-    planned = views_at(USUAL_DISTANCE, ViewParams(count=views))
-    plant = grow(species, seed, 0.0, USUAL_DISTANCE)
-    return plant, *photograph(plant, planned.joints, seed)
-
-
 def one_plant(row: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return one plant's score as plain lists, for a sweep."""
-    species, seed = row["species"], row["seed"]
-    plant, capture, truth = take(species, seed)
-    begin = time.perf_counter()
+    """Return one plant's score as plain lists, for a sweep; what the picture of the ten plants shows is saved."""
+    plant, capture, truth = take(row["species"], row["seed"])
     try:
-        labels = masks.segment(capture, layout(USUAL_DISTANCE).workspace)
-        points = cloud.fuse(capture, labels, layout(USUAL_DISTANCE).workspace)
-        tree = skeleton.skeletonize(points)
-        main = stem.find_stem(tree, flowers_at=flowers.flower_centres(points))
-        found = flowers.find_flowers(points, tree, main)
+        seen = perceive(capture)
     except AntherError as error:
         return {"failure": str(error)}
-    seconds = time.perf_counter() - begin
-    result = score(plant, visible_flowers(plant, truth, capture.intrinsics), tree, main, found)
-    if (species, seed) in TEN:
-        keep(folder, points, tree, main)
-    return {**as_lists(result), "seconds": seconds, "notes": [*points.notes, *tree.notes]}
-
-
-def keep(folder: Path, points: cloud.Cloud, tree: skeleton.Skeleton, main: stem.Stem) -> None:
-    """Save what the picture of the ten plants shows."""
-    points.save(folder / "cloud.ply")
-    tree.save(folder / "skeleton.npz")
-    main.save(folder / "stem.npz")
+    result = score(plant, visible_flowers(plant, truth, capture.intrinsics), seen.tree, seen.main, seen.found)
+    if (row["species"], row["seed"]) in TEN:
+        for file, part in (("cloud.ply", seen.cloud), ("skeleton.npz", seen.tree), ("stem.npz", seen.main)):
+            part.save(folder / file)
+    return {**as_lists(result), "seconds": seen.wall, "notes": [*seen.cloud.notes, *seen.tree.notes]}
 
 
 def as_lists(result: Score) -> dict[str, Any]:
@@ -127,16 +103,6 @@ def metrics(rows: dict[tuple[str, int], dict[str, Any]]) -> dict[str, float]:
     return table
 
 
-def show(table: dict[str, float], console: Console) -> None:
-    """Print the parts side by side."""
-    shown = Table("", "target", "all", "tomato", "pepper", "the paper's ten", "further plants", box=MARKDOWN)
-    for name, (words, target, form) in SHOWN.items():
-        values = [table.get(prefix + name) for prefix in ("", "tomato_", "pepper_", "ten_", "hundred_")]
-        shown.add_row(words, target, *("" if value is None else f"{value:{form}}" for value in values))
-    console.print(shown)
-    console.print(f"Perception of one plant takes {table['seconds_median']:.1f} s (median, beside other plants).")
-
-
 def is_poor(row: dict[str, Any]) -> bool:
     """Return whether a plant is worth being named."""
     return "failure" in row or bool(np.quantile(row["stem_error"], 0.95) > 0.005) or row["stem_covered"] < 0.8
@@ -150,36 +116,63 @@ def fault(row: dict[str, Any]) -> str:
     return f"95th percentile {beyond:.1f} mm, {row['stem_covered']:.0%} of the true stem found"
 
 
+FRONT = (1, 2, 0)
+"""Across, up, depth: the plant as the arm sees it from its base."""
+
+
+def draw_ten(plants: list[tuple[Crop, int, Path]]) -> Figure:
+    """Return the plants (species, seed, folder with what was found) side by side: cloud, skeleton by organ, main stem;
+    true stem and branches dashed."""
+    figure = Figure(figsize=(15, 7.5), layout="constrained")
+    plots = figure.subplots(2, (len(plants) + 1) // 2, sharey=True)
+    for (species, seed, folder), plot in zip(plants, plots.flat, strict=False):
+        cloud, skeleton = Cloud.load(folder / "cloud.ply"), Skeleton.load(folder / "skeleton.npz")
+        draw_side(plot, FRONT, cloud, skeleton, Stem.load(folder / "stem.npz"))
+        plant = grow(species, seed, 0.0, USUAL_DISTANCE)
+        for k in np.flatnonzero(np.isin(plant.organ, AXIS)):
+            line = np.stack([plant.start[k], plant.end[k]])[:, FRONT[:2]]
+            plot.plot(*line.T, color="black", lw=0.8, ls=(0, (2, 2)), zorder=8)
+        plot.set(title=f"{species} {seed}", aspect="equal")
+        plot.tick_params(labelsize=7)
+    return figure
+
+
+def report(table: dict[str, float], rows: dict[tuple[Crop, int], dict[str, Any]]) -> Iterator[RenderableType]:
+    """Yield the parts side by side, and the plants that are poor."""
+    prefixes = {
+        "": "all",
+        "tomato_": "tomato",
+        "pepper_": "pepper",
+        "ten_": "the paper's ten",
+        "hundred_": "further plants",
+    }
+    lines = [
+        (words, target, *("" if (v := table.get(prefix + name)) is None else f"{v:{form}}" for prefix in prefixes))
+        for name, (words, target, form) in SHOWN.items()
+    ]
+    yield markdown(("", "target", *prefixes.values()), lines)
+    yield f"Perception of one plant takes {table['seconds_median']:.1f} s (median, beside other plants)."
+    if worst := [which for which, row in rows.items() if is_poor(row)]:
+        yield "Plants without a result, with a 95th percentile beyond 5 mm, or less than 80 % of the true stem:"
+        yield from (f"{species} {seed}: {fault(rows[species, seed])}." for species, seed in worst)
+
+
 def main() -> None:
     """Run what is not there yet, print the table, list the worst plants, write --json."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--quick", action="store_true", help="two plants of each species")
-    parser.add_argument("--seed", type=int, default=0, help="added to the seeds of all plants")
-    parser.add_argument("--further", type=int, default=100, help="how many of the hundred further plants")
-    parser.add_argument("--jobs", type=int, default=1, help="plants at a time; each uses two threads")
-    parser.add_argument("--out", type=Path, default=Path("runs/skeletons"), help="where finished plants are kept")
-    parser.add_argument("--figures", type=Path, help="write skeletons.png into this folder")
-    args = parser.parse_args()
-    console = Console()
+    quick, seed, figures = "two plants of each species", (0, "added to the seeds of all plants"), "skeletons.png"
+    own = {"--further": (100, "how many of the hundred further plants")}
+    args = options(__doc__, quick=quick, seed=seed, jobs="plants", out="runs/skeletons", figures=figures, own=own)
     chosen = [*TEN[:4:2], *HUNDRED[:2]] if args.quick else [*TEN, *HUNDRED[: args.further]]
     chosen = [(species, seed + args.seed) for species, seed in chosen]
     cases = [{"species": species, "seed": seed} for species, seed in chosen]
-    rows = dict(zip(chosen, swept(one_plant, cases, args.out, args.jobs, lambda why: {"failure": why}), strict=True))
+    done = run_cases(one_plant, cases, args.out, args.jobs, lambda why: {"failure": why})
+    rows = dict(zip(chosen, done, strict=True))
     table = metrics(rows)
-    show(table, console)
-    if worst := [which for which, row in rows.items() if is_poor(row)]:
-        console.print(
-            "Plants without a result, with a 95th percentile beyond 5 mm, or less than 80 % of the true stem:"
-        )
-    for species, seed in worst:
-        console.print(f"{species} {seed}: {fault(rows[species, seed])}.", highlight=False)
-    if args.json:
-        write_json(args.json, table)
+    finish(args, table, *report(table, rows))
     if args.figures:
-        there: list[tuple[Crop, int]] = [which for which in TEN if which in rows and "failure" not in rows[which]]
-        ten: list[tuple[Crop, int, Path]] = [(*which, Path(rows[which][FOLDER])) for which in there]
-        draw_ten(ten).savefig(args.figures / "skeletons.png", dpi=90)
+        there = [which for which in TEN if which in rows and "failure" not in rows[which]]
+        ten = [(*which, Path(rows[which][FOLDER])) for which in there]
+        save(draw_ten(ten), args.figures / "skeletons.png", 90)
 
 
 if __name__ == "__main__":

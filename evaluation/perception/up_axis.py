@@ -11,8 +11,6 @@ these plants alone.
 
 from __future__ import annotations
 
-import argparse
-import os
 import re
 import time
 from collections.abc import Iterator
@@ -20,19 +18,15 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
 
 from anther.core import Array
-from anther.core.files import write_json
 from anther.perception import read_cloud
 from anther.perception.formats.clouds import TO_Z_UP, Axis, axis_notes
 from anther.sim import grow_pepper, grow_tomato
+from evaluation.harness import finish, options, progress
 from evaluation.perception.real.plants import TRACKPLANT
+from evaluation.tables import markdown
 
-DATA = Path(os.environ.get("ANTHER_DATA", Path(__file__).parents[3] / "shared" / "data"))
 POINTS, NOISE = 30_000, 5e-4
 """Of a simulated plant, and their spread about its surface [m]."""
 FIRST_SEEDLING, EVERY = 4, 8
@@ -69,54 +63,6 @@ def read_with(points: Array, axis: Axis) -> tuple[str, float]:
     return " ".join(axis_notes(in_file)), time.process_time() - begin
 
 
-def main() -> None:
-    """Read all, print what was not noticed, write --json."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=DATA / "clouds", help="folder of the clouds")
-    parser.add_argument("--json", type=Path, help="write the metrics here")
-    parser.add_argument("--quick", action="store_true", help="two simulated plants of each kind, no real ones")
-    parser.add_argument("--each", type=int, default=10, help="simulated plants of each kind")
-    parser.add_argument("--seed", type=int, default=SEED, help="of the first simulated plant")
-    args = parser.parse_args()
-    console, rows, missed = Console(), list[dict[str, object]](), list[str]()
-    plants = [("simulated", *plant) for plant in simulated(2 if args.quick else args.each, args.seed)]
-    plants += [] if args.quick else [("real", *plant) for plant in real(args.data)]
-    for kind, name, points in track(plants, "plants", console=console):
-        for axis in TO_Z_UP:
-            said, seconds = read_with(points, axis)
-            rows.append({"kind": kind, "axis": axis, "said": said, "seconds": seconds})
-            if bool(re.search("--up [xyz]$", said)) != (axis != "z") or (axis != "z" and f"--up {axis}" not in said):
-                missed.append(f"{name}, {axis} up: {said or 'nothing said'}")
-    found = metrics(rows)
-    for kind in ("real", "simulated"):
-        of_kind = [row for row in rows if row["kind"] == kind]
-        found |= {f"{kind}_{key}": value for key, value in (metrics(of_kind) if of_kind else {}).items()}
-    show(console, found)
-    if missed:
-        console.print("Wrong files whose axis is not named, and right files called wrong:")
-    for line in missed:
-        console.print(line, highlight=False)
-    if args.json:
-        write_json(args.json, found)
-
-
-def show(console: Console, found: dict[str, float]) -> None:
-    """Print the shares by kind of plant."""
-    heads = {
-        "false_alarms": "right files called wrong",
-        "right_in_doubt": "right files said to be hard to tell",
-        "noticed": "wrong files noticed",
-        "named": "wrong files whose axis is named",
-        "misnamed": "wrong files of which another is named",
-    }
-    table = Table("plants", "number", *heads.values(), "processor time, median, s", box=MARKDOWN)
-    for words, prefix in (("real", "real_"), ("simulated", "simulated_"), ("all", "")):
-        if f"{prefix}plants" in found:
-            shares = (f"{found[prefix + key]:.0%}" for key in heads)
-            table.add_row(words, f"{found[f'{prefix}plants']}", *shares, f"{found[f'{prefix}seconds_median']:.2f}")
-    console.print(table)
-
-
 def metrics(rows: list[dict[str, object]]) -> dict[str, float]:
     """Return the numbers of the module's docstring."""
     right = [str(row["said"]) for row in rows if row["axis"] == "z"]
@@ -130,6 +76,42 @@ def metrics(rows: list[dict[str, object]]) -> dict[str, float]:
         "misnamed": float(np.mean(["try --up" in said and f"--up {axis}" not in said for axis, said in wrong])),
         "seconds_median": float(np.median([float(str(row["seconds"])) for row in rows])),
     }
+
+
+HEADS = {
+    "false_alarms": "right files called wrong",
+    "right_in_doubt": "right files said to be hard to tell",
+    "noticed": "wrong files noticed",
+    "named": "wrong files whose axis is named",
+    "misnamed": "wrong files of which another is named",
+}
+
+
+def main() -> None:
+    """Read all, print what was not noticed, write --json."""
+    quick = "two simulated plants of each kind, no real ones"
+    own = {"--each": (10, "simulated plants of each kind")}
+    args = options(__doc__, quick=quick, seed=(SEED, "of the first simulated plant"), data="clouds", own=own)
+    rows, missed = list[dict[str, object]](), list[str]()
+    plants = [("simulated", *plant) for plant in simulated(2 if args.quick else args.each, args.seed)]
+    plants += [] if args.quick else [("real", *plant) for plant in real(args.data)]
+    for kind, name, points in progress(plants, "plants"):
+        for axis in TO_Z_UP:
+            said, seconds = read_with(points, axis)
+            rows.append({"kind": kind, "axis": axis, "said": said, "seconds": seconds})
+            if bool(re.search("--up [xyz]$", said)) != (axis != "z") or (axis != "z" and f"--up {axis}" not in said):
+                missed.append(f"{name}, {axis} up: {said or 'nothing said'}")
+    found, lines = metrics(rows), []
+    for kind in ("real", "simulated"):
+        of_kind = [row for row in rows if row["kind"] == kind]
+        found |= {f"{kind}_{key}": value for key, value in (metrics(of_kind) if of_kind else {}).items()}
+    for words, prefix in (("real", "real_"), ("simulated", "simulated_"), ("all", "")):
+        if f"{prefix}plants" in found:
+            shares = (f"{found[prefix + key]:.0%}" for key in HEADS)
+            lines.append((words, found[f"{prefix}plants"], *shares, f"{found[f'{prefix}seconds_median']:.2f}"))
+    heads = ("plants", "number", *HEADS.values(), "processor time, median, s")
+    wrong = ["Wrong files whose axis is not named, and right files called wrong:", *missed] if missed else []
+    finish(args, found, markdown(heads, lines), *wrong)
 
 
 if __name__ == "__main__":

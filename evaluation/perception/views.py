@@ -13,34 +13,28 @@ plants. capture_s: motion by the planner's trajectories and stops; perception_s:
 
 from __future__ import annotations
 
-import argparse
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
+from rich.console import RenderableType
 
 from anther.core import AntherError
-from anther.core.files import read_json, write_json
-from anther.perception import Capture, Cloud, Flowers, Skeleton, Stem, flowers, masks, skeleton, stem
-from anther.perception import cloud as clouds
-from anther.plant import Crop
+from anther.perception import Capture
 from anther.robot import Viewpoints
 from anther.robot.arm.views import capture_time, reachable_views
 from anther.sim import SimPlant, grow, layout, photograph
 from anther.sim.simulated_cell import PRESETS, USUAL_DISTANCE
+from evaluation.harness import CROPS, finish, lost, options, run_cases, save
+from evaluation.perception.simulated import perceive
 from evaluation.perception.skeleton_truth import pooled, score, visible_flowers
-from evaluation.perception.view_figure import draw
+from evaluation.tables import markdown
 
 POOL = 60
 COUNTS = {"fixed": (5, 8, 12, 20, 30), "narrow": (8, 10, 12)}
-SPECIES: tuple[Crop, ...] = ("tomato", "pepper")
 METRICS = {
     "stem_error_median_mm": "stem error, median [mm]",
     "stem_error_p95_mm": "stem error, p95 [mm]",
@@ -53,6 +47,11 @@ METRICS = {
     "capture_s": "capture [s]",
     "perception_s": "perception [s]",
 }
+
+
+SHOWN = ("stem_error_median_mm", "stem_error_p95_mm", "recall_5mm", "flower_recall")
+CHOICES = {"fixed": ("evenly spread", "C0", "o-"), "narrow": ("evenly spread within 75°", "C2", "^-")}
+Rows = list[dict[str, dict[str, Any]]]
 PLACE = layout(USUAL_DISTANCE)
 
 
@@ -63,17 +62,6 @@ class Pool:
     plant: SimPlant
     capture: Capture
     visible: NDArray[np.bool_]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Seen:
-    """What perception made of some views, and the processor time it took [s]."""
-
-    cloud: Cloud
-    tree: Skeleton
-    main: Stem
-    found: Flowers
-    seconds: float
 
 
 def take_pool(plant: SimPlant, seed: int, viewpoints: Viewpoints, chosen: list[int]) -> Pool:
@@ -92,48 +80,30 @@ def directions(viewpoints: Viewpoints) -> tuple[list[int], list[int]]:
     return viewpoints.spread(POOL), [grid.index((narrow.azimuth[i], narrow.elevation[i])) for i in chosen]
 
 
-def perceive(capture: Capture) -> Seen:
-    """Run masks, cloud, skeleton, stem and flowers."""
-    begin = time.process_time()
-    labels = masks.segment(capture, PLACE.workspace)
-    cloud = clouds.fuse(capture, labels, PLACE.workspace)
-    tree = skeleton.skeletonize(cloud)
-    main = stem.find_stem(tree, flowers_at=flowers.flower_centres(cloud))
-    found = flowers.find_flowers(cloud, tree, main)
-    return Seen(cloud, tree, main, found, time.process_time() - begin)
+def one_plant(row: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return the rows of one plant (species, seed, counts), for a sweep; "views" are numbers of viewpoints."""
+    del folder
+    viewpoints = reachable_views(PLACE.region, PLACE.solids)
+    fixed, narrow = directions(viewpoints)
+    chosen = [*fixed, *(i for i in narrow if i not in fixed)]
+    pool = take_pool(grow(row["species"], row["seed"], 0.0, USUAL_DISTANCE), row["seed"], viewpoints, chosen)
+    orders = {"fixed": list(range(POOL)), "narrow": [chosen.index(i) for i in narrow]}
+    perceive(pool.capture.select([0, 1, 2]))  # compiles the kernels
+    try:
+        return {
+            f"{choice}_{n}": judged(pool, order[:n]) | {"views": [chosen[i] for i in order[:n]]}
+            for choice, order in orders.items()
+            for n in row["counts"][choice]
+        }
+    except AntherError as error:
+        return {"lost": str(error)}
 
 
-def judged(pool: Pool, seen: Seen) -> dict[str, float]:
-    """Return the metrics of one reconstruction."""
+def judged(pool: Pool, views: list[int]) -> dict[str, float]:
+    """Return the metrics of the reconstruction from some views of a pool."""
+    seen = perceive(pool.capture.select(views))
     table = pooled([score(pool.plant, pool.visible, seen.tree, seen.main, seen.found)])
-    kept = {name: float(table[name]) for name in METRICS if name in table}
-    return {**kept, "perception_s": seen.seconds}
-
-
-def prefixes(name: str, pool: Pool, order: list[int], counts: tuple[int, ...]) -> dict[str, dict[str, Any]]:
-    """Judge the first views of an order, for every count."""
-    return {
-        f"{name}_{n}": {**judged(pool, perceive(pool.capture.select(order[:n]))), "views": order[:n]} for n in counts
-    }
-
-
-def one_plant(species: Crop, seed: int, viewpoints: Viewpoints, counts: dict[str, Any], out: Path) -> Any:
-    """Return the rows of one plant, from --out when it was run before; "views" are numbers of viewpoints."""
-    file = out / f"{species}-{seed}.json"
-    if not file.exists():
-        fixed, narrow = directions(viewpoints)
-        chosen = [*fixed, *(i for i in narrow if i not in fixed)]
-        pool = take_pool(grow(species, seed, 0.0, USUAL_DISTANCE), seed, viewpoints, chosen)
-        rows = prefixes("fixed", pool, list(range(POOL)), counts["fixed"])
-        rows |= prefixes("narrow", pool, [chosen.index(i) for i in narrow], counts["narrow"])
-        for row in rows.values():
-            row["views"] = [chosen[i] for i in row["views"]]
-        write_json(file, rows)
-    return read_json(file)
-
-
-def _capture_seconds(viewpoints: Viewpoints, chosen: list[int]) -> float:
-    return capture_time(viewpoints.visit(chosen))
+    return {name: float(table[name]) for name in METRICS if name in table} | {"perception_s": seen.seconds}
 
 
 def metrics(plants: list[dict[str, dict[str, Any]]]) -> dict[str, float]:
@@ -148,58 +118,70 @@ def metrics(plants: list[dict[str, dict[str, Any]]]) -> dict[str, float]:
     return {**table, "plants": len(plants)}
 
 
-def show(table: dict[str, float], choices: list[str], console: Console) -> None:
-    """Print one row a choice: the means over the plants, and their spread."""
-    console.print(f"Means over {table['plants']} plants ± standard deviation between them.", highlight=False)
-    heads = (title.replace(" [", ", ").replace("]", "") for title in METRICS.values())
-    shown = Table("views", *heads, box=MARKDOWN)
-    for choice in choices:
-        shown.add_row(choice.replace("_", " "), *(_with_spread(table, f"{choice}_{name}") for name in METRICS))
-    console.print(shown)
+def draw(rows: Rows) -> Figure:
+    """Return a column per metric: means over the plants, and bars of one standard error."""
+    figure = Figure(figsize=(14, 6.5), layout="constrained")
+    plots = figure.subplots(2, len(SHOWN), sharey="col")
+    for metric, column in zip(SHOWN, plots.T, strict=True):
+        for choice, (label, colour, style) in CHOICES.items():
+            names = [name for name in rows[0] if name.rsplit("_", 1)[0] == choice]
+            values = [[row[name][metric] for row in rows if metric in row[name]] for name in names]
+            error = [np.std(v) / np.sqrt(len(v)) for v in values]
+            counts = [int(name.rsplit("_", 1)[1]) for name in names]
+            seconds = [np.mean([row[name]["capture_s"] for row in rows]) for name in names]
+            looks = {"fmt": style, "color": colour, "label": label, "capsize": 2, "markersize": 5}
+            for plot, along in zip(column, (counts, seconds), strict=True):
+                plot.errorbar(along, [np.mean(v) for v in values], error, **looks)
+        column[0].set(title=METRICS[metric], xlabel="views")
+        column[1].set(title=METRICS[metric], xlabel="capture: motion and stops [s]")
+    for plot in plots.flat:
+        plot.grid(alpha=0.3)
+        plot.set_xlim(left=0)
+        plot.set_ylim(0, 1.05 if "recall" in plot.get_title() else None)
+    plots[0, 2].legend(loc="lower right")
+    return figure
 
 
-def _with_spread(table: dict[str, float], key: str) -> str:
-    if key not in table:
-        return "–"
-    spread = "" if key.endswith("capture_s") else f" ± {table[f'{key}_sd']:.2f}"
-    return f"{table[key]:.2f}{spread}"
+def report(table: dict[str, float], choices: list[str]) -> list[RenderableType]:
+    """Return one row a choice: the means over the plants, and their spread."""
+
+    def cell(key: str) -> str:
+        spread = "" if key.endswith("capture_s") else f" ± {table[f'{key}_sd']:.2f}"
+        return f"{table[key]:.2f}{spread}"
+
+    lines = [
+        (choice.replace("_", " "), *(cell(key) if (key := f"{choice}_{name}") in table else "–" for name in METRICS))
+        for choice in choices
+    ]
+    heads = ("views", *(title.replace(" [", ", ").replace("]", "") for title in METRICS.values()))
+    return [f"Means over {table['plants']} plants ± standard deviation between them.", markdown(heads, lines)]
 
 
 def main() -> None:
     """Run the plants that are not there yet, print the table, write --json and --figure."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--figure", type=Path)
-    parser.add_argument("--quick", action="store_true", help="one plant of each species, 8 views")
-    parser.add_argument("--each", type=int, default=4, help="plants of each species")
-    parser.add_argument("--seed", type=int, default=0, help="added to the seeds of all plants")
-    parser.add_argument("--out", type=Path, default=Path("runs/views"), help="where finished plants are kept")
-    args = parser.parse_args()
-    args.out.mkdir(parents=True, exist_ok=True)
-    console = Console()
+    figure = "quality against views and seconds"
+    quick, seed = "one plant of each species, 8 views", (0, "added to the seeds of all plants")
+    own = {"--each": (4, "plants of each species")}
+    args = options(__doc__, quick=quick, seed=seed, jobs="plants", out="runs/views", figure=figure, own=own)
     counts = dict.fromkeys(COUNTS, (8,)) if args.quick else COUNTS
-    viewpoints = reachable_views(PLACE.region, PLACE.solids)
-    rows = []
-    plants: list[tuple[Crop, int]] = [
-        (species, k) for k in range(1 if args.quick else args.each) for species in SPECIES
+    cases = [
+        {"species": species, "seed": k + args.seed, "counts": counts}
+        for k in range(1 if args.quick else args.each)
+        for species in CROPS
     ]
-    first = viewpoints.spread(3)
-    perceive(take_pool(grow("tomato", 10, 0.0, USUAL_DISTANCE), 10, viewpoints, first).capture)  # compiles the kernels
-    for species, seed in track(plants, "plants", console=console):
-        try:
-            rows.append(one_plant(species, seed + args.seed, viewpoints, counts, args.out))
-        except AntherError as error:
-            console.print(f"{species} {seed}: {error}")
+    done = run_cases(one_plant, cases, args.out, args.jobs, lost)
+    without = [f"{row['species']} {row['seed']}: {row['lost']}" for row in done if "lost" in row]
+    rows = [{name: v for name, v in row.items() if isinstance(v, dict) and "views" in v} for row in done]
+    rows = [row for row in rows if row]
+    viewpoints = reachable_views(PLACE.region, PLACE.solids)
     for name in rows[0]:
-        seconds = _capture_seconds(viewpoints, rows[0][name]["views"])
+        seconds = capture_time(viewpoints.visit(rows[0][name]["views"]))
         for row in rows:
             row[name]["capture_s"] = seconds
     table = metrics(rows)
-    show(table, list(rows[0]), console)
-    if args.json:
-        write_json(args.json, table)
+    finish(args, table, *without, *report(table, list(rows[0])))
     if args.figure:
-        draw(rows, METRICS).savefig(args.figure, dpi=90)
+        save(draw(rows), args.figure, 90)
 
 
 if __name__ == "__main__":

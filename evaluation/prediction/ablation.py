@@ -18,36 +18,25 @@ without the feature and got a higher E. Plants go through a sweep in --out: what
 
 from __future__ import annotations
 
-import argparse
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from rich.box import MARKDOWN
-from rich.console import Console
 from rich.table import Table
 
 from anther.core import Array
-from anther.core.files import replacing, write_json
-from anther.plant import Crop
 from anther.pollination.shake.observables import semi_major
-from anther.sim import Scene, SimPlant, grow, layout, photograph, views_at
-from anther.sim.simulated_cell import PRESETS, USUAL_DISTANCE
-from evaluation.harness import swept
+from anther.sim import grow
+from anther.sim.simulated_cell import USUAL_DISTANCE
+from evaluation.harness import CROPS, finish, options, run_cases, save
 from evaluation.prediction.ablated import CHANGES
+from evaluation.prediction.known_plant import known, stem_points
 from evaluation.prediction.shaken_plant import ShakenPlant
-from evaluation.prediction.vibration_models import PRIOR, Model, anther_model, perceive, scanned, true_model
-from evaluation.prediction.vibration_plant import (
-    DIRECTION,
-    FAST_FREQUENCIES,
-    PAPER_FREQUENCIES,
-    TWIST,
-    matched,
-    stem_points,
-)
+from evaluation.prediction.vibration_models import Model, anther_model, true_model
+from evaluation.prediction.vibration_plant import DIRECTION, FAST_FREQUENCIES, PAPER_FREQUENCIES, TWIST
+from evaluation.tables import markdown
 
 HEIGHTS = (0.35, 0.6, 0.85)
 """Grips, in shares of the main stem's length."""
@@ -57,27 +46,17 @@ BAND_WORDS = {"slow": "0.7–1.9 Hz"} | {f"{f:g}hz": f"{f:g} Hz" for f in FAST_F
 COLOURS = {"true": "#2f7d4f", "scanned": "#c2389a"}
 
 
-@dataclass(frozen=True, slots=True)
-class Case:
-    """One plant, and whether it is scanned too."""
-
-    species: Crop
-    seed: int
-    scan: bool
-
-
 def one_plant(row: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return every model's gains (G, Q, F) and MuJoCo's of a plant (a `Case`), for a sweep."""
+    """Return every model's gains (G, Q, F) and MuJoCo's of a plant (species, seed, scan), for a sweep."""
     del folder
-    case = Case(**row)
-    plant = grow(case.species, case.seed, 0, USUAL_DISTANCE)
+    plant = grow(row["species"], row["seed"], 0, USUAL_DISTANCE)
     judges = [ShakenPlant(plant, point, DIRECTION) for point in stem_points(plant, HEIGHTS)]
     points = np.array([judge.point for judge in judges])
     truth = np.array([semi_major(judge.linear(FREQUENCIES)) for judge in judges])
     models = {"true": (true_model(plant, TWIST), np.arange(truth.shape[2]), truth)}
-    if case.scan:
-        model, seen, true = _scanned(case, plant)
-        models["scanned"] = (model, seen, truth[:, :, true])
+    if row["scan"]:
+        it = known(row["species"], row["seed"])
+        models["scanned"] = (anther_model(it.model), it.i, truth[:, :, it.j])
     found: dict[str, Any] = {}
     for name, (model, flowers, judged) in models.items():
         found[name] = {"truth": judged, "full": model.response(points, DIRECTION, FREQUENCIES)[:, :, flowers]}
@@ -92,14 +71,6 @@ def one_plant(row: dict[str, Any], folder: Path) -> dict[str, Any]:
 def _stiffer(without: Model, model: Model) -> bool:
     """Whether the stem's E was raised (by more than where it is raised for comparison)."""
     return bool(np.asarray(without.rods.youngs)[1] > 1.21 * np.asarray(model.rods.youngs)[1])
-
-
-def _scanned(case: Case, plant: SimPlant) -> tuple[Model, Any, Any]:
-    """Return the reconstructed model, and which of its flowers are which true ones."""
-    views = views_at(USUAL_DISTANCE, PRESETS["full"])
-    seen = perceive(photograph(Scene.of_plant(plant), views.joints, case.seed)[0], layout(USUAL_DISTANCE).workspace)
-    i, j = matched(seen.flowers.positions, plant.flower_position)
-    return anther_model(scanned(seen, PRIOR[case.species])), i, j
 
 
 def metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
@@ -140,8 +111,8 @@ def tables(found: dict[str, float]) -> list[str | Table]:
         if f"{name}_plants" not in found:
             continue
         count = f"{found[f'{name}_plants']:.0f} {name} plants, {found[f'{name}_flowers']:.0f} flowers"
-        change = Table("taken away", *BAND_WORDS.values(), "stiffened", box=MARKDOWN)
-        error = Table("taken away", *BAND_WORDS.values(), box=MARKDOWN)
+        change = markdown(["taken away", *BAND_WORDS.values(), "stiffened"])
+        error = markdown(["taken away", *BAND_WORDS.values()])
         for feature, words in [("full", "nothing"), *((key, words) for key, (words, _) in CHANGES.items())]:
             keys = [f"{name}_{feature}_{band}" for band in BANDS]
             error.add_row(words, *(f"{found[f'{k}_error_median']:.0%} ({found[f'{k}_error_p90']:.0%})" for k in keys))
@@ -188,27 +159,15 @@ def draw(found: dict[str, float]) -> Figure:
 
 def main() -> None:
     """Run, print the tables, write metrics and the picture."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--quick", action="store_true", help="one plant of each crop, not scanned")
-    parser.add_argument("--seed", type=int, default=1000, help="of the first plant of each crop")
-    parser.add_argument("--plants", type=int, default=5, help="of each crop")
-    parser.add_argument("--scanned", type=int, default=2, help="of each crop that are reconstructed too")
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--out", type=Path, default=Path("runs/ablation"))
-    parser.add_argument("--figure", type=Path)
-    args = parser.parse_args()
+    quick, seed = "one plant of each crop, not scanned", (1000, "of the first plant of each crop")
+    own = {"--plants": (5, "of each crop"), "--scanned": (2, "of each crop that are reconstructed too")}
+    args = options(__doc__, quick=quick, seed=seed, jobs="plants", out="runs/ablation", figure="the changes", own=own)
     plants, scans = (1, 0) if args.quick else (args.plants, args.scanned)
-    crops: tuple[Crop, ...] = ("tomato", "pepper")
-    cases = [asdict(Case(species, args.seed + k, k < scans)) for species in crops for k in range(plants)]
-    found = metrics(swept(one_plant, cases, args.out, args.jobs, lambda _: {}))
-    for part in tables(found):
-        Console().print(part)
-    if args.json:
-        write_json(args.json, found)
+    cases = [{"species": s, "seed": args.seed + k, "scan": k < scans} for s in CROPS for k in range(plants)]
+    found = metrics(run_cases(one_plant, cases, args.out, args.jobs, lambda _: {}))
+    finish(args, found, *tables(found))
     if args.figure:
-        with replacing(args.figure) as temporary:
-            draw(found).savefig(temporary, dpi=100)
+        save(draw(found), args.figure, 100)
 
 
 if __name__ == "__main__":

@@ -9,21 +9,15 @@ what the limits of a stem shake allow, every fourth left alone), `no_control` (t
 
 from __future__ import annotations
 
-import argparse
-from pathlib import Path
-
 import numpy as np
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
 from scipy.special import expit
 
 from anther.core import Array
-from anther.core.files import replacing, write_json
 from anther.history import Count, FruitSet, fit
 from anther.history.fruit_set import EXPONENTS, NAMES, PRIORS, pollen_dose
 from anther.show.pictures.estimates import draw_fruit_set
+from evaluation.harness import finish, options, progress, save
+from evaluation.tables import markdown
 
 WAYS = {"varied": (1.0, 250.0, 4), "gentle": (5.0, 20.0, 4), "no_control": (5.0, 20.0, 0)}
 """Name -> (weakest, strongest shake [m/s2], every how manieth plant is left alone)."""
@@ -70,43 +64,34 @@ def score(learned: FruitSet, truth: Array) -> dict[str, float]:
 
 def main() -> None:
     """Fit, print a table, write metrics and the picture."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--quick", action="store_true", help="4 truths and 8 or 24 plants, not 72")
-    parser.add_argument("--truths", type=int, default=40, help="drawn for each way to shake and number of plants")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--figure", type=Path)
-    args = parser.parse_args()
+    quick = "4 truths and 8 or 24 plants, not 72"
+    own = {"--truths": (40, "drawn for each way to shake and number of plants")}
+    args = options(__doc__, quick=quick, seed=(0, "of truths and counts"), figure="what forty plants teach", own=own)
     sizes, repeats = ((8, 24), 4) if args.quick else ((8, 24, 72), args.truths)
-    cases = [(way, plants) for way in WAYS for plants in sizes]
-    heads = ("p0 narrowed", "g narrowed", "half narrowed", "20 m/s² add: width, points")
-    table = Table("shakes", "plants", *heads, box=MARKDOWN)
     metrics: dict[str, float] = {"truths": repeats}
-    for way, plants in track(cases, "counts", console=Console(stderr=True)):
+    lines = []
+    for way, plants in progress([(way, plants) for way in WAYS for plants in sizes], "counts"):
         rng = np.random.default_rng([args.seed, plants])
         truths = [drawn_truth(rng) for _ in range(repeats)]
         rows = [score(fit(counts(rng, truth, plants, way)), truth) for truth in truths]
         mean = {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
         metrics |= {f"{way}_{plants}_{name}": value for name, value in mean.items()}
-        cells = [f"{mean[f'{n}_narrowed']:.0%}" for n in NAMES[:3]]
-        table.add_row(WORDS[way], str(plants), *cells, f"{100 * mean['added_width']:.0f}")
+        narrowed = (f"{mean[f'{n}_narrowed']:.0%}" for n in NAMES[:3])
+        lines.append((WORDS[way], plants, *narrowed, f"{100 * mean['added_width']:.0f}"))
     _, low, high = fit([]).added(20.0)
     metrics["added_width_before"] = high - low
     holds = [value for name, value in metrics.items() if name.endswith("_holds")]
     metrics["intervals_hold"] = float(np.mean(holds))
-    console = Console()
-    console.print(table)
-    console.print(
+    heads = ("shakes", "plants", "p0 narrowed", "g narrowed", "half narrowed", "20 m/s² add: width, points")
+    words = (
         f"{repeats} truths in each row. Width before any count: {100 * (high - low):.0f} points. 90 % intervals hold "
         f"in {metrics['intervals_hold']:.0%} of {len(holds) * repeats} cases."
     )
-    if args.json:
-        write_json(args.json, metrics)
+    finish(args, metrics, markdown(heads, lines), words)
     if args.figure:
         rng, truth = np.random.default_rng(args.seed), np.array([0.45, 0.7, 25.0, 0.06, 1.5])
         learned = fit(counts(rng, truth, 40, "varied"))
-        with replacing(args.figure) as temporary:
-            draw_fruit_set(learned, fit([]), "simulated tomato").savefig(temporary, dpi=110)
+        save(draw_fruit_set(learned, fit([]), "simulated tomato"), args.figure)
 
 
 if __name__ == "__main__":

@@ -15,20 +15,16 @@ Keys of --json: `past_model_<load>`, `past_seen_<load>` (shares), `factor_...` (
 
 from __future__ import annotations
 
-import argparse
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.box import MARKDOWN
-from rich.console import Console
 from rich.table import Table
 from scipy.spatial import KDTree
 from scipy.stats import spearmanr
 
 from anther.core import Array, StageFailure
-from anther.core.files import write_json
 from anther.plant import Crop
 from anther.pollination import Foresight, foresee
 from anther.pollination.escalation import watch_points
@@ -39,14 +35,15 @@ from anther.pollination.shake.choice import margined
 from anther.pollination.shake.observables import ComplexArray, semi_major
 from anther.pollination.shake.params import FAST, RINGING, load_error
 from anther.robot import Frame
-from anther.sim import Organ, Scene, SimPlant, grow, layout
+from anther.sim import Organ, Scene, SimPlant, layout
 from anther.sim.robot import SIDE
 from anther.sim.simulated_cell import USUAL_DISTANCE
-from evaluation.harness import swept
+from evaluation.harness import by_turns, finish, options, run_cases
+from evaluation.prediction import known_plant
+from evaluation.prediction.known_plant import stem_points
 from evaluation.prediction.shaken_plant import ShakenPlant
-from evaluation.prediction.vibration_models import PRIOR, scanned
-from evaluation.prediction.vibration_plant import stem_points
-from evaluation.prediction.wide_plant import KINDS, loads_of, looks, scanned_plant
+from evaluation.prediction.wide_plant import KINDS, loads_of, looks
+from evaluation.tables import markdown
 from evaluation.trials.grasping_trial import truth_of
 
 TONES = np.array([2.0, 2.7, 3.6, 4.8, 6.4, 8.5, 11.3, 14.1, 15.4, 16.9, 18.5, 20.3, 24.0, 34.0])
@@ -80,12 +77,11 @@ def one_plant(row: dict[str, Any], folder: Path) -> dict[str, Any]:
 def one(species: Crop, seed: int) -> list[dict[str, Any]]:
     """Return a row for each grip and tone of one plant: true loads, and what is said of them."""
     truth = truth_of("wide", seed)
-    plant = grow(species, seed, 0, USUAL_DISTANCE, truth)
     try:
-        seen = scanned_plant(species, seed, looks(truth))
+        it = known_plant.known(species, seed, truth, "fast", looks(truth))
     except StageFailure:
         return []
-    model = scanned(seen, PRIOR[species])
+    plant, seen, model = it.plant, it.seen, it.model
     pose = layout(USUAL_DISTANCE).T_world_side_camera
     image = Scene.of_plant(plant).render(SIDE, pose)
     points = watch_points(model)
@@ -187,7 +183,7 @@ def metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
 def report(table: dict[str, float]) -> Table:
     """Return the table, both ways of knowing side by side."""
     heads = ("spread of ln(true/said)", "rank correlation", "margin over said", "past the margin")
-    text = Table("load", "tones, Hz", *(f"{head}: model / look" for head in heads), box=MARKDOWN)
+    text = markdown(["load", "tones, Hz", *(f"{head}: model / look" for head in heads)])
     for (band, (low, high)), kind in product(BANDS.items(), LOADS):
         one, other = (
             [table[f"{what}_{name}_{kind}{band}"] for what in ("spread", "rank", "factor", "past")]
@@ -202,23 +198,18 @@ def report(table: dict[str, float]) -> Table:
 
 def main() -> None:
     """Run what is missing and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--quick", action="store_true", help="two plants")
-    parser.add_argument("--plants", type=int, default=24)
-    parser.add_argument("--development", action="store_true", help="the plants on which the errors were set")
-    parser.add_argument("--jobs", type=int, default=1, help="plants at a time")
-    parser.add_argument("--out", type=Path, default=Path("runs/loads"), help="where what is done is kept")
-    args = parser.parse_args()
+    own = {
+        "--plants": (24, "tomatoes and peppers by turns"),
+        "--development": (False, "the plants on which the errors were set"),
+    }
+    seed = (0, "added to the seeds of all plants")
+    args = options(__doc__, quick="two plants", seed=seed, jobs="plants", out="runs/loads", own=own)
     first, count = DEVELOPMENT if args.development else FIRST, 2 if args.quick else args.plants
-    species: tuple[Crop, ...] = ("tomato", "pepper")
-    cases = [{"species": species[k % 2], "seed": first + k // 2} for k in range(count)]
-    done = swept(one_plant, cases, args.out, args.jobs, lambda _: {"loads": []})
-    table, console = metrics([row for part in done for row in part["loads"]]), Console()
-    console.print(f"{table['plants']:.0f} plants, two grips, fourteen tones each. Asked: 5 % past the margin.")
-    console.print(report(table))
-    if args.json:
-        write_json(args.json, table)
+    cases = [{"species": species, "seed": seed} for species, seed in by_turns(count, first + args.seed)]
+    done = run_cases(one_plant, cases, args.out, args.jobs, lambda _: {"loads": []})
+    table = metrics([row for part in done for row in part["loads"]])
+    words = f"{table['plants']:.0f} plants, two grips, fourteen tones each. Asked: 5 % past the margin."
+    finish(args, table, words, report(table))
 
 
 if __name__ == "__main__":

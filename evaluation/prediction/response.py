@@ -16,7 +16,6 @@ to 5, _12mm: above), by frequency, and for flowers alone or overlapping others; 
 
 from __future__ import annotations
 
-import argparse
 import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -24,26 +23,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from rich.box import MARKDOWN
-from rich.console import Console
 from rich.table import Table
 
 from anther.core import Array, InputError, inverse, transform_points
-from anther.core.files import replacing, write_json
 from anther.core.oscillation import choose_rate, fit_swing
 from anther.perception import Flowers
-from anther.plant import Crop
 from anther.pollination import measure_response
 from anther.robot import Frame
 from anther.sim import Scene, SimPlant, grow, layout
 from anther.sim.robot import RATES, SIDE
 from anther.sim.simulated_cell import USUAL_DISTANCE
-from evaluation.harness import swept
+from evaluation.harness import CROPS, finish, options, run_cases, save
+from evaluation.prediction.known_plant import filmed
 from evaluation.prediction.shaken_plant import Params as ShakenParams
 from evaluation.prediction.shaken_plant import Shaken, ShakenPlant
-from evaluation.prediction.vibration_plant import filmed
+from evaluation.tables import markdown, percent
 
 SHAKES = ((0.001, 10.0), (0.002, 6.0), (0.004, 3.0), (0.008, 6.0), (0.012, 1.5), (0.001, 30.0))
 """(median amplitude of the flowers [m], frequency [Hz])."""
@@ -52,7 +47,6 @@ BLIND = ((0.001, 30.0, 30.0), (0.001, 30.0, 60.0), (0.002, 15.0, 30.0))
 FRAMES = 60
 PLACED = 0.0015
 """Standard deviation per axis with which perception places a flower [m]; 1.2 mm measured on ten plants."""
-CROPS: tuple[Crop, ...] = ("tomato", "pepper")
 BANDS = {"1mm": (0.0, 1.5e-3), "3mm": (1.5e-3, 5e-3), "12mm": (5e-3, 1.0)}
 
 
@@ -81,9 +75,8 @@ def film(plant: SimPlant, amplitude: float, frequency: float, rate: float, seed:
     done = held.steady(min(amplitude / float(np.median(gain)), 0.02), frequency)
     wanted = done.times[0] + np.arange(0, done.times[-1] - done.times[0], 1 / rate)[:FRAMES]
     samples = np.abs(done.times - wanted[:, None]).argmin(axis=1)
-    scene, pose = Scene.of_plant(plant), layout(USUAL_DISTANCE).T_world_side_camera
     shapes = [plant.posed_vertices(held.segment_poses(done.qpos[i])) for i in samples]
-    frames = filmed(scene, shapes, done.times[samples], pose, np.random.default_rng([seed, 11]))
+    frames = filmed(plant, shapes, done.times[samples], np.random.default_rng([seed, 11]))
     return frames, replace(done, times=done.times[samples], flowers=done.flowers[samples], qpos=done.qpos[samples])
 
 
@@ -172,43 +165,6 @@ def metrics(rows: Sequence[Measured], blind: Sequence[Measured]) -> dict[str, fl
     return out | {"blind_flowers": len(blind), "blind_refused": sum(r.amplitude is None for r in blind)}
 
 
-def main() -> None:
-    """Render, measure, print a table, draw the figure, write --json."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--quick", action="store_true", help="one plant, two shakes")
-    parser.add_argument("--seed", type=int, default=2100, help="of the first plant")
-    parser.add_argument("--plants", type=int, default=3, help="of each crop")
-    parser.add_argument("--blind", type=int, default=len(BLIND), help="recordings whose frame rate hides the shake")
-    parser.add_argument("--jobs", type=int, default=1, help="cases at a time")
-    parser.add_argument("--out", type=Path, default=Path("runs/response"), help="where each case is kept")
-    parser.add_argument("--figure", type=Path)
-    args = parser.parse_args()
-    plants = [(s, args.seed + k) for k in range(1 if args.quick else args.plants) for s in CROPS]
-    plants, shakes = (plants[:1], SHAKES[:2]) if args.quick else (plants, SHAKES)
-    jobs = [(*p, a, f, choose_rate(f, RATES)) for p in plants for a, f in shakes]
-    hidden = [(*p, *b) for p in plants[:1] for b in BLIND[: args.blind]]
-    names = ("species", "seed", "amplitude", "frequency", "rate")
-    cases = [dict(zip(names, job, strict=True)) for job in jobs + hidden]
-    done = swept(one_shake, cases, args.out, args.jobs, lambda _: {"flowers": []})
-    rows, blind = (
-        [Measured(**flower) for one in part for flower in one["flowers"]]
-        for part in (done[: len(jobs)], done[len(jobs) :])
-    )
-    found = metrics(rows, blind)
-    console = Console()
-    console.print(_table(found))
-    console.print(
-        f"Frame rates that hide the shake: refused for {found['blind_refused']:.0f} of {found['blind_flowers']:.0f} "
-        f"flowers. Flowers that are not in sight but were measured: {found['hidden_but_measured']:.0f}."
-    )
-    if args.json:
-        write_json(args.json, {name: value for name, value in found.items() if np.isfinite(value)})
-    if args.figure:
-        with replacing(args.figure) as temporary:
-            draw(rows).savefig(temporary, dpi=110)
-
-
 GROUPS = {
     "": "all",
     "1mm_": "swing below 1.5 mm",
@@ -221,39 +177,71 @@ GROUPS = {
 
 
 def _table(found: dict[str, float]) -> Table:
-    heads = ("amplitude within 10 % or 0.3 mm", "sideways part", "frequency within 1 %", "within 2 stated deviations")
-    table = Table("flowers", "in sight", "measured", *heads, box=MARKDOWN)
-    for name in ["", *(key.removesuffix("in_sight") for key in found if key.endswith("_in_sight"))]:
-        shares = [
-            found[f"{name}{key}"] for key in ("measured", "within", "sideways_within", "frequency_within", "honest")
-        ]
-        shown = ("–" if np.isnan(share) else f"{share:.0%}" for share in shares)
-        table.add_row(GROUPS.get(name, name.replace("hz_", " Hz")), f"{found[f'{name}in_sight']:.0f}", *shown)
-    return table
+    heads = {
+        "measured": "measured",
+        "within": "amplitude within 10 % or 0.3 mm",
+        "sideways_within": "sideways part",
+        "frequency_within": "frequency within 1 %",
+        "honest": "within 2 stated deviations",
+    }
+    names = ["", *(key.removesuffix("in_sight") for key in found if key.endswith("_in_sight"))]
+    lines = [
+        (
+            *(GROUPS.get(name, name.replace("hz_", " Hz")), f"{found[f'{name}in_sight']:.0f}"),
+            *(percent(found[name + key]) for key in heads),
+        )
+        for name in names
+    ]
+    return markdown(("flowers", "in sight", *heads.values()), lines)
 
 
 def draw(rows: Sequence[Measured]) -> Figure:
     """Return measured over true amplitude, with the band asked for."""
     figure = Figure(figsize=(5.6, 5.2), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots()
     line = np.geomspace(0.1, 40, 200)
     room = np.maximum(0.1 * line, 0.3)
     axes.fill_between(line, np.maximum(line - room, 0.01), line + room, color="#dfe9e2", lw=0, label="10 % or 0.3 mm")
     for alone, colour, label in ((True, "#2f7d4f", "alone"), (False, "#d9772b", "overlapping others")):
         mine = [r for r in rows if r.alone == alone and r.amplitude is not None]
-        true, found, error = (
-            1e3 * np.array([(r.true, r.amplitude or 0, r.deviation or 0) for r in mine]).reshape(-1, 3).T
-        )
-        axes.errorbar(true, found, error, fmt="o", ms=3.5, lw=0.7, color=colour, label=label)
-    axes.set(xscale="log", yscale="log", xlim=(0.1, 40), ylim=(0.1, 40))
-    axes.set(xlabel="true amplitude [mm]", ylabel="measured amplitude ± deviation [mm]")
+        values = [(r.true, r.amplitude or 0, r.deviation or 0) for r in mine]
+        axes.errorbar(*(1e3 * np.array(values).reshape(-1, 3).T), fmt="o", ms=3.5, lw=0.7, color=colour, label=label)
     ticks = [0.1, 0.3, 1, 3, 10, 30]
-    axes.set_xticks(ticks, [f"{t:g}" for t in ticks])
-    axes.set_yticks(ticks, [f"{t:g}" for t in ticks])
+    for which, words in (("x", "true amplitude [mm]"), ("y", "measured amplitude ± deviation [mm]")):
+        axes.set(**{f"{which}scale": "log", f"{which}lim": (0.1, 40), f"{which}label": words})
+        getattr(axes, f"set_{which}ticks")(ticks, [f"{t:g}" for t in ticks])
     axes.legend(frameon=False)
     axes.spines[["top", "right"]].set_visible(False)
     return figure
+
+
+def main() -> None:
+    """Render, measure, print a table, draw the figure, write --json."""
+    quick, seed, figure = "one plant, two shakes", (2100, "of the first plant"), "measured over true amplitude"
+    own = {
+        "--plants": (3, "of each crop"),
+        "--blind": (len(BLIND), "recordings whose frame rate hides the shake"),
+    }
+    args = options(__doc__, quick=quick, seed=seed, jobs="cases", out="runs/response", figure=figure, own=own)
+    plants = [(crop, args.seed + k) for k in range(1 if args.quick else args.plants) for crop in CROPS]
+    plants, shakes = (plants[:1], SHAKES[:2]) if args.quick else (plants, SHAKES)
+    jobs = [(*p, a, f, choose_rate(f, RATES)) for p in plants for a, f in shakes]
+    hidden = [(*p, *b) for p in plants[:1] for b in BLIND[: args.blind]]
+    names = ("species", "seed", "amplitude", "frequency", "rate")
+    cases = [dict(zip(names, job, strict=True)) for job in jobs + hidden]
+    done = run_cases(one_shake, cases, args.out, args.jobs, lambda _: {"flowers": []})
+    rows, blind = (
+        [Measured(**flower) for one in part for flower in one["flowers"]]
+        for part in (done[: len(jobs)], done[len(jobs) :])
+    )
+    found = metrics(rows, blind)
+    words = (
+        f"Frame rates that hide the shake: refused for {found['blind_refused']:.0f} of {found['blind_flowers']:.0f} "
+        f"flowers. Flowers that are not in sight but were measured: {found['hidden_but_measured']:.0f}."
+    )
+    finish(args, {name: value for name, value in found.items() if np.isfinite(value)}, _table(found), words)
+    if args.figure:
+        save(draw(rows), args.figure)
 
 
 if __name__ == "__main__":

@@ -100,12 +100,7 @@ class ShakenPlant:
     """
 
     def __init__(
-        self,
-        plant: SimPlant,
-        point: ArrayLike,
-        direction: ArrayLike,
-        params: Params = Params(),
-        truth: Truth = NOMINAL,
+        self, plant: SimPlant, point: ArrayLike, direction: ArrayLike, params: Params = Params(), truth: Truth = NOMINAL
     ) -> None:
         """Hold the piece of the main stem whose middle is nearest to `point` (3,) [m]; shake along `direction` (3,).
 
@@ -203,15 +198,6 @@ class ShakenPlant:
         """
         flowers, phasors = self._jacobians(), self._phasors(frequencies, amplitude, loss_factor)
         return np.array([np.tensordot(flowers, phasor, 1) for phasor in phasors])
-
-    def linear_at(self, places: Array, frequencies: ArrayLike, amplitude: float = 0.0) -> NDArray[np.complex128]:
-        """Return (Q, N, 3) what shakes do to the nearest material to places (N, 3) [m], per metre of grip motion."""
-        start, along = self.plant.start, self.plant.end - self.plant.start
-        away = np.asarray(places)[:, None] - start
-        share = np.einsum("nki,ki->nk", away, along) / np.maximum(np.sum(along**2, axis=1), 1e-12)
-        apart = np.linalg.norm(away - np.clip(share, 0, 1)[..., None] * along, axis=2)
-        moved = self._jacobians_at(places, apart.argmin(axis=1))
-        return np.array([np.tensordot(moved, phasor, 1) for phasor in self._phasors(frequencies, amplitude, None)])
 
     def bending(
         self, frequencies: ArrayLike, amplitude: float = 0.0, *, loss_factor: float | None = None
@@ -329,15 +315,11 @@ class ShakenPlant:
 
     def _jacobians(self) -> Array:
         """Return (F, 3, D) of the flowers at rest."""
-        return self._jacobians_at(self.plant.flower_position, self.plant.flower_segment)
-
-    def _jacobians_at(self, places: Array, segments: NDArray[Any]) -> Array:
-        """Return (N, 3, D) of places (N, 3) that go with segments (N,), at rest."""
         m, data = self.model, mujoco.MjData(self.model)
         mujoco.mj_forward(m, data)
-        bodies = self.mechanics.bodies[self.mechanics.pieces.body[self._part[segments]]]
+        bodies = self.mechanics.bodies[self.mechanics.pieces.body[self._part[self.plant.flower_segment]]]
         out = np.zeros((len(bodies), 3, m.nv))
-        for row, body, place in zip(out, bodies, places, strict=True):
+        for row, body, place in zip(out, bodies, self.plant.flower_position, strict=True):
             mujoco.mj_jac(m, data, row, None, place, int(body))
         return out[:, :, self.mechanics.dofs]
 

@@ -6,25 +6,22 @@ Each gives, by linear theory, every flower's amplitude per metre of grip motion.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.core import Array, Box
-from anther.perception import Capture, skeleton
-from anther.plant import PEPPER, TOMATO, Material, PlantModel
-from anther.plant import model as plant
-from anther.pollination import Seen, pipeline
+from anther.core import Array
+from anther.perception import skeleton
+from anther.plant import PlantModel
+from anther.pollination import Seen
 from anther.pollination.shake.observables import semi_major
 from anther.rods import Clamp, Rods, least_stiffness, response_map, with_gravity_equilibrium
 from anther.sim import SimPlant
 from anther.sim._pieces import TWISTING
+from evaluation.prediction.known_plant import PRIOR
 from evaluation.prediction.true_rods import Builder
-from evaluation.trials.grasping_trial import Memory
 
-PRIOR = {"tomato": TOMATO, "pepper": PEPPER}
 PAPER_YOUNGS = {"tomato": 21.6e6, "pepper": 31.6e6}
 """[Pa], of the authors' scripts (facts: pollination 0)."""
 PAPER_DENSITY = {"tomato": 1100.0, "pepper": 1500.0}
@@ -39,11 +36,6 @@ SCRIPT_RADIUS, SCRIPT_DRAG = 0.03, 0.5
 """Radius [m] and damping of every node [N s/m] in the authors' final scripts."""
 MARGIN = 1.5
 """A model of the paper that would buckle gets this times the Young's modulus at which it just stands."""
-
-
-def perceive(capture: Capture, workspace: Box) -> Seen:
-    """Return what the pipeline sees."""
-    return pipeline.perceive(capture, workspace, Memory(Path()), pipeline.Params())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,11 +81,6 @@ class Model:
 def anther_model(model: PlantModel) -> Model:
     """Return a plant model as it is, but for its response gain."""
     return Model(model.rods, model.stem_nodes, model.flower_nodes, model.material.damping_ratio)
-
-
-def scanned(seen: Seen, material: Material) -> PlantModel:
-    """Return Anther's model of a scanned plant."""
-    return plant.build_plant(seen.skeleton, seen.stem, seen.flowers, seen.cloud, material)
 
 
 def paper_model(seen: Seen, species: str, radius: float, *, as_scripted: bool = False) -> tuple[Model, float]:

@@ -5,7 +5,7 @@ R shakes, F flowers that were seen and are there, G grips.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -13,34 +13,26 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from anther.core import Array, StageFailure
 from anther.plant import Crop, Material, PlantModel
-from anther.pollination import Grasp, ObservedShake, Refinement, ShakePlan, measure_response, refine
+from anther.pollination import Grasp, ObservedShake, Refinement, refine
 from anther.pollination.learning import Felt
 from anther.pollination.shake import sawyer_limit
 from anther.pollination.shake._verification import steadily_shaken
 from anther.pollination.shake.observables import semi_major
 from anther.pollination.shake.pads import Pads, grip_rows, pad_nodes
-from anther.robot import Frame
 from anther.rods import Drive
-from anther.sim import Scene, SimPlant, grow, layout, photograph, views_at
-from anther.sim.capture import CameraErrors, sensed
-from anther.sim.robot import SIDE
-from anther.sim.simulated_cell import PRESETS, USUAL_DISTANCE
 from evaluation.prediction.expectation import amplitude_at
+from evaluation.prediction.known_plant import DIRECTION, Known, filmed, known, observed, shake_of, stem_points
 from evaluation.prediction.shaken_plant import Params as ShakenParams
 from evaluation.prediction.shaken_plant import ShakenPlant
-from evaluation.prediction.vibration_models import PRIOR, Seen, anther_model, paper_model, perceive, scanned, true_model
+from evaluation.prediction.vibration_models import Model, anther_model, paper_model, true_model
 
 HEIGHTS = (0.3, 0.45, 0.6, 0.75, 0.9)
 """Grips, in shares of the main stem's length."""
 MIDDLE = 1
 """Of `HEIGHTS`: held there, the plant is shaken by every amplitude."""
-DIRECTION = np.array([1.0, 0.0, 0.0])
-"""Along x, as the authors: towards the plant and back. The side camera looks across it."""
 PAPER_FREQUENCIES = (0.7, 1.0, 1.3, 1.6, 1.9)
 """[Hz], the authors' (facts: pollination 0)."""
 FAST_FREQUENCIES = (3.0, 5.0, 10.0, 30.0)
@@ -58,8 +50,6 @@ CAMERA_RATE = 15.0
 """Of the side camera, slow for a D455 and enough for a slow probe [Hz]."""
 CAMERA_ERROR = 3e-4
 """With which a perfect camera, that sees every flower, would measure an amplitude [m] (docs/reports/response.md)."""
-NEAR = 0.02
-"""A flower seen this close to a true one is that one [m]."""
 HELD = Pads(stiffness=1e9, turning=1e6, stiffness_spread=1e-3, turning_spread=1e-3)
 """What models believe of the pads: they do not give, as MuJoCo's grip here does not."""
 TWIST = 12.0
@@ -97,32 +87,26 @@ def one_plant(row: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Return what is found for one plant (a `Case`), or why it was lost, for a sweep."""
     del folder
     case = Case(**row)
-    plant = grow(case.species, case.seed, 0, USUAL_DISTANCE)
-    box = layout(USUAL_DISTANCE).workspace
-    scene = Scene.of_plant(plant)
-    views = views_at(USUAL_DISTANCE, PRESETS["full"])
-    seen = perceive(photograph(scene, views.joints, case.seed)[0], box)
     try:
-        return judged(case, plant, scene, seen)
+        return judged(case, known(case.species, case.seed))
     except StageFailure as failure:
         return {"lost": f"{case.name}: {failure}"}
 
 
-def judged(case: Case, plant: SimPlant, scene: Scene, seen: Seen) -> dict[str, Any]:
-    """Shake, model and compare one plant that was scanned.
+def judged(case: Case, it: Known) -> dict[str, Any]:
+    """Shake and compare one plant that was scanned and modelled.
 
     Returns:
         what vibration.json keeps of a plant: see `evaluation/prediction/vibration.py`.
     """
-    model = scanned(seen, PRIOR[case.species])
-    i, j = matched(seen.flowers.positions, plant.flower_position)
+    plant, model, i, j = it.plant, it.model, it.i, it.j
     grips = [ShakenPlant(plant, point, DIRECTION) for point in stem_points(plant, HEIGHTS)]
     points = np.array([grip.point for grip in grips])
-    beliefs, probe = probed(model, grips[PROBE_HEIGHT], scene, seen, case.seed, i=i, j=j)
+    beliefs, probe = probed(it, grips[PROBE_HEIGHT], case.seed)
     shakes = plan(case)
     stepped = ShakenPlant(plant, points[MIDDLE], DIRECTION, STEP) if case.stepped_below > 0 else None
     truth = [_shaken(grips[g], stepped if f < case.stepped_below and g == MIDDLE else None, a, f) for g, a, f in shakes]
-    models, soft, notes = predictors(case, plant, seen, model, beliefs)
+    models, soft, notes = predictors(case, it, beliefs)
     frequencies = np.array(case.frequencies)
     predicted: dict[str, Any] = {}
     for name, (predictor, flowers) in models.items():
@@ -139,7 +123,7 @@ def judged(case: Case, plant: SimPlant, scene: Scene, seen: Seen) -> dict[str, A
     return {
         "species": case.species,
         "seed": case.seed,
-        "flowers": {"true": len(plant.flower_position), "seen": len(seen.flowers.positions), "matched": len(i)},
+        "flowers": it.flowers,
         "youngs_mpa": {"true": plant.youngs[0] / 1e6}
         | {name: belief.material.youngs / 1e6 for name, belief in beliefs.items()},
         "damping_ratio": {"true": plant.damping_ratio[0], "probe": beliefs["probe"].material.damping_ratio},
@@ -168,20 +152,6 @@ def _nonlinear(model: PlantModel, material: Material, point: Array, amplitude: f
         return np.full(len(model.flower_nodes), np.nan)
 
 
-def stem_points(plant: SimPlant, shares: tuple[float, ...]) -> Array:
-    """Return (G, 3) points on the main stem at shares of its length."""
-    points, _, arc = plant.stem_centreline()
-    return np.stack([np.interp(np.multiply(shares, arc[-1]), arc, x) for x in points.T], axis=1)
-
-
-def matched(seen: Array, true: Array) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return which seen flowers are which true ones."""
-    apart = np.linalg.norm(seen[:, None] - true[None], axis=2).reshape(len(seen), len(true))
-    i, j = linear_sum_assignment(apart)
-    near = apart[i, j] < NEAR
-    return i[near], j[near]
-
-
 def plan(case: Case) -> list[tuple[int, float, float]]:
     """Return (number of the grip, amplitude [m], frequency [Hz]) of every shake."""
     shakes = []
@@ -207,76 +177,55 @@ def _shaken(grip: ShakenPlant, stepped: ShakenPlant | None, amplitude: float, fr
     return done.amplitude, done.unsteadiness
 
 
-def probed(
-    model: PlantModel, grip: ShakenPlant, scene: Scene, seen: Seen, seed: int, *, i: NDArray[Any], j: NDArray[Any]
-) -> tuple[dict[str, Refinement], dict[str, Any]]:
+def probed(it: Known, grip: ShakenPlant, seed: int) -> tuple[dict[str, Refinement], dict[str, Any]]:
     """Shake in bursts; return what is believed before and after, and after with perfect sight, and the numbers."""
-    by_camera, by_truth, told = [], [], []
-    rng = np.random.default_rng(seed)
-    pose = layout(USUAL_DISTANCE).T_world_side_camera
+    by_camera, by_truth, bursts = [], [], []
+    rng, model = np.random.default_rng(seed), it.model
     for f in PROBE_FREQUENCIES:
         camera = replace(STEP, samples=round(CAMERA_RATE / f), measure=1.5)
         shaken = ShakenPlant(grip.plant, grip.point, DIRECTION, camera)
         done = shaken.steady(PROBE_AMPLITUDE, f)
         shapes = [shaken.plant.posed_vertices(shaken.segment_poses(qpos)) for qpos in done.qpos]
-        frames = filmed(scene, shapes, done.times, pose, np.random.default_rng(seed))
-        answer = measure_response(frames, SIDE, pose, seen.flowers, f)
+        frames = filmed(it.plant, shapes, done.times, np.random.default_rng(seed))
         expected = anther_model(model).response(grip.point[None], DIRECTION, np.array([f]))[0, 0]
-        facts = {"direction": DIRECTION, "amplitude": PROBE_AMPLITUDE, "frequency": f, "pads": HELD}
-        place, predicted = SimpleNamespace(point=grip.point), PROBE_AMPLITUDE * expected
-        shake = cast(ShakePlan, SimpleNamespace(grasp=place, predicted_amplitude=predicted, **facts))
+        shake = shake_of(grip.point, f, PROBE_AMPLITUDE, PROBE_AMPLITUDE * expected, HELD)
+        seen, answer = observed(shake, frames, it.seen, Felt(began=0.0))
         true = np.full(len(expected), np.nan)
-        true[i] = np.abs(done.amplitude[j] + rng.normal(0, CAMERA_ERROR, len(j)))
-        by_camera.append(ObservedShake.of(shake, answer, Felt(began=0.0)))
+        true[it.i] = np.abs(done.amplitude[it.j] + rng.normal(0, CAMERA_ERROR, len(it.j)))
+        by_camera.append(seen)
         by_truth.append(ObservedShake(shake, true, np.full(len(expected), CAMERA_ERROR)))
-        told.append({"measured_m": answer.amplitude[i], "std_m": answer.amplitude_std[i], "true_m": done.amplitude[j]})
+        numbers = answer.amplitude[it.i], answer.amplitude_std[it.i], done.amplitude[it.j]
+        bursts.append(dict(zip(("measured_m", "std_m", "true_m"), numbers, strict=True)))
     beliefs = {"prior": refine(model, [], pads=HELD), "probe": refine(model, by_camera, pads=HELD)}
     beliefs["probe, every flower seen"] = refine(model, by_truth, pads=HELD)
-    whole = {name: np.concatenate([burst[name] for burst in told]) for name in told[0]}
+    whole = {name: np.concatenate([burst[name] for burst in bursts]) for name in bursts[0]}
     return beliefs, {**whole, "notes": list(beliefs["probe"].notes)}
 
 
-def filmed(
-    scene: Scene,
-    shapes: Sequence[Array],
-    times: Array,
-    pose: Array,
-    rng: np.random.Generator,
-    errors: CameraErrors | None = None,
-) -> list[Frame]:
-    """Return what the side camera at `pose` sees of a plant in these shapes (Nv, 3) [m] at times (T,) [s]."""
-    errors, frames = errors or CameraErrors(), []
-    for shape, time, stream in zip(shapes, times, rng.spawn(len(times)), strict=True):
-        frames.append(sensed(scene.moved(shape).render(SIDE, pose), float(time), SIDE, stream, errors))
-    return frames
-
-
 def predictors(
-    case: Case, plant: SimPlant, seen: Seen, model: PlantModel, beliefs: dict[str, Refinement]
+    case: Case, it: Known, beliefs: dict[str, Refinement]
 ) -> tuple[dict[str, tuple[Predictor, str]], float, list[str]]:
     """Return the models by name, each with whose flowers it has ("seen" or "true").
 
     Then how many times too soft the authors' E is for the paper's model to stand, and which models there are not.
     """
+    plant, model, notes = it.plant, it.model, []
     radius = float(np.mean(plant.stem_centreline()[1]))
-    paper, soft = paper_model(seen, case.species, radius)
-    scripts, _ = paper_model(seen, case.species, radius, as_scripted=True)
+    paper, soft = paper_model(it.seen, case.species, radius)
+    scripts, _ = paper_model(it.seen, case.species, radius, as_scripted=True)
     out: dict[str, tuple[Predictor, str]] = {
         name: (partial(amplitude_at, belief), "seen") for name, belief in beliefs.items()
     }
     out |= {"paper": (paper.response, "seen"), "paper as scripted": (scripts.response, "seen")}
     stiff = {"youngs": float(plant.youngs[0]), "damping_ratio": float(plant.damping_ratio[0])}
-    notes = []
-    for name, matter in (
-        ("probe, mean", beliefs["probe"].material),
-        ("true material", replace(model.material, **stiff)),
-    ):
+    made: dict[str, tuple[Callable[[], Model], str]] = {
+        "probe, mean": (lambda: anther_model(model.with_material(beliefs["probe"].material)), "seen"),
+        "true material": (lambda: anther_model(model.with_material(replace(model.material, **stiff))), "seen"),
+        "true plant": (lambda: true_model(plant, TWIST), "true"),
+    }
+    for name, (make, flowers) in made.items():
         try:
-            out[name] = (anther_model(model.with_material(matter)).response, "seen")
+            out[name] = make().response, flowers
         except StageFailure as failure:
             notes.append(f"{name}: {failure}")
-    try:
-        out["true plant"] = (true_model(plant, TWIST).response, "true")
-    except StageFailure as failure:
-        notes.append(f"true plant: {failure}")
     return out, soft, notes

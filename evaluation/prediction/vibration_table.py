@@ -7,24 +7,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.box import MARKDOWN
 from rich.table import Table
 
 from anther.core import Array
 from evaluation.prediction.vibration_plant import HEIGHTS, MIDDLE
+from evaluation.statistics import correlation
+from evaluation.tables import markdown
 
 Row = dict[str, Any]
 """What `vibration_plant.one_plant` returns."""
 
 MODELS = ("paper", "paper as scripted", "prior", "probe")
-CAUSES = (
-    "prior",
-    "probe",
-    "probe, every flower seen",
-    "probe, mean",
-    "true material",
-    "true plant",
-)
+CAUSES = ("prior", "probe", "probe, every flower seen", "probe, mean", "true material", "true plant")
 BANDS = {"paper": (0.0, 2.0), "fast": (2.0, 20.0), "flowers": (20.0, 100.0)}
 """[Hz]: the authors' shakes; the arm's; where flowers resonate on their pedicels."""
 
@@ -97,19 +91,11 @@ def location(row: Row, frequency: float) -> NDArray[Any]:
     return np.array(sorted(same, key=lambda k: shakes[k]["height"]))
 
 
-def correlation(a: Array, b: Array) -> float:
-    """Return Pearson's r; 0 where one of both does not vary."""
-    if min(np.ptp(a), np.ptp(b)) <= 1e-12:
-        return 0.0
-    return float(np.corrcoef(a, b)[0, 1])
-
-
 def metrics(rows: Sequence[Row]) -> dict[str, float]:
     """Return flat means over the plants: of the paper's band under the plain names, of the others with the band's."""
-    out: dict[str, float] = {
-        "plants": len(rows),
-        "flowers": sum(row["flowers"]["matched"] for row in rows),
-    } | checks(rows)
+    out: dict[str, float] = {"plants": len(rows), "flowers": sum(row["flowers"]["matched"] for row in rows)} | checks(
+        rows
+    )
     for band in BANDS:
         for model in dict.fromkeys(MODELS + CAUSES):
             scores = [s for row in rows if (s := score(row, model, band))]
@@ -210,14 +196,13 @@ BAND_WORDS = {"paper": "0.7–1.9", "fast": "3–10", "flowers": "30"}
 
 
 def _table(rows: Sequence[Row]) -> Table:
-    table = Table(*HEADS, box=MARKDOWN)
-    table.add_row(*PAPER)
-    for band in BANDS:
-        for model in MODELS:
-            scores = [s for row in rows if (s := score(row, model, band))]
-            if scores:
-                table.add_row(WORDS[model], BAND_WORDS[band], *_cells(scores))
-    return table
+    lines = [
+        (WORDS[model], BAND_WORDS[band], *_cells(scores))
+        for band in BANDS
+        for model in MODELS
+        if (scores := [s for row in rows if (s := score(row, model, band))])
+    ]
+    return markdown(HEADS, [PAPER, *lines])
 
 
 def _cells(scores: Sequence[Score]) -> tuple[str, ...]:
@@ -232,16 +217,15 @@ def _cells(scores: Sequence[Score]) -> tuple[str, ...]:
 
 
 def _causes(rows: Sequence[Row]) -> Table:
-    table = Table("model", *(f"{hz} Hz" for hz in BAND_WORDS.values()), box=MARKDOWN)
-    for model in (m for m in CAUSES if any(m in row["predicted_m"] for row in rows)):
-        table.add_row(WORDS[model], *(_both(rows, model, band) for band in BANDS))
-    return table
+    models = [m for m in CAUSES if any(m in row["predicted_m"] for row in rows)]
+    lines = [(WORDS[model], *(_both(rows, model, band) for band in BANDS)) for model in models]
+    return markdown(("model", *(f"{hz} Hz" for hz in BAND_WORDS.values())), lines)
 
 
 def _splits(rows: Sequence[Row]) -> Table:
     """Return the table of errors below 2 Hz by crop, and by how much the flower swings more than the grip."""
     shares = [f"{low:g}–{high:g} times" if np.isfinite(high) else f"over {low:g} times" for low, high in GAINS]
-    table = Table("model", *CROPS, *shares, box=MARKDOWN)
+    table = markdown(["model", *CROPS, *shares])
     for model in (m for m in dict.fromkeys(MODELS + CAUSES) if any(m in row["predicted_m"] for row in rows)):
         crops = [_both([r for r in rows if r["species"] == crop], model, "paper") for crop in CROPS]
         parts = [part for row in rows if model in row["predicted_m"] for part in [_gains(row, model)] if len(part[0])]

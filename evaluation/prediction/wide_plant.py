@@ -6,38 +6,32 @@ F flowers that were seen and are there, G grips, Q frequencies.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from anther.core import Array, StageFailure
 from anther.plant import Crop, PlantModel
-from anther.pollination import ObservedShake, Refinement, ShakePlan, measure_response, refine
+from anther.pollination import ObservedShake, Refinement, Seen, refine
 from anther.pollination.learning import Felt
 from anther.pollination.response import stem_near
 from anther.pollination.shake.observables import semi_major
 from anther.pollination.shake.pads import PADS, grip_rows, pad_nodes
 from anther.pollination.shake.search import Version, flower_motion
 from anther.robot import Frame
-from anther.sim import NOMINAL, Organ, Scene, Truth, camera_errors, grow, layout, photograph, views_at
-from anther.sim.robot import SIDE
-from anther.sim.simulated_cell import PRESETS, USUAL_DISTANCE, in_wind
+from anther.sim import NOMINAL, Organ, Truth, camera_errors
 from anther.sim.sway import swaying
 from evaluation.prediction.expectation import amplitude_at, expect, flowers_at, loads_at
+from evaluation.prediction.known_plant import DIRECTION, filmed, known, observed, shake_of, stem_points
 from evaluation.prediction.shaken_plant import ShakenPlant
-from evaluation.prediction.vibration_models import PRIOR, Seen, perceive, scanned
-from evaluation.prediction.vibration_plant import filmed, matched, stem_points
 from evaluation.trials.grasping_trial import truth_of
 
 HEIGHTS = (0.3, 0.45, 0.65)
 """Grips, in shares of the main stem's length."""
 HELD = 1
 """Of `HEIGHTS`: where it is probed."""
-DIRECTION = np.array([1.0, 0.0, 0.0])
 SLOW, FAST = (0.7, 1.0, 1.3, 1.6, 1.9), (4.0, 7.0)
 """Frequencies that are predicted [Hz]: the paper's, and those at which an arm moves flowers."""
 TONES = (0.8, 1.1, 1.4, 1.8, 4.0)
@@ -73,15 +67,6 @@ def one_plant(row: dict[str, Any], folder: Path) -> dict[str, Any]:
         return {"species": row["species"], "seed": row["seed"], "lost": str(failure)}
 
 
-@lru_cache(maxsize=4)
-def scanned_plant(species: Crop, seed: int, seen_as: Truth) -> Seen:
-    """Return what ten views tell of a plant of this truth."""
-    views = views_at(USUAL_DISTANCE, PRESETS["fast"])
-    plant = grow(species, seed, 0, USUAL_DISTANCE, seen_as)
-    sight = in_wind(plant, Scene.of_plant(plant), views, seen_as)
-    return perceive(photograph(sight, views.joints, seed, truth=seen_as)[0], layout(USUAL_DISTANCE).workspace)
-
-
 def looks(truth: Truth) -> Truth:
     """Return the truth as far as it changes what is seen: without wind, mechanics do not."""
     if truth.wind > 0:
@@ -93,16 +78,13 @@ def looks(truth: Truth) -> Truth:
 def predicted(case: Case) -> dict[str, Any]:
     """Scan, model, probe and predict one plant, and return it beside the truth."""
     truth = truth_of(case.truth, case.seed)
-    plant = grow(case.species, case.seed, 0, USUAL_DISTANCE, truth)
-    seen = scanned_plant(case.species, case.seed, looks(truth))
-    model = scanned(seen, PRIOR[case.species])
-    i, j = matched(seen.flowers.positions, plant.flower_position)
-    points = stem_points(plant, HEIGHTS)
-    grips = [ShakenPlant(plant, point, DIRECTION, truth=truth) for point in points]
+    it = known(case.species, case.seed, truth, "fast", looks(truth))
+    plant, model, i, j = it.plant, it.model, it.i, it.j
+    grips = [ShakenPlant(plant, point, DIRECTION, truth=truth) for point in stem_points(plant, HEIGHTS)]
     points = np.array([grip.point for grip in grips])
     swayed, before = _swayed(grips[HELD], truth), refine(model, [])
     sizes = tone_amplitudes(before, points[HELD])
-    probes = [_probe(model, grips[HELD], seen, *tone, truth) for tone in zip(TONES, sizes, swayed, strict=True)]
+    probes = [_probe(model, grips[HELD], it.seen, *tone, truth) for tone in zip(TONES, sizes, swayed, strict=True)]
     after = refine(model, probes)
     frequencies = np.array(SLOW + FAST)
     true = np.array([semi_major(grip.linear(frequencies)) for grip in grips])
@@ -119,8 +101,7 @@ def predicted(case: Case) -> dict[str, Any]:
         "true": [truth.pad_stiffness, truth.pad_rotation],
     }
     row["youngs"] = {"found": after.material.youngs, "true": float(plant.youngs[0])}
-    row["flowers"] = {"true": len(plant.flower_position), "seen": len(seen.flowers.positions), "matched": len(i)}
-    return row
+    return row | {"flowers": it.flowers}
 
 
 def tone_amplitudes(belief: Refinement, point: Array) -> Array:
@@ -138,19 +119,15 @@ def _probe(
     model: PlantModel, grip: ShakenPlant, seen: Seen, frequency: float, amplitude: float, swayed: Array, truth: Truth
 ) -> ObservedShake:
     """Shake at one tone, in the wind; return what camera and arm measured of it."""
-    pose = layout(USUAL_DISTANCE).T_world_side_camera
-    frames = _filmed(grip, amplitude, frequency, pose, truth, swayed)
+    frames = _filmed(grip, amplitude, frequency, truth, swayed)
     ids = seen.stem.node_ids
     nodes, arc = seen.skeleton.nodes[ids], seen.stem.arc_length
     held = float(arc[np.argmin(np.linalg.norm(nodes - grip.point, axis=1))])
     beside = stem_near(nodes, arc, seen.skeleton.radius[ids], held)
-    answer = measure_response(frames, SIDE, pose, seen.flowers, frequency, stem=beside)
     where = pad_nodes(model, grip_rows(model, grip.point[None]))
     linear = semi_major(flower_motion(Version(model), where, DIRECTION, np.array([frequency]))[0, 0])
-    facts = {"direction": DIRECTION, "amplitude": amplitude, "frequency": frequency, "pads": PADS}
-    place = SimpleNamespace(point=grip.point)
-    shake = cast(ShakePlan, SimpleNamespace(grasp=place, predicted_amplitude=amplitude * linear, **facts))
-    return ObservedShake.of(shake, answer, _felt(grip, amplitude, frequency, grip.plant.seed))
+    shake = shake_of(grip.point, frequency, amplitude, amplitude * linear, PADS)
+    return observed(shake, frames, seen, _felt(grip, amplitude, frequency, grip.plant.seed), stem=beside)[0]
 
 
 def _times(frequency: float) -> Array:
@@ -173,9 +150,7 @@ def _swayed(grip: ShakenPlant, truth: Truth) -> list[Array]:
     return np.split(moved, np.cumsum([len(t) for t in times])[:-1])
 
 
-def _filmed(
-    grip: ShakenPlant, amplitude: float, frequency: float, pose: Array, truth: Truth, swayed: Array
-) -> list[Frame]:
+def _filmed(grip: ShakenPlant, amplitude: float, frequency: float, truth: Truth, swayed: Array) -> list[Frame]:
     """Return what the side camera sees of a shake, its clock late; nothing is blurred.
 
     The swing is that of MuJoCo's linear equations with the drag at its amplitude, and the wind's motion besides.
@@ -184,7 +159,7 @@ def _filmed(
     shapes = [plant.posed_vertices(grip.segment_poses(q)) for q in grip.swing(amplitude, frequency, times)]
     shapes = [shape + sway for shape, sway in zip(shapes, swayed, strict=True)]
     rng = np.random.default_rng(plant.seed)
-    return filmed(Scene.of_plant(plant), shapes, times + truth.clock_offset, pose, rng, camera_errors(truth))
+    return filmed(plant, shapes, times + truth.clock_offset, rng, camera_errors(truth))
 
 
 def _felt(grip: ShakenPlant, amplitude: float, frequency: float, seed: int) -> Felt:

@@ -11,7 +11,8 @@ from rich.table import Table
 
 from anther.core import Array
 from evaluation.prediction.wide_plant import HELD, KINDS, SLOW, TONES
-from evaluation.trials.trial_tables import table_of
+from evaluation.statistics import mean
+from evaluation.tables import markdown
 
 Row = dict[str, Any]
 BAND = {"": slice(None, len(SLOW)), "_fast": slice(len(SLOW), None)}
@@ -33,7 +34,7 @@ def metrics(rows: Sequence[Row]) -> dict[str, float]:
     out = {"plants": float(len(whole)), "plants_lost": float(sum("lost" in row for row in rows))}
     if not whole:
         return out
-    out["measured_share"] = _mean(np.mean(tone["measured"]) for row in whole for tone in row["held"])
+    out["measured_share"] = mean(np.mean(tone["measured"]) for row in whole for tone in row["held"])
     for name, measured in (("seen", True), ("hidden", False)):
         out[f"error_held_{name}"] = _median(
             _error(tone["said"], tone["true"])[np.array(tone["measured"]) == measured]
@@ -56,12 +57,12 @@ def metrics(rows: Sequence[Row]) -> dict[str, float]:
     for kind in KINDS:
         within[kind] = lambda row, kind=kind: _inside(row["loads after"][kind], row["loads"][kind])
     for name, inside in within.items():
-        out[f"coverage_{name}"] = _mean(np.concatenate([inside(row).ravel() for row in whole]))
+        out[f"coverage_{name}"] = mean(np.concatenate([inside(row).ravel() for row in whole]))
     held = [
         _inside(h["interval"], h["true"])[np.array(h["measured"], dtype=bool)] for row in whole for h in row["held"]
     ]
-    out["coverage_held"] = _mean(np.concatenate(held)) if held else np.nan
-    out["coverage_90"] = _mean(out[f"coverage_{name}"] for name in ("held", "amplitude", *KINDS))
+    out["coverage_held"] = mean(np.concatenate(held)) if held else np.nan
+    out["coverage_90"] = mean(out[f"coverage_{name}"] for name in ("held", "amplitude", *KINDS))
     for kind in KINDS:
         logs = np.concatenate([_log(row["loads"][kind], _middle(row["loads after"][kind])) for row in whole])
         out |= {f"bias_{kind}": float(np.median(logs)), f"spread_{kind}": float(np.std(logs))}
@@ -94,7 +95,7 @@ def told(table: dict[str, float]) -> list[RenderableType]:
         both = "{}" not in key
         cells = ["" if both or np.isnan(value) else f"{value:.1%}" for value in found]
         lines.append((words, *cells, f"{found[0]:.1%}" if both and np.isfinite(found[0]) else ""))
-    errors = table_of(("which flowers", "tomatoes", "peppers", "both"), lines)
+    errors = markdown(("which flowers", "tomatoes", "peppers", "both"), lines)
     lines = []
     for key, words in QUANTITIES.items():
         share, bias, spread = (table.get(f"{name}_{key}", np.nan) for name in ("coverage", "bias", "spread"))
@@ -105,7 +106,7 @@ def told(table: dict[str, float]) -> list[RenderableType]:
     said = f"Plants predicted: {plants:.0f}, without an answer: {lost:.0f}; probed at {tones()}."
     if not plants:
         return [said]
-    return [f"{said} Median error of a flower's amplitude.", errors, "The intervals.", table_of(heads, lines)]
+    return [f"{said} Median error of a flower's amplitude.", errors, "The intervals.", markdown(heads, lines)]
 
 
 def ranking(by_truth: dict[str, dict[str, float]], names: Mapping[str, str]) -> Table:
@@ -117,7 +118,7 @@ def ranking(by_truth: dict[str, dict[str, float]], names: Mapping[str, str]) -> 
     for name in (*first, *rest):
         title = {"nominal": "nothing", "wide": "**everything**"}.get(name, name)
         lines.append((title, *(f"{by_truth[name].get(key, np.nan):.3g}" for key in names)))
-    return table_of(("only this is not nominal", *names.values()), lines)
+    return markdown(("only this is not nominal", *names.values()), lines)
 
 
 def tones() -> str:
@@ -140,11 +141,6 @@ def _inside(interval: Any, true: Any) -> Any:
 
 def _log(true: Any, said: Any) -> Array:
     return np.log(np.asarray(true, dtype=float) / np.asarray(said, dtype=float)).ravel()
-
-
-def _mean(values: Iterable[Any]) -> float:
-    found = np.fromiter(values, dtype=float)
-    return float(np.nanmean(found)) if np.isfinite(found).any() else np.nan
 
 
 def _median(parts: Iterable[Array]) -> float:

@@ -27,14 +27,14 @@ from pathlib import Path
 
 from rich.console import RenderableType
 
-from anther.core.files import read_json, write_json
+from anther.core.files import read_json
 from anther.sim import WIDE
-from evaluation.harness import swept
+from evaluation.harness import by_turns, finish, lost, options, run_cases
 from evaluation.prediction import wide_table
 from evaluation.prediction.wide_plant import Case, one_plant
 from evaluation.trials import wide_grasping
+from evaluation.trials.grasping_table import failures
 from evaluation.trials.grasping_trial import asked, crashed, one_trial
-from evaluation.trials.trial_tables import failures, say
 
 PARTS = ("prediction", "grasping")
 FIRST = 9000
@@ -61,10 +61,8 @@ def predictions(args: argparse.Namespace) -> dict[str, dict[str, float]]:
     first = (DEVELOPMENT if args.development else FIRST) + args.seed
     out = {}
     for truth, plants in _truths(args.plants, args.perturbed):
-        cases = [asdict(Case(wide_grasping.SPECIES[k % 2], first + k // 2, truth)) for k in range(plants)]
-        rows = swept(
-            one_plant, cases, args.out / "prediction", args.jobs, lambda reason: {"lost": f"crashed: {reason}"}
-        )
+        cases = [asdict(Case(*plant, truth)) for plant in by_turns(plants, first)]
+        rows = run_cases(one_plant, cases, args.out / "prediction", args.jobs, lost)
         out[truth] = wide_table.metrics(rows)
     return out
 
@@ -77,7 +75,7 @@ def grasps(args: argparse.Namespace) -> tuple[dict[str, dict[str, float]], list[
         if not trials:
             continue
         cases = wide_grasping.cases(trials, args.seed, "fast", truth)
-        rows = swept(one_trial, asked(cases, rule=False), args.out / "grasping", args.jobs, crashed)
+        rows = run_cases(one_trial, asked(cases, rule=False), args.out / "grasping", args.jobs, crashed)
         out[truth] = wide_grasping.metrics(rows)
         drawn += rows if truth == "wide" else []
     return out, drawn
@@ -120,26 +118,21 @@ def report(
 
 def main() -> None:
     """Run what is not there yet, print the tables, write --json."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--quick", action="store_true", help="two plants and two trials")
-    parser.add_argument("--seed", type=int, default=0, help="added to the seeds of all plants")
-    parser.add_argument("--part", choices=PARTS, nargs="*", default=PARTS)
-    parser.add_argument("--plants", type=int, default=6, help="predicted with everything drawn")
-    parser.add_argument("--perturbed", type=int, default=0, help="predicted with one group drawn")
-    parser.add_argument("--trials", type=int, default=16, help="with everything drawn")
-    parser.add_argument("--perturbed-trials", type=int, default=0, help="with one group drawn")
-    parser.add_argument("--development", action="store_true", help="predict the plants that set the spreads")
-    parser.add_argument("--jobs", type=int, default=1, help="plants or trials at a time")
-    parser.add_argument("--out", type=Path, default=Path("runs/wide"), help="where what is done is kept")
-    args = parser.parse_args()
+    own = {
+        "--part": (PARTS, "of the experiment", PARTS),
+        "--plants": (6, "predicted with everything drawn"),
+        "--perturbed": (0, "predicted with one group drawn"),
+        "--trials": (16, "with everything drawn"),
+        "--perturbed-trials": (0, "with one group drawn"),
+        "--development": (False, "predict the plants that set the spreads"),
+    }
+    seed = (0, "added to the seeds of all plants")
+    args = options(__doc__, quick="two plants and two trials", seed=seed, jobs="cases", out="runs/wide", own=own)
     if args.quick:
         args.plants, args.perturbed, args.trials, args.perturbed_trials = 2, 0, 2, 0
     predicted = predictions(args) if "prediction" in args.part else {}
     grasped, trials = grasps(args) if "grasping" in args.part else ({}, [])
-    say(report(predicted, grasped, trials))
-    if args.json:
-        write_json(args.json, flat(predicted, grasped))
+    finish(args, flat(predicted, grasped), *report(predicted, grasped, trials))
 
 
 if __name__ == "__main__":

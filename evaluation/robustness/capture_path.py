@@ -10,18 +10,10 @@ the arm's readings tell where it was taken (`anther.robot.arm.views`): a camera 
 
 from __future__ import annotations
 
-import argparse
-from pathlib import Path
-from typing import get_args
-
 import numpy as np
 from numpy.typing import NDArray
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.table import Table
 
 from anther.core import Array, Box
-from anther.core.files import write_json
 from anther.plant import Crop
 from anther.robot import JointTrajectory, Views
 from anther.robot.arm import _motions as motions
@@ -33,7 +25,9 @@ from anther.sim.cell import Cell
 from anther.sim.plant import POT_HEIGHT
 from anther.sim.robot import SimArm
 from anther.sim.simulated_cell import PRESETS, USUAL_DISTANCE
+from evaluation.harness import CROPS, finish, options, progress
 from evaluation.robustness.path_judge import SIGHT, Surroundings, judge_path
+from evaluation.tables import markdown
 
 LOOK = 0.2  # s to either side of a view
 SHOWN = {
@@ -82,8 +76,7 @@ def driven(views: Views, species: Crop, seed: int) -> dict[str, float]:
     """Return how the simulated arm follows the whole motion before a plant of that seed, and how long it is sharp."""
     cell, camera = Cell(grow(species, seed, 0.0, USUAL_DISTANCE), sawyer.READY), Params()
     motion, arrivals = through_views(views)
-    with Console().status(f"driving, {species} {seed}"):
-        record = SimArm(cell).follow(motion)
+    record = SimArm(cell).follow(motion)
     rates = np.gradient(record.measured, record.times, axis=0)
     points = cylinder_points(layout(USUAL_DISTANCE).region, SEEN)
     spans, off = [], []
@@ -149,29 +142,21 @@ def _cell(value: float, most: float) -> str:
 
 def main() -> None:
     """Plan, judge, drive, print a table, write --json."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--quick", action="store_true", help="the fast preset only")
-    parser.add_argument("--seed", type=int, default=10, help="of the plant that stands there")
-    args = parser.parse_args()
+    args = options(__doc__, quick="the fast preset only", seed=(10, "of the plant that stands there"))
     rows = dict[str, dict[str, float]]()
-    for name in ["fast"] if args.quick else list(PRESETS):
+    for name in progress(["fast"] if args.quick else list(PRESETS), "presets"):
         views = views_at(USUAL_DISTANCE, PRESETS[name])
-        species: Crop = get_args(Crop)[len(rows) % 2]
+        species = CROPS[len(rows) % 2]
         pot = grow(species, args.seed, 0.0, USUAL_DISTANCE).pot
         width = np.array([pot.radius, pot.radius, 0])
         body = Box(pot.centre - width - [0, 0, POT_HEIGHT], pot.centre + width)
         rows[name] = judged(views, body) | driven(views, species, args.seed)
-    table = Table("", *(f"preset `{name}`" for name in rows), box=MARKDOWN)
-    for what, words in SHOWN.items():
-        far = what.startswith("clearance")
-        table.add_row(words, *(_cell(row[what], SIGHT * 1000 if far else np.inf) for row in rows.values()))
-    Console().print(table)
+    far = {what: SIGHT * 1000 if what.startswith("clearance") else np.inf for what in SHOWN}
+    lines = [(words, *(_cell(row[what], far[what]) for row in rows.values())) for what, words in SHOWN.items()]
     metrics = {f"{name}_{what}": value for name, row in rows.items() for what, value in row.items()}
     metrics["limits_broken"] = sum(len(fails(row)) for row in rows.values())
-    print(f"Limits that are broken: {metrics['limits_broken']}.")
-    if args.json:
-        write_json(args.json, metrics)
+    words = f"Limits that are broken: {metrics['limits_broken']}."
+    finish(args, metrics, markdown(("", *(f"preset `{name}`" for name in rows)), lines), words)
 
 
 if __name__ == "__main__":

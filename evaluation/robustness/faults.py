@@ -17,21 +17,18 @@ never sees.
 
 from __future__ import annotations
 
-import argparse
 import json
+import re
 import signal
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, cast, get_args
 
 import numpy as np
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.table import Table
 
 from anther.core import InputError, Run, StageFailure
 from anther.core.files import read_json, write_json
@@ -48,10 +45,10 @@ from anther.sim.cell import BENCH, POT, Cell
 from anther.sim.plant import OF_SEGMENTS
 from anther.sim.robot import SimArm, SimGripper
 from anther.sim.simulated_cell import PRESETS, safety_limits
-from evaluation.harness import kept, swept
+from evaluation.harness import HIDDEN, Row, finish, kept, run_cases
 from evaluation.perception.replay_camera import ReplayCamera
-from evaluation.robustness.fault_machines import ClockCamera, Kept, Pieces, left_behind
-from evaluation.robustness.fault_truth import peak, true_grip, true_stress
+from evaluation.robustness.campaign import asked, counted, crashed, numbers
+from evaluation.robustness.fault_machines import ClockCamera, Kept, Pieces, left_behind, peak, true_grip, true_stress
 from evaluation.robustness.faulty_machines import STALE, Fault, FaultyCamera, Kind, with_faults
 
 SPECIES, SEED, DISTANCE = "tomato", 10, 0.72
@@ -76,6 +73,9 @@ FIRST: tuple[Kind, ...] = (
 HELD = 0.4  # of the force asked for: pads that truly press so hard hold a stem, whatever is told of it
 
 
+WORD = re.compile(r"[\W_]")
+
+
 @dataclass(frozen=True)
 class Case:
     """One fault, and where it strikes: `views` while they are taken, else the execution."""
@@ -84,17 +84,6 @@ class Case:
     fault: Fault
     views: bool = False
     whole_plant: bool = False
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What came of it: why it was not safe, what is wrong with the record, why it could not go on; "" is good."""
-
-    case: Case
-    unsafe: str
-    record: str
-    continued: str
-    force: float
 
 
 def draw(number: int, seed: int, chosen: Kind | None = None) -> Case:
@@ -232,19 +221,16 @@ def bad_record(folder: Path, case: Case, holds: Callable[[Trial], bool]) -> str:
     return "" if blind or trial.failure == wanted else f"{trial.failure}: {trial.stop_reason}"
 
 
-def in_execution(case: Case, base: Path, folder: Path) -> Outcome:
+def in_execution(case: Case, base: Path, folder: Path) -> Row:
     """Let a fault strike an execution; then clear it and go on in the same world."""
     limits, plan = planned(base)[2], planned(base)[1]
-    cell = Cell(plant(case.whole_plant), sawyer.READY)
-    if case.fault.kind == "kill -9":
+    cell, killed = Cell(plant(case.whole_plant), sawyer.READY), case.fault.kind == "kill -9"
+    if killed:
         words = ["--worker", str(case.number), "--kill-at", json.dumps(asdict(case.fault)), "--out", str(folder)]
-        done = subprocess.run(
-            [sys.executable, "-m", "evaluation.robustness.faults", *words, "--base", str(base)],
-            capture_output=True,
-            check=False,
-        )
+        command = [sys.executable, "-m", "evaluation.robustness.faults", *words, "--base", str(base)]
+        done = subprocess.run(command, capture_output=True, check=False)
         if done.returncode != -signal.SIGKILL:
-            return Outcome(case, "", f"exit {done.returncode}: {done.stderr.decode()[-300:]}", "", 0.0)
+            return outcome(record=f"exit {done.returncode}: {done.stderr.decode()[-300:]}")
         left_behind(cell, folder / "world.bin")
     else:
         run_once(base, folder, with_faults(machines(cell), case.fault))
@@ -253,10 +239,15 @@ def in_execution(case: Case, base: Path, folder: Path) -> Outcome:
     force = peak(log.contact_sample[others], log.contact_force[others])
     record = bad_record(folder, case, lambda trial: true_grip(log, trial) >= HELD * plan.press)
     why = unsafe(cell, limits, plan, case)
-    killed = case.fault.kind == "kill -9"
     again = run_once(base, folder, machines(cell), restart_from="where-it-stopped" if killed else "execution")
     after = unsafe(cell, limits, plan, replace(case, fault=replace(case.fault, lasting=False, kind="ctrl-c")))
-    return Outcome(case, why, record, after if again.finished else again.stop_reason, force)
+    return outcome(why, record, after if again.finished else again.stop_reason, force)
+
+
+def outcome(unsafe: str = "", record: str = "", continued: str = "", force: float = 0.0) -> Row:
+    """Return what came of a case: why it was not safe, what is wrong with the record, why it could not go on; "" is
+    good. And the largest force with which something but the pads pressed on the plant [N]."""
+    return {"unsafe": unsafe, "record": record, "continued": continued, "force": force}
 
 
 def worker(fault: Fault, base: Path, folder: Path) -> None:
@@ -266,13 +257,13 @@ def worker(fault: Fault, base: Path, folder: Path) -> None:
     run_once(base, folder, with_faults(machines(cell, Kept(cell, folder / "world.bin")), fault))
 
 
-def while_seeing(case: Case, base: Path, folder: Path) -> Outcome:
+def while_seeing(case: Case, base: Path, folder: Path) -> Row:
     """Let the wrist camera lose frames while the views are taken; then take them again with a whole camera.
 
     The arm is not moved before the grasp is planned, so what is checked is the record and that the run goes on.
     """
     stored = Capture.load(base / "01_capture")
-    record = ""
+    record = continued = ""
     try:
         see(stored, case.fault, folder)
         lost = read_json(folder / "lost.json")
@@ -284,8 +275,8 @@ def while_seeing(case: Case, base: Path, folder: Path) -> Outcome:
     try:
         see(stored, None, folder)
     except StageFailure as failure:
-        return Outcome(case, "", record, str(failure), 0.0)
-    return Outcome(case, "", record, "", 0.0)
+        continued = str(failure)
+    return outcome(record=record, continued=continued)
 
 
 def see(stored: Capture, fault: Fault | None, folder: Path) -> None:
@@ -318,104 +309,51 @@ def subset(capture: Capture, views: list[int]) -> Capture:
     return replace(capture, **{name: pick(getattr(capture, name)) for name in names})
 
 
-def one(row: dict[str, Any], folder: Path) -> dict[str, Any]:
+def one(row: Row, folder: Path) -> Row:
     """Run one case in a process of its own, which Ctrl-C may strike, and return what came of it, for a sweep."""
     words = ["--alone", str(row["number"]), "--seed", str(row["seed"]), "--base", row["base"], "--out", str(folder)]
     words += ["--kinds", row["kind"]] if "kind" in row else []
-    return outcome_of(["-m", "evaluation.robustness.faults", *words], folder)
-
-
-def outcome_of(words: list[str], folder: Path) -> dict[str, Any]:
-    """Run a script with its words in a process of its own; return the outcome.json that it wrote into the folder."""
-    done = subprocess.run([sys.executable, *words], capture_output=True, text=True, check=False)
+    command = [sys.executable, "-m", "evaluation.robustness.faults", *words]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         raise RuntimeError(f"exit {done.returncode}: {done.stderr[-400:]}")
-    return cast(dict[str, Any], read_json(folder / "outcome.json"))
+    return cast(Row, read_json(folder / "outcome.json"))
 
 
-def crashed(why: str) -> dict[str, Any]:
-    """Return what stands for a case whose program crashed: none of the three is good."""
-    return {"unsafe": f"crashed: {why}", "record": "crashed", "continued": "crashed", "force": 0.0}
-
-
-def alone(case: Case, base: Path, folder: Path) -> None:
-    """Run one case in this process."""
-    outcome = while_seeing(case, base, folder) if case.views else in_execution(case, base, folder)
-    write_json(folder / "outcome.json", {k: v for k, v in asdict(outcome).items() if k != "case"})
-
-
-def summary(outcomes: list[Outcome]) -> dict[str, float]:
-    """Print a table and return the metrics."""
-    table = Table("fault", "struck", "safe ends", "records lost", "gone on with", box=MARKDOWN)
-    metrics: dict[str, float] = {}
-    names = [o.case.fault.kind + (" (views)" if o.case.views else "") for o in outcomes]
-    for name in ["", *sorted(set(names))]:
-        some = [o for o, n in zip(outcomes, names, strict=True) if name in ("", n)]
-        counts = {
-            "faults": len(some),
-            "safe_ends": sum(not o.unsafe for o in some),
-            "records_lost": sum(bool(o.record) for o in some),
-            "continued": sum(not o.continued for o in some),
-        }
-        table.add_row(name or "all", *map(str, counts.values()))
-        prefix = "".join(c if c.isalnum() else "_" for c in name).strip("_")
-        metrics |= {f"{prefix}_{key}".strip("_"): value for key, value in counts.items()}
-    Console().print(table)
-    for o in outcomes:
-        if o.unsafe or o.record or o.continued:
-            print(f"{o.case}: unsafe: {o.unsafe or '-'}; record: {o.record or '-'}; goes on: {o.continued or 'yes'}")
-    metrics["whole_plant_faults"] = sum(o.case.whole_plant for o in outcomes)
-    metrics["largest_contact_force_n"] = max(o.force for o in outcomes)
-    return metrics
-
-
-def options(description: str | None, quick: str) -> argparse.ArgumentParser:
-    """Return what can be asked of faults that are drawn by number; quick: what --quick does."""
-    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--quick", action="store_true", help=quick)
-    parser.add_argument("--faults", type=int, default=1000)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--only", type=int, nargs="*", help="numbers of the cases to run")
-    parser.add_argument("--kinds", nargs="*", default=(), help="only faults of these kinds")
-    parser.add_argument("--each", type=int, default=1, help="of --kinds, so many each")
-    parser.add_argument("--base", type=Path, help="the stored run, made when missing; by default that of faults.py")
-    parser.add_argument("--alone", type=int, help=argparse.SUPPRESS)
-    return parser
+def stopped(why: str) -> Row:
+    """Return what stands for a case whose program crashed."""
+    return crashed(why) | {"force": 0.0}
 
 
 def main() -> None:
     """Draw the faults, let them strike, and write a flat table of metrics of all that struck."""
-    parser = options(__doc__, "20 faults instead of 1000")
-    parser.add_argument("--out", type=Path, default=Path("runs/faults"))
-    parser.add_argument("--worker", type=int, help=argparse.SUPPRESS)
-    parser.add_argument("--kill-at", help=argparse.SUPPRESS)
-    args = parser.parse_args()
+    own = {"--worker": (int, HIDDEN), "--kill-at": (str, HIDDEN)}
+    args = asked(__doc__, quick="20 faults instead of 1000", out="runs/faults", kinds=STRUCK, own=own)
     base = args.base or args.out / "base"
     if args.worker is not None:
-        worker(Fault(**json.loads(args.kill_at)), base, args.out)
-        return
+        return worker(Fault(**json.loads(args.kill_at)), base, args.out)
     if args.alone is not None:
         signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background processes would ignore Ctrl-C
-        alone(draw(args.alone, args.seed, *args.kinds), base, args.out)
-        return
-    if unknown := set(args.kinds) - set(STRUCK):
-        parser.error(f"--kinds: got {', '.join(sorted(unknown))}; allowed: {', '.join(STRUCK)}")
+        case = draw(args.alone, args.seed, *args.kinds)
+        found = (while_seeing if case.views else in_execution)(case, base, args.out)
+        return write_json(args.out / "outcome.json", found)
     prepare(base)
-    numbers = args.only or range(args.each if args.kinds else 20 if args.quick else args.faults)
-    cases: list[dict[str, Any]] = [
+    cases: list[Row] = [
         {"number": number, "seed": args.seed, "base": str(base.resolve()), **kind}
         for kind in [{"kind": kind} for kind in args.kinds] or [{}]
-        for number in numbers
+        for number in numbers(args, quick=20)
     ]
-    swept(one, cases, args.out / "faults", args.jobs, crashed)
-    rows = kept(args.out / "faults", crashed)
-    drawn = [draw(row["number"], row["seed"], row.get("kind")) for row in rows]
-    names = [field.name for field in fields(Outcome) if field.name != "case"]
-    metrics = summary([Outcome(case, **{n: row[n] for n in names}) for case, row in zip(drawn, rows, strict=True)])
-    if args.json:
-        write_json(args.json, metrics)
+    run_cases(one, cases, args.out / "faults", args.jobs, stopped)
+    rows = []
+    for row in kept(args.out / "faults", stopped):
+        case = draw(row["number"], row["seed"], row.get("kind"))
+        rows.append(row | {"case": case, "kind": case.fault.kind + (" (views)" if case.views else "")})
+    table, bad, metrics = counted(
+        rows, sorted({row["kind"] for row in rows}), lambda kind: WORD.sub("_", kind).strip("_")
+    )
+    metrics["whole_plant_faults"] = sum(row["case"].whole_plant for row in rows)
+    metrics["largest_contact_force_n"] = max(row["force"] for row in rows)
+    return finish(args, metrics, table, *bad)
 
 
 if __name__ == "__main__":

@@ -13,32 +13,27 @@ A plant is harmed where the largest true load of any step passes its limit.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from itertools import product
-from multiprocessing import get_context
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 from unittest.mock import patch
 
 import numpy as np
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 
 sys.path.append(str(Path(__file__).parents[2] / "tests" / "support"))
 from made_foresight import FLOWERS, POINTS, TONES, World, made_foresight, made_plan
 
-from anther.core.files import write_json
 from anther.pollination import escalation
 from anther.pollination.escalation._option import limits_of
 from anther.pollination.response.points import Swings
 from anther.pollination.shake.observables import ComplexArray
+from evaluation.harness import finish, in_processes, options
+from evaluation.tables import markdown
 
 NOISE = 3e-5  # m, of what is seen
 PLANNED, REACH = 0.002, 0.03  # m, at every tone: what the model allows, and what the actuator can do
@@ -149,7 +144,7 @@ def shaken(case: Case) -> Outcome:
 def report(cases: list[Case], outcomes: list[Outcome], soft: float) -> tuple[Table, dict[str, float]]:
     """Return a table, a row for each lie and look, and the metrics."""
     heads = [f"{name}, {what}" for what in ("as believed", f"{soft:g} times softer") for name in COLUMNS]
-    table = Table("shown", "from look", *heads, box=MARKDOWN)
+    table = markdown(["shown", "from look", *heads])
     for lie, since in [(lie, look) for lie, (_, looks) in LIES.items() for look in looks]:
         cells = []
         for softer in (1.0, soft):
@@ -178,24 +173,13 @@ COLUMNS = ("passed a limit", "largest share", "last amplitude (mm)", "flowers fe
 
 def main() -> None:
     """Shake all plants under every lie, print a table, write --json."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--quick", action="store_true", help="three plants")
-    parser.add_argument("--plants", type=int, default=40)
-    parser.add_argument("--soft", type=float, default=3.0, help="how much softer than believed the soft plants are")
-    parser.add_argument("--seed", type=int, default=0, help="of the first plant")
-    parser.add_argument("--jobs", type=int, default=1)
-    args = parser.parse_args()
+    own = {"--plants": (40, "made up"), "--soft": (3.0, "how much softer than believed the soft plants are")}
+    args = options(__doc__, quick="three plants", seed=(0, "of the first plant"), jobs="shakes", own=own)
     seeds = range(args.seed, args.seed + (3 if args.quick else args.plants))
     looks = [(lie, look) for lie, (_, looks) in LIES.items() for look in looks]
     cases = [Case(seed, softer, *look) for seed, softer, look in product(seeds, (1.0, args.soft), looks)]
-    with ProcessPoolExecutor(args.jobs, mp_context=get_context("spawn")) as pool:
-        done = pool.map(shaken, cases, chunksize=4)
-        outcomes = list(track(done, "shakes", len(cases), console=Console(stderr=True)))
-    table, metrics = report(cases, outcomes, args.soft)
-    Console().print(table)
-    if args.json:
-        write_json(args.json, metrics)
+    table, metrics = report(cases, in_processes(shaken, cases, args.jobs, "shakes"), args.soft)
+    finish(args, metrics, table)
 
 
 if __name__ == "__main__":

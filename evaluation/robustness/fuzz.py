@@ -11,7 +11,6 @@ in one process, which is started again when it dies or does not come back. `tria
 
 from __future__ import annotations
 
-import argparse
 import io
 import json
 import os
@@ -33,16 +32,14 @@ from types import FrameType
 from typing import Any
 
 import numpy as np
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.table import Table
 
 from anther.cli.main import main as anther
 from anther.core import StageFailure
-from anther.core.files import write_json
 from anther.sim import simulated_cell
+from evaluation.harness import HIDDEN, finish, options
 from evaluation.robustness import fuzz_inputs
 from evaluation.robustness.fuzz_inputs import COMMAND_LINES, KNOWN, VALUES, Known
+from evaluation.tables import markdown
 
 PATIENCE, LOST = 20, 90
 """Seconds after which a command is told to stop, and after which a process that does not is killed."""
@@ -195,18 +192,8 @@ def work(base: Path, first: int, last: int, log: Path) -> None:
 def supervised(base: Path, first: int, last: int, log: Path) -> None:
     """Let a process work, and start another behind the input at which it died or stood still."""
     while first < last:
-        until = str(min(last, first + FRESH))
-        command = [
-            sys.executable,
-            "-m",
-            "evaluation.robustness.fuzz",
-            "--work",
-            str(base),
-            str(first),
-            until,
-            "--out",
-            str(log.parent),
-        ]
+        words = ["--work", str(base), str(first), str(min(last, first + FRESH)), "--out", str(log.parent)]
+        command = [sys.executable, "-m", "evaluation.robustness.fuzz", *words]
         process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
         seen, since = first, time.monotonic()
         while process.poll() is None and time.monotonic() - since < LOST:
@@ -248,14 +235,12 @@ def metrics(rows: list[dict[str, Any]]) -> dict[str, int]:
 
 def main() -> None:
     """Run, print what was found, and write the metrics."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--quick", action="store_true", help="300 inputs")
-    parser.add_argument("--count", type=int, default=5000)
-    parser.add_argument("--first", type=int, default=0, help="number of the first input: a seed")
-    parser.add_argument("--out", type=Path, default=Path("runs/fuzz"), help="what is done is kept here")
-    parser.add_argument("--work", nargs=3, help=argparse.SUPPRESS)
-    args = parser.parse_args()
+    own = {
+        "--count": (5000, "of inputs"),
+        "--first": (0, "number of the first input: a seed"),
+        "--work": {"nargs": 3, "help": HIDDEN},
+    }
+    args = options(__doc__, quick="300 inputs", out="runs/fuzz", own=own)
     log = args.out.resolve() / "fuzz.jsonl"
     if args.work:
         return work(Path(args.work[0]), int(args.work[1]), int(args.work[2]), log)
@@ -265,23 +250,22 @@ def main() -> None:
         fuzz_inputs.write_inputs(Path(base))
         supervised(Path(base), first_undone(log, args.first), last, log)
     rows = outcomes(log)
-    for row in rows:
-        if row["broke"]:
-            print(f"{row['broke']}: input {row['number']}: anther {shlex.join(row['words'])}  [{row['what']}]")
-            print("    " + row["said"].strip().replace("\n", "\n    ")[-700:])
     found = metrics(rows)
-    table = Table("what became of an input", "inputs", box=MARKDOWN)
-    table.add_row("all", f"{found['inputs']:,}")
-    table.add_row("refused with one line", f"{found['refused']:,}")
-    table.add_row("accepted: it made no difference, or a valid one", f"{found['done']:,}")
-    told = found["inputs"] - found["refused"] - found["done"] - sum(found[name] for name in HOLDS)
-    table.add_row("a failure that was told", f"{told:,}")
-    for name, words in HOLDS.items():
-        table.add_row(f"must not be: {words}", f"{found[name]:,}")
-    Console().print(table)
-    if args.json:
-        write_json(args.json, found)
-    return None
+    others = found["inputs"] - found["refused"] - found["done"] - sum(found[name] for name in HOLDS)
+    lines = [
+        ("all", found["inputs"]),
+        ("refused with one line", found["refused"]),
+        ("accepted: it made no difference, or a valid one", found["done"]),
+        ("a failure that was told", others),
+        *((f"must not be: {words}", found[name]) for name, words in HOLDS.items()),
+    ]
+    table = markdown(("what became of an input", "inputs"), [(words, f"{count:,}") for words, count in lines])
+    broken = (
+        f"{row['broke']}: input {row['number']}: anther {shlex.join(row['words'])} [{row['what']}] {row['said'][-700:]}"
+        for row in rows
+        if row["broke"]
+    )
+    return finish(args, found, *broken, table)
 
 
 if __name__ == "__main__":

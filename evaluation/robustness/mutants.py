@@ -11,7 +11,6 @@ that a stopped run goes on; `--again` tries the survivors once more.
 
 from __future__ import annotations
 
-import argparse
 import ast
 import hashlib
 import json
@@ -28,6 +27,9 @@ from types import FrameType
 from typing import Any, NamedTuple
 
 import pytest
+
+from evaluation.harness import finish, options
+from evaluation.tables import markdown
 
 ROOT = Path(__file__).parents[2]
 KEPT = ROOT / "build" / "mutants"
@@ -261,27 +263,28 @@ def tried_in(area: str, count: int, seed: int, again: bool, rows: dict[str, dict
 
 def main() -> None:
     """Try mutants of each area and print the survivors."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--area", choices=AREAS, nargs="*", default=list(AREAS))
-    parser.add_argument("--count", type=int, default=26, help="mutants of each area")
-    parser.add_argument("--seed", type=int, default=0, help="of the choice")
-    parser.add_argument("--again", action="store_true", help="try what survived before once more")
-    args = parser.parse_args()
-    signal.signal(
-        signal.SIGINT, signal.default_int_handler
-    )  # a job in the background ignores it, tests of Ctrl-C may not
+    own = {
+        "--area": (tuple(AREAS), "of the sources", tuple(AREAS)),
+        "--count": (26, "mutants of each area"),
+        "--again": (False, "try what survived before once more"),
+    }
+    args = options(__doc__, quick="three mutants of each area", seed=(0, "of the choice"), own=own)
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it, some tests may not
     shutil.copytree(ROOT / "src", COPY, dirs_exist_ok=True, ignore=shutil.ignore_patterns("__pycache__"))
     kept = KEPT / "tried.json"
     rows = json.loads(kept.read_text()) if kept.exists() else {}
-    found = {area: tried_in(area, args.count, args.seed, args.again, rows) for area in args.area}
-    print("\n| area | tried | caught |\n|---|---|---|")
+    count = 3 if args.quick else args.count
+    found = {area: tried_in(area, count, args.seed, args.again, rows) for area in args.area}
     found["all"] = [row for mine in found.values() for row in mine]
-    for area, mine in found.items():
-        caught = sum(not row["survived"] for row in mine)
-        print(f"| {area} | {len(mine)} | {caught} ({100 * caught / max(len(mine), 1):.0f} %) |")
-    for row in found["all"]:
-        if row["survived"]:
-            print(f"- `{row['where']}`: `{row['from']}` -> `{row['to']}`")
+    caught = {area: sum(not row["survived"] for row in mine) for area, mine in found.items()}
+    lines = [
+        (area, len(mine), f"{caught[area]} ({100 * caught[area] / max(len(mine), 1):.0f} %)")
+        for area, mine in found.items()
+    ]
+    lived = [f"- `{r['where']}`: `{r['from']}` -> `{r['to']}`" for r in found["all"] if r["survived"]]
+    metrics = {f"{area}_tried": len(mine) for area, mine in found.items()}
+    metrics |= {f"{area}_caught": count for area, count in caught.items()}
+    finish(args, metrics, markdown(("area", "tried", "caught"), lines), *lived)
 
 
 if __name__ == "__main__":

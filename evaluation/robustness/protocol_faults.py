@@ -18,13 +18,12 @@ real protocol on one machine's loopback, by the wall's clock: where the machine 
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import shutil
 import signal
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -34,10 +33,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
 
 from anther.core import AntherError, Array, InputError
 from anther.core.files import read_json, write_json
@@ -45,7 +40,9 @@ from anther.pollination import ShakePlan, Trial
 from anther.pollination.execution import EARLY
 from anther.pollination.grasp import STAND_OFF
 from anther.robot.arm import sawyer
-from evaluation.robustness.faults import options, planned, prepare
+from evaluation.harness import finish, progress
+from evaluation.robustness.campaign import asked, counted, crashed, numbers
+from evaluation.robustness.faults import planned, prepare
 from evaluation.robustness.protocol_anther import PATHS, Anther
 from evaluation.robustness.protocol_machines import Machines
 
@@ -100,7 +97,6 @@ STALE_KINDS = ("stale with noise", "one joint stale")
 GOES_ON = ("the master dies", "5 % of messages lost", "joints in another order", "a second process")
 LIES = ("gripper says that it holds", "gripper feels nothing")
 """Of a gripper that obeys."""
-OF_ANTHER = ("Ctrl-C", "kill -9", "paused", "the arm's process killed", "a second process")
 PAUSE = 0.5
 """Anther's processes stand still for so long [s]: beyond every time-out of an arm."""
 BRAKES = (
@@ -120,6 +116,9 @@ BRAKES = (
 HELD_UP = ("Let nothing else run", "Look at what else runs here", "ms old")
 TRIES = 4
 OUTCOME, CRASHED = "outcome.json", "crashed"
+
+
+WORD = re.compile(r"[^a-z0-9]+")
 STILL, RESTS = 0.01, 0.1
 """An arm that is slower than this [rad/s] for so long [s] stands: in a shake it turns about in no time."""
 JUMP = 3e-3
@@ -320,71 +319,34 @@ def one(case: Case, *, seed: int, base: Path, out: Path) -> dict[str, Any]:
         try:
             found = struck(case, base, folder) | {"begun_again": begun_again}
         except Exception as error:  # of the experiment: one case's must not end a run of hours
-            return {**asdict(case), **crashed(repr(error))}
+            return {**asdict(case), **crashed(repr(error)), "stop_s": None, "begun_again": 0}
         if not found["held_up"]:
             break
     write_json(kept, {**asdict(case), **found})
     return {**asdict(case), **found}
 
 
-def crashed(why: str) -> dict[str, Any]:
-    """Return what stands for a case whose program crashed: none of the three is good."""
-    return {"unsafe": f"crashed: {why}", "record": CRASHED, "continued": CRASHED, "stop_s": None, "begun_again": 0}
-
-
-def summary(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
-    """Print a table and return the metrics."""
-    heads = ("struck", "safe ends", "records lost", "gone on with", "arm stands after: median, most (ms)")
-    table = Table("fault", *heads, box=MARKDOWN)
-    metrics: dict[str, float] = {}
-    for kind in ["", *EXPECTED]:
-        some = [row for row in rows if kind in ("", row["kind"])]
-        if not some:
-            continue
-        stops = [1e3 * row["stop_s"] for row in some if row["stop_s"] is not None]
-        counts: dict[str, float] = {
-            "faults": len(some),
-            "safe_ends": sum(not row["unsafe"] for row in some),
-            "records_lost": sum(bool(row["record"]) for row in some),
-            "continued": sum(not row["continued"] for row in some),
-        }
-        told = f"{np.median(stops):.0f}, {max(stops):.0f}" if stops else ""
-        table.add_row(kind or "all", *map(str, counts.values()), told)
-        counts |= {"stop_median_ms": float(np.median(stops)), "stop_ms": max(stops)} if stops else {}
-        prefix = re.sub(r"[^a-z0-9]+", "_", kind.lower()).strip("_")
-        metrics |= {f"{prefix}_{key}".strip("_"): value for key, value in counts.items()}
-    Console().print(table)
-    for row in rows:
-        if row["unsafe"] or row["record"] or row["continued"]:
-            names = (*Case.__annotations__, "unsafe", "record", "continued")
-            print(json.dumps({name: row[name] for name in names}))
-    metrics["begun_again"] = sum(row["begun_again"] for row in rows)
-    print(f"Begun again, since the computer was too slow for the arm: {metrics['begun_again']:.0f}.")
-    return metrics
-
-
 def main() -> None:
     """Draw the faults, let them strike, and write a flat table of metrics of all that struck."""
-    parser = options(__doc__, "one fault of every other kind, the phases in turn, instead of 1000")
-    parser.add_argument("--out", type=Path, default=Path("runs/protocol_faults"))
-    args = parser.parse_args()
+    quick = "one fault of every other kind, the phases in turn, instead of 1000"
+    args = asked(__doc__, quick=quick, out="runs/protocol_faults", kinds=EXPECTED)
     base = (args.base or args.out.parent / "faults" / "base").resolve()
     prepare(base)
-    if unknown := set(args.kinds) - set(EXPECTED):
-        parser.error(f"--kinds: got {', '.join(sorted(unknown))}; allowed: {', '.join(EXPECTED)}")
     if args.quick and not args.kinds:
         cases = [draw(place % len(PHASES), args.seed, kind) for place, kind in enumerate(list(EXPECTED)[::2])]
     else:
-        numbers = args.only or range(args.each if args.kinds else args.faults)
-        cases = [draw(number, args.seed, kind) for kind in args.kinds or [""] for number in numbers]
+        cases = [draw(number, args.seed, kind) for kind in args.kinds or [""] for number in numbers(args)]
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [*PATHS, os.environ.get("PYTHONPATH")]))
     kept = args.out.resolve() / "protocol"
     with ProcessPoolExecutor(args.jobs, mp_context=get_context("spawn")) as pool:
         ran = pool.map(partial(one, seed=args.seed, base=base, out=kept), cases)
-        again = [row for row in track(ran, "faults", len(cases)) if row["record"] == CRASHED]
-    metrics = summary([*(read_json(path) for path in sorted(kept.glob(f"*/{OUTCOME}"))), *again])
-    if args.json:
-        write_json(args.json, metrics)
+        again = [row for row in progress(ran, "faults", len(cases)) if row["record"] == CRASHED]
+    rows = [*(read_json(path) for path in sorted(kept.glob(f"*/{OUTCOME}"))), *again]
+    rows = [row | {"case": Case(**{name: row[name] for name in Case.__annotations__})} for row in rows]
+    table, bad, metrics = counted(rows, EXPECTED, lambda kind: WORD.sub("_", kind.lower()).strip("_"), stops=True)
+    metrics["begun_again"] = sum(row["begun_again"] for row in rows)
+    words = f"Begun again, since the computer was too slow for the arm: {metrics['begun_again']:.0f}."
+    finish(args, metrics, table, *bad, words)
 
 
 if __name__ == "__main__":

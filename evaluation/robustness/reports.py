@@ -11,7 +11,6 @@ code 0 and not right), crashes (a traceback), and <number>: 1 right, 0 not.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import io
 import json
@@ -25,20 +24,17 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.progress import Progress
-from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from anther.cli.main import main as anther
 from anther.cli.sample_data import write_samples
 from anther.core import Array, inverse
-from anther.core.files import write_json
 from anther.core.geometry import transform_from_pose7
 from anther.history.sweep import read_table
 from anther.perception import Capture, Cloud, read_cloud
 from anther.robot import read_cell
+from evaluation.harness import finish, options, progress
+from evaluation.tables import markdown
 
 REPORTS = Path(os.environ.get("ANTHER_REPORTS", Path(__file__).parents[3] / "shared" / "reports"))
 T_FLANGE_CAM = transform_from_pose7([0.031, -0.062, 0.048, 0.061834, -0.011263, 0.719185, 0.691970])
@@ -357,25 +353,19 @@ def judged(name: str, out: Path) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--quick", action="store_true", help="without those that take more than a few seconds")
-    parser.add_argument("--seed", type=int, default=0, help="of the order in which they are run")
-    args = parser.parse_args()
+    """Judge every input, print and write what became of them."""
+    quick, seed = "without those that take more than a few seconds", (0, "of the order in which they are run")
+    args = options(__doc__, quick=quick, seed=seed)
     if not REPORTS.is_dir():
-        parser.error(f"{REPORTS} is missing; ANTHER_REPORTS names the folder")
+        raise SystemExit(f"{REPORTS} is missing; ANTHER_REPORTS names the folder")
     names = [name for name in KINDS if not (args.quick and name in SLOW)]
     order = np.random.default_rng(args.seed).permutation(len(names))
     found = dict[str, str]()
-    with in_copy(), tempfile.TemporaryDirectory() as place, Progress(console=Console(stderr=True)) as progress:
-        for number in progress.track(order, description="inputs"):
+    with in_copy(), tempfile.TemporaryDirectory() as place:
+        for number in progress(order.tolist(), "inputs"):
             out = Path(place) / str(number)
             out.mkdir()
             found[names[number]] = judged(names[number], out)
-    table = Table("input", "found", box=MARKDOWN)
-    for name in names:
-        table.add_row(name, found[name])
-    Console(width=160).print(table)
     right = sum(verdict in ("right", "refused") for verdict in found.values())
     crashes = sum(verdict.startswith("crash") for verdict in found.values())
     refused = sum(verdict.startswith("exit") for verdict in found.values())
@@ -386,10 +376,9 @@ def main() -> None:
         "wrong_silently": len(names) - right - crashes - refused,
         "crashes": crashes,
     }
-    Console().print(result)
-    if args.json:
-        each = {name.replace(" ", "_"): int(found[name] in ("right", "refused")) for name in names}
-        write_json(args.json, result | each)
+    each = {name.replace(" ", "_"): int(found[name] in ("right", "refused")) for name in names}
+    words = ", ".join(f"{name.replace('_', ' ')} {count}" for name, count in result.items())
+    finish(args, result | each, markdown(("input", "found"), [(name, found[name]) for name in names]), f"{words}.")
 
 
 if __name__ == "__main__":

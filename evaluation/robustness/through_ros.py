@@ -19,7 +19,6 @@ It is the real protocol on one machine's loopback: neither a network nor an arm 
 
 from __future__ import annotations
 
-import argparse
 import os
 import subprocess
 import sys
@@ -36,12 +35,8 @@ sys.path.append(str(Path(__file__).parents[2] / "tests" / "support"))
 from fake_robot import LIMITS, FakeCamera, fake_robot
 from fake_ros_master import FakeMaster
 from fake_sawyer import FakeSawyer, swing
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.table import Table
 
 from anther.core import Array
-from anther.core.files import write_json
 from anther.plant import moved
 from anther.robot import Robot
 from anther.robot.arm import ArmName, sawyer
@@ -49,8 +44,9 @@ from anther.robot.drivers.intera import types
 from anther.robot.drivers.ros1 import Node
 from anther.robot.drivers.sawyer_ros1 import Sawyer
 from anther.show import Log
-from evaluation.harness import swept
+from evaluation.harness import HIDDEN, finish, options, run_cases
 from evaluation.robustness.served_trial import served
+from evaluation.tables import measured
 
 FIRST = 9800
 """The first of the plants, tomatoes and peppers in turn; in no other table."""
@@ -156,7 +152,7 @@ def trials(count: int, truth: str, arm: ArmName, jobs: int, out: Path) -> dict[s
         | ({} if arm == "sawyer" else {"arm": arm})
         for i in range(count)
     ]
-    rows = swept(served, asked, out, jobs, lambda reason: {"held": False, "unharmed": False, "message": reason})
+    rows = run_cases(served, asked, out, jobs, lambda reason: {"held": False, "unharmed": False, "message": reason})
     for row in rows:
         said = "held" if row["held"] else row.get("message") or row.get("reason")
         print(f"{row['species']} {row['seed']}: {said}", file=sys.stderr)
@@ -172,18 +168,16 @@ def trials(count: int, truth: str, arm: ArmName, jobs: int, out: Path) -> dict[s
 
 def main() -> None:
     """Measure, and write a flat table of metrics."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--quick", action="store_true", help="2 trials, 3 kills and 5 s instead of 20, 20 and 60 s")
-    parser.add_argument("--trials", type=int, default=20)
-    parser.add_argument("--arm", choices=("sawyer", "fr3"), default="sawyer", help="fr3: trials alone, by libfranka")
-    parser.add_argument("--truth", choices=("nominal", "wide"), default="nominal")
-    parser.add_argument("--jobs", type=int, default=1, help="trials at a time, a core each")
-    parser.add_argument("--out", type=Path, default=Path("runs/through_ros"))
-    parser.add_argument("--kills", type=int, default=20, help="of the driver")
-    parser.add_argument("--seconds", type=float, default=60.0, help="of each swing whose commands are timed")
-    parser.add_argument("--drive", help=argparse.SUPPRESS)
-    args = parser.parse_args()
+    own = {
+        "--trials": (20, "through the served cell"),
+        "--arm": ("sawyer", "fr3: trials alone, by libfranka", ("sawyer", "fr3")),
+        "--truth": ("nominal", "of the plants", ("nominal", "wide")),
+        "--kills": (20, "of the driver"),
+        "--seconds": (60.0, "of each swing whose commands are timed"),
+        "--drive": (str, HIDDEN),
+    }
+    quick = "2 trials, 3 kills and 5 s instead of 20, 20 and 60 s"
+    args = options(__doc__, quick=quick, jobs="trials", out="runs/through_ros", own=own)
     if args.drive:
         drive(args.drive, args.seconds)
         return
@@ -191,13 +185,7 @@ def main() -> None:
     metrics = trials(count, args.truth, args.arm, args.jobs, args.out) if count else {}
     if args.arm == "sawyer":
         metrics |= measure(3, 5.0) if args.quick else measure(args.kills, args.seconds)
-    table = Table("what", "measured", box=MARKDOWN)
-    for key in (key for key in WORDS if key in metrics):
-        value = metrics[key]
-        table.add_row(WORDS[key], f"{value:,}" if isinstance(value, int) else f"{value:.3g}")
-    Console().print(table)
-    if args.json:
-        write_json(args.json, metrics)
+    finish(args, metrics, measured(metrics, WORDS))
 
 
 if __name__ == "__main__":

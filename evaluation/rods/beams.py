@@ -64,15 +64,7 @@ class Beam:
         middle = np.maximum(along - h, 0) / self.length  # of edge j, measured from the middle of the clamped edge
         radius = np.full(nodes, self.radius) if taper is None else self.radius * taper(middle)
         points: Any = np.stack([along, 0 * along, 0 * along], axis=1)
-        return Rods(
-            points,
-            np.arange(nodes) - 1,
-            radius,
-            self.youngs,
-            self.density,
-            lumped_mass=lumps,
-            **material,
-        )
+        return Rods(points, np.arange(nodes) - 1, radius, self.youngs, self.density, lumped_mass=lumps, **material)
 
 
 CLAMPED = Clamp(np.array([0, 1]))

@@ -11,29 +11,23 @@ rows, rows_failed.
 
 from __future__ import annotations
 
-import argparse
-import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
+import matplotlib.pyplot as plt
+from matplotlib.axes import Axes
+from matplotlib.ticker import NullFormatter
+from rich.console import RenderableType
 
-from anther.core.files import write_json
+from evaluation.harness import DATA, finish, options, progress
 from evaluation.rods.ends import end_cases
-from evaluation.rods.figures import draw_convergence, draw_energy
 from evaluation.rods.motion import energy_cases, order_cases, violent_cases
 from evaluation.rods.objectivity import objectivity_cases
 from evaluation.rods.peer_references import planar_cases, reference_cases
 from evaluation.rods.statics import static_cases
-from evaluation.rods.table import Findings, Row, metrics
+from evaluation.rods.table import Case, Convergence, Findings, Row, metrics
 from evaluation.rods.vibrations import decay_cases, frequency_cases, response_cases
-
-DATA = Path(os.environ.get("ANTHER_DATA", Path(__file__).parents[3] / "shared" / "data"))
-Case = Callable[[bool], Findings]
-
+from evaluation.tables import markdown
 
 THEORY, PEERS = "Against theory.", "Against other solvers, and against itself."
 ORDERS = "How the error shrinks with the step: the slope of its logarithm must be the order of the scheme within 0.1."
@@ -51,43 +45,71 @@ def cases(data: Path) -> Iterator[tuple[str, Case]]:
         yield PEERS, case
 
 
+def report(rows: list[tuple[str, Row]]) -> Iterator[RenderableType]:
+    """Yield a table for each kind of comparison, and what failed."""
+    for group in (THEORY, ORDERS, PEERS):
+        last = ("measured",) if group == ORDERS else ()
+        lines = []
+        for row in (row for of, row in rows if of == group):
+            verdict = "" if row.limit is None else "FAILED" if row.failed else "met"
+            detail = (row.detail,) if last else ()
+            lines.append((row.case, row.what, row.printed(row.error), row.printed(row.limit), *detail, verdict))
+        yield group
+        yield markdown(("row", "compared", "error", "limit", *last, "verdict"), lines)
+    yield from (f"{row.case}: {row.detail}" for _, row in rows if row.failed)
+    limited = [row for _, row in rows if row.limit is not None]
+    yield f"{sum(row.failed for row in limited)} of {len(limited)} rows with a limit failed."
+
+
+def draw_convergence(found: Sequence[Findings], path: Path) -> None:
+    """Draw errors over the node distance, and over the time step."""
+    figure, (space, time) = plt.subplots(1, 2, figsize=(11, 6.4), layout="constrained")
+    _draw_curves(space, [curve for findings in found for curve in findings.in_space])
+    space.set(xlabel="node distance / free length", ylabel="relative error", title="in space, second order")
+    _draw_curves(time, [curve for findings in found for curve in findings.in_time])
+    time.xaxis.set_minor_formatter(NullFormatter())
+    time.set(xlabel="time step [s]", ylabel="largest position error [m]", title="in time")
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def _draw_curves(axes: Axes, curves: Sequence[Convergence]) -> None:
+    for curve in curves:
+        axes.loglog(curve.steps, curve.errors, "o-", label=f"{curve.name}: slope {curve.slope:.2f}")
+    first = min(curves, key=lambda curve: curve.errors[0])
+    guide = 0.3 * first.errors[0] * (first.steps / first.steps[0]) ** 2
+    axes.loglog(first.steps, guide, "k:", label="slope 2")
+    axes.grid(True, which="both", alpha=0.2)
+    axes.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.12))
+
+
+def draw_energy(found: Sequence[Findings], path: Path) -> None:
+    """Draw the energy error of the undamped runs over periods."""
+    traces = {name: trace for findings in found for name, trace in findings.energy.items()}
+    figure, panels = plt.subplots(1, len(traces), figsize=(11, 3.4), layout="constrained", squeeze=False)
+    for axes, (name, (periods, change)) in zip(panels[0], traces.items(), strict=True):
+        axes.plot(periods, 100 * change, lw=0.6)
+        axes.axhline(0, color="k", lw=0.5)
+        axes.set(xlabel="periods", ylabel="energy error [%]", title=name)
+        axes.grid(True, alpha=0.2)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
 def main() -> None:
     """Run, print the tables, write the figures and --json."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=DATA, help="folder of rod_reference/")
-    parser.add_argument("--figures", type=Path, help="draw errors and energies into this folder")
-    parser.add_argument("--json", type=Path, help="write the metrics here")
-    parser.add_argument("--quick", action="store_true", help="shorter runs and coarser steps")
-    args = parser.parse_args()
-    console = Console()
-    if not (args.data / "rod_reference").is_dir():
-        console.print(f"No rod_reference in {args.data}: the rows of the peer are left out.")
-    todo = track(list(cases(args.data)), "rod validation", console=console)
-    found = [(group, case(args.quick)) for group, case in todo]
-    _print(console, [(ORDERS if row.is_order else group, row) for group, findings in found for row in findings.rows])
+    own = {"--data": (DATA, "folder of rod_reference/")}
+    args = options(__doc__, quick="shorter runs and coarser steps", figures="errors and energies", own=own)
+    missing = not (args.data / "rod_reference").is_dir()
+    found = [(group, case(args.quick)) for group, case in progress(list(cases(args.data)), "rod validation")]
+    rows = [(ORDERS if row.is_order else group, row) for group, findings in found for row in findings.rows]
+    parts = [f"No rod_reference in {args.data}: the rows of the peer are left out."] if missing else []
+    finish(args, metrics([row for _, row in rows]), *parts, *report(rows))
     findings = [findings for _, findings in found]
     if args.figures:
         args.figures.mkdir(parents=True, exist_ok=True)
         draw_convergence(findings, args.figures / "rod_validation_convergence.png")
         draw_energy(findings, args.figures / "rod_validation_energy.png")
-    if args.json:
-        write_json(args.json, metrics([row for group in findings for row in group.rows]))
-
-
-def _print(console: Console, rows: list[tuple[str, Row]]) -> None:
-    for group in (THEORY, ORDERS, PEERS):
-        last = ("measured",) if group == ORDERS else ()
-        table = Table("row", "compared", "error", "limit", *last, "verdict", box=MARKDOWN)
-        for row in (row for of, row in rows if of == group):
-            verdict = "" if row.limit is None else "FAILED" if row.failed else "met"
-            measured = (row.detail,) if last else ()
-            table.add_row(row.case, row.what, row.printed(row.error), row.printed(row.limit), *measured, verdict)
-        console.print(group, table)
-    for _, row in rows:
-        if row.failed:
-            console.print(f"{row.case}: {row.detail}", highlight=False)
-    limited = [row for _, row in rows if row.limit is not None]
-    console.print(f"{sum(row.failed for row in limited)} of {len(limited)} rows with a limit failed.")
 
 
 if __name__ == "__main__":

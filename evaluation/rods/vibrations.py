@@ -25,55 +25,35 @@ THICK = Beam(radius=7.5e-3)
 def frequency_cases(quick: bool) -> Findings:
     """Return the rows of the first three natural frequencies, each held to its worst mode."""
     del quick  # it takes a second
-    rows = []
+    rows, three = [], "first three natural frequencies"
     for case, what, exact, material in _spectra():
         ratios = first_modes(SLENDER.rods(NODES, **material)) / exact
-        worst = float(np.abs(ratios - 1).max())
         detail = "engine over theory " + ", ".join(f"{r:.5f}" for r in ratios)
-        rows.append(
-            Row(
-                f"frequencies_{case}",
-                f"first three natural frequencies, {what}, {NODES} nodes",
-                worst,
-                3e-3,
-                "%",
-                detail,
-            )
-        )
+        worst = float(np.abs(ratios - 1).max())
+        rows.append(Row(f"frequencies_{case}", f"{three}, {what}, {NODES} nodes", worst, 3e-3, "%", detail))
     rows.append(_rotary_inertia())
     _, what, exact, material = _spectra()[1]
     meshes = (13, 25, 50, 100)
     errors = [np.abs(first_modes(SLENDER.rods(n, **material)) / exact - 1).max() for n in meshes]
     curve = Convergence(f"frequencies, {what}", np.array([SLENDER.spacing(n) for n in meshes]), np.array(errors), 2)
-    rows.append(curve.row("frequencies_order", f"first three natural frequencies, {what}: order in the node distance"))
+    rows.append(curve.row("frequencies_order", f"{three}, {what}: order in the node distance"))
     return Findings(rows, in_space=[curve])
 
 
 def _spectra() -> list[tuple[str, str, Array, dict[str, Any]]]:
     """Case, words, exact frequencies [rad/s] and what makes the rods differ from a uniform beam."""
-    beam_mass = SLENDER.line_mass * SLENDER.length
-    spectra: list[tuple[str, str, Array, dict[str, Any]]] = [
-        ("uniform", "uniform cantilever (analytic)", uniform_roots(3) ** 2 * SLENDER.rate, {}),
-        *(
-            (
-                f"cone_{round(100 * end)}",
-                f"cone, tip {end:g} of the base's radius (Bessel functions)",
-                cone_frequencies(end, 3) * SLENDER.rate,
-                {"taper": lambda s, end=end: 1 - (1 - end) * s},
-            )
-            for end in (0.5, 0.2)
-        ),
-        *(
-            (
-                f"tip_mass_{round(100 * share)}",
-                f"uniform with a tip mass of {share:g} of its own (analytic)",
-                uniform_roots(3, share) ** 2 * SLENDER.rate,
-                {"tip_mass": share * beam_mass},
-            )
-            for share in (0.5, 2.0)
-        ),
-    ]
-    return spectra
+    beam_mass, rate = SLENDER.line_mass * SLENDER.length, SLENDER.rate
+    found: list[Any] = [("uniform", "uniform cantilever (analytic)", uniform_roots(3) ** 2 * rate, {})]
+    for end in (0.5, 0.2):
+        words, taper = (
+            f"cone, tip {end:g} of the base's radius (Bessel functions)",
+            lambda s, end=end: 1 - (1 - end) * s,
+        )
+        found.append((f"cone_{round(100 * end)}", words, cone_frequencies(end, 3) * rate, {"taper": taper}))
+    for share in (0.5, 2.0):
+        words, more = f"uniform with a tip mass of {share:g} of its own (analytic)", {"tip_mass": share * beam_mass}
+        found.append((f"tip_mass_{round(100 * share)}", words, uniform_roots(3, share) ** 2 * rate, more))
+    return found
 
 
 def _rotary_inertia() -> Row:
@@ -127,28 +107,16 @@ def decay_of(ratio: float, kind: str, *, periods: float) -> tuple[float, float]:
 def response_cases(quick: bool) -> Findings:
     """Return the rows of the frequency response against a simulation of small amplitude, on the 3-D network."""
     rods, clamp, grip = network(viscous_time=4e-3, mass_damping=2.0), Clamp(np.array([0, 1])), 20
-    amplitude_errors, phase_errors = {}, {}
+    sizes, phases = {}, {}
     for frequency in (10.0,) if quick else (2.0, 10.0, 30.0):
         expected = frequency_response(rods, clamp, grip, (1, 0, 0), [frequency])[0]
         ratio = steady_response(rods, clamp, grip, frequency)[_moving(expected)] / expected[_moving(expected)]
-        amplitude_errors[frequency] = float(np.abs(np.abs(ratio) - 1).max())
-        phase_errors[frequency] = float(np.abs(np.degrees(np.angle(ratio))).max())
+        sizes[frequency] = float(np.abs(np.abs(ratio) - 1).max())
+        phases[frequency] = float(np.abs(np.degrees(np.angle(ratio))).max())
     what = "frequency response against simulation (0.01 mm at node 20, 3-D network), worst node and direction"
-    return Findings(
-        [
-            Row(
-                "response_amplitude",
-                f"{what}: amplitude",
-                max(amplitude_errors.values()),
-                0.01,
-                "%",
-                _each(amplitude_errors, 100, "%"),
-            ),
-            Row(
-                "response_phase", f"{what}: phase", max(phase_errors.values()), 2.0, "deg", _each(phase_errors, 1, "°")
-            ),
-        ]
-    )
+    size, phase = max(sizes.values()), max(phases.values())
+    amplitude = Row("response_amplitude", f"{what}: amplitude", size, 0.01, "%", _each(sizes, 100, "%"))
+    return Findings([amplitude, Row("response_phase", f"{what}: phase", phase, 2.0, "deg", _each(phases, 1, "°"))])
 
 
 def _each(errors: dict[float, float], scale: float, unit: str) -> str:

@@ -9,21 +9,13 @@ mj_step_share is how much of it MuJoCo's own steps take, which stepping many cop
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable
-from pathlib import Path
-from typing import get_args
 
 import mujoco
 import numpy as np
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
 
 from anther.core import Array, StageFailure, transform
-from anther.core.files import write_json
 from anther.plant import Crop
 from anther.robot import JointTrajectory, Planner
 from anther.robot.arm import _kinematics, sawyer
@@ -33,6 +25,8 @@ from anther.sim.cell import Cell
 from anther.sim.judge import judge
 from anther.sim.robot import SimArm, SimGripper
 from anther.sim.simulated_cell import USUAL_DISTANCE
+from evaluation.harness import CROPS, finish, options, progress
+from evaluation.tables import markdown
 
 WORDS = {
     "degrees_of_freedom": "degrees of freedom",
@@ -122,22 +116,13 @@ def measure(species: Crop, seed: int) -> dict[str, float]:
 
 def main() -> None:
     """Measure, print a table, write --json."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--quick", action="store_true", help="one plant of each species instead of three")
-    parser.add_argument("--seed", type=int, default=10, help="first seed")
-    args = parser.parse_args()
-    seeds = range(args.seed, args.seed + (1 if args.quick else 3))
-    todo = [(species, seed) for species in get_args(Crop) for seed in seeds]
-    rows = {f"{s}_{n}": measure(s, n) for s, n in track(todo, "cells")}
-    table = Table("what", *(plant.replace("_", " ") for plant in rows), box=MARKDOWN)
-    for what, words in WORDS.items():
-        table.add_row(words, *(f"{row[what]:.3g}" for row in rows.values()))
-    Console().print(table)
+    args = options(__doc__, quick="one plant of each species instead of three", seed=(10, "first seed"))
+    todo = [(crop, args.seed + k) for crop in CROPS for k in range(1 if args.quick else 3)]
+    rows = {f"{s}_{n}": measure(s, n) for s, n in progress(todo, "cells")}
+    lines = [(words, *(f"{row[what]:.3g}" for row in rows.values())) for what, words in WORDS.items()]
     metrics = {f"{plant}_{what}": value for plant, row in rows.items() for what, value in row.items()}
     metrics["x_real_time_slowest"] = min(row["x_real_time"] for row in rows.values())
-    if args.json:
-        write_json(args.json, metrics)
+    finish(args, metrics, markdown(("what", *(plant.replace("_", " ") for plant in rows)), lines))
 
 
 if __name__ == "__main__":

@@ -9,21 +9,20 @@ of eight springs, and those that a compiler may find to be the same. `rods.py` s
 
 from __future__ import annotations
 
-import argparse
 import math
 import os
 from collections import Counter
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 os.environ["NUMBA_DISABLE_JIT"] = "1"
 
 import numpy as np
 
-from anther.core.files import write_json
 from anther.rods import GRAVITY, Clamp, _assembly, _model, _stepping, _tree_solver, _vectors
+from evaluation.harness import finish, options
 from evaluation.speed.networks import reference_network
+from evaluation.tables import markdown
 
 COUNT: Counter[str] = Counter()
 
@@ -121,15 +120,10 @@ def count() -> dict[str, float]:
 
 def main() -> None:
     """Count and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path, help="write the counts here")
-    parser.add_argument("--quick", action="store_true", help="for uniformity; it takes two seconds")
-    args = parser.parse_args()
+    args = options(__doc__, quick="for uniformity; it takes two seconds")
     counts = {f"operations_per_node_{name}": value for name, value in count().items()}
-    for name, value in counts.items():
-        print(f"{name:36s}{value:8.0f}")
-    if args.json:
-        write_json(args.json, counts)
+    lines = [(name, f"{value:.0f}") for name, value in counts.items()]
+    finish(args, counts, markdown(("kernel", "operations"), lines))
 
 
 if __name__ == "__main__":

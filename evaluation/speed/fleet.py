@@ -16,7 +16,6 @@ write_median_ms, megabytes (of the database).
 
 from __future__ import annotations
 
-import argparse
 import json
 import multiprocessing
 import os
@@ -26,23 +25,23 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.table import Table
 from sqlalchemy import create_engine, text
 
 from anther.core import AntherError, Array
-from anther.core.files import write_json
 from anther.history import GraspRecord, ShakeRecord, TrialRecord, earlier_shake, record_trial, starting_material
 from anther.plant import TOMATO
 
 sys.path.append(str(Path(__file__).parents[2] / "tests" / "support"))
 from postgresql_server import Server, start
+
+from evaluation.harness import finish, options
+from evaluation.tables import measured
 
 NOW = datetime.now(UTC).replace(microsecond=0)
 WRITERS, FLOWERS, SEASON = 20, 3, 200
@@ -236,43 +235,39 @@ def time_queries(where: str, plants: int, count: int) -> Array:
 
 def main() -> None:
     """Fill, write under fire, ask; print, and write --json."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path, help="write the metrics here")
-    parser.add_argument("--quick", action="store_true", help="10,000 visits, 5 seconds, 2 crashes")
-    parser.add_argument("--visits", type=int, default=1_000_000)
-    parser.add_argument("--seconds", type=float, default=60.0, help="how long the robots write at least")
-    parser.add_argument("--crashes", type=int, default=20, help="of the server")
-    parser.add_argument("--sqlite", action="store_true", help="also where PostgreSQL is installed")
-    args = parser.parse_args()
+    own = {
+        "--visits": (1_000_000, "that are there at the begin"),
+        "--seconds": (60.0, "how long the robots write at least"),
+        "--crashes": (20, "of the server"),
+        "--sqlite": (False, "also where PostgreSQL is installed"),
+    }
+    args = options(__doc__, quick="10,000 visits, 5 seconds, 2 crashes", own=own)
     visits, seconds, crashes = (10_000, 5.0, 2) if args.quick else (args.visits, args.seconds, args.crashes)
     plants = max(visits // 40, 100)
-    server = "--sqlite was given." if args.sqlite else start()
+    found = "--sqlite was given." if args.sqlite else start()
+    server = found if isinstance(found, Server) else None
+    with history_in(server) as where:
+        fill(where, visits, plants)
+        table = {"writers": WRITERS, "visits": visits} | write_under_fire(where, server, seconds, crashes)
+        waited = time_queries(where, plants, 20 if args.quick else 200)
+        table |= {
+            "query_ms_1e6": float(np.percentile(waited[:, 0], 95)),
+            "query_median_ms": float(np.median(waited[:, 0])),
+            "query_cpu_ms": float(np.percentile(waited[:, 1], 95)),
+            "megabytes": _megabytes(where),
+        }
+    finish(args, table, *([] if server else [f"On SQLite: {found}"]), measured(table, WORDS))
+
+
+@contextmanager
+def history_in(server: Server | None) -> Iterator[str]:
+    """Give the address of a new history, on a server or in a folder that is removed; the server is removed too."""
     with tempfile.TemporaryDirectory() as folder:
-        if isinstance(server, Server):
-            where = server.new()
-        else:
-            print(f"On SQLite: {server}")
-            where = str(Path(folder) / "history.sqlite")
         try:
-            fill(where, visits, plants)
-            table = {"writers": WRITERS, "visits": visits}
-            table |= write_under_fire(where, server if isinstance(server, Server) else None, seconds, crashes)
-            waited = time_queries(where, plants, 20 if args.quick else 200)
-            table |= {
-                "query_ms_1e6": float(np.percentile(waited[:, 0], 95)),
-                "query_median_ms": float(np.median(waited[:, 0])),
-                "query_cpu_ms": float(np.percentile(waited[:, 1], 95)),
-                "megabytes": _megabytes(where),
-            }
+            yield server.new() if server else str(Path(folder) / "history.sqlite")
         finally:
-            if isinstance(server, Server):
+            if server:
                 server.remove()
-    shown = Table("what", "measured", box=MARKDOWN)
-    for key, words in WORDS.items():
-        shown.add_row(words, f"{table[key]:,.0f}" if table[key] >= 100 else f"{table[key]:.3g}")
-    Console().print(shown)
-    if args.json:
-        write_json(args.json, table)
 
 
 def _megabytes(where: str) -> float:

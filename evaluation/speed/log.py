@@ -15,7 +15,6 @@ the log over without.
 
 from __future__ import annotations
 
-import argparse
 import errno
 import json
 import os
@@ -31,10 +30,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
 
 sys.path.append(str(Path(__file__).parents[2] / "tests" / "support"))
 from fake_robot import LIMITS, FakeCamera, fake_robot
@@ -43,7 +38,6 @@ from fake_sawyer import FakeSawyer, swing
 
 import anther
 from anther.core import Array
-from anther.core.files import write_json
 from anther.perception import Capture
 from anther.robot import ArmSample, Frame, Robot
 from anther.robot.arm import sawyer
@@ -53,12 +47,13 @@ from anther.robot.drivers.intera import types
 from anther.robot.drivers.ros1 import Node
 from anther.robot.drivers.sawyer_ros1 import Sawyer
 from anther.show import Log
+from evaluation.harness import HIDDEN, finish, options, progress
+from evaluation.tables import markdown, number
 
 PERIOD, AMPLITUDE = 0.01, 0.03  # s, rad of every joint: 0.36 rad/s
 FRAMES = 30.0  # a second
 ROOM = 100_000  # bytes
 SAMPLE = Path(anther.__file__).parent / "cli" / "sample_data" / "capture"
-DISKS = ("none", "file", "slow", "full", "hangs")
 DISK = {
     "none": "no log",
     "file": "a file",
@@ -150,18 +145,8 @@ def measure(where: str, disk: str, seconds: float) -> tuple[Array, dict[str, flo
     master = FakeMaster()
     try:
         with closing(FakeSawyer(master.uri, joints=sawyer.NEUTRAL)) as robot:
-            words = [
-                sys.executable,
-                "-m",
-                "evaluation.speed.log",
-                "--drive",
-                master.uri,
-                where,
-                disk,
-                "--seconds",
-                str(seconds),
-            ]
-            done = subprocess.run(words, capture_output=True, text=True, check=False)
+            words = ["-m", "evaluation.speed.log", "--drive", master.uri, where, disk, "--seconds", str(seconds)]
+            done = subprocess.run([sys.executable, *words], capture_output=True, text=True, check=False)
             if done.returncode != 0:
                 print(f"{where}, {disk}: {done.stderr.strip().splitlines()[-1]}", file=sys.stderr)
                 return None
@@ -181,43 +166,33 @@ def summed(rounds: list[tuple[Array, dict[str, float]]]) -> dict[str, float]:
     return row | {"off_5_ms_per_1000": 1e3 * float(np.mean(off > 5)), "commands": len(off)} | kept
 
 
-def shown(value: float) -> str:
-    """Return a time or share with three digits, a count as it is."""
-    return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
-
-
 def main() -> None:
     """Measure, print a table, write --json."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--quick", action="store_true", help="two short rounds of each case")
-    parser.add_argument("--seed", type=int, default=0, help="of the order of the rounds")
-    parser.add_argument("--rounds", type=int, default=8, help="of each case")
-    parser.add_argument("--seconds", type=float, default=8.0, help="of each swing")
-    parser.add_argument("--where", nargs="+", default=["apart", "beside"], choices=["apart", "beside"])
-    parser.add_argument("--drive", nargs=3, help=argparse.SUPPRESS)
-    args = parser.parse_args()
+    own = {
+        "--rounds": (8, "of each case"),
+        "--seconds": (8.0, "of each swing"),
+        "--where": (tuple(WHERE), "the driver runs", tuple(WHERE)),
+        "--drive": {"nargs": 3, "help": HIDDEN},
+    }
+    args = options(__doc__, quick="two short rounds of each case", seed=(0, "of the order of the rounds"), own=own)
     if args.drive:
         drive(*args.drive, args.seconds)
     rng, rounds = np.random.default_rng(args.seed), 2 if args.quick else args.rounds
     seconds = 4.0 if args.quick else args.seconds
-    todo = [(where, disk) for where in args.where for disk in DISKS]
+    todo = [(where, disk) for where in args.where for disk in DISK]
     found: dict[tuple[str, str], list[Any]] = {case: [] for case in todo}
-    for number in track([n for _ in range(rounds) for n in rng.permutation(len(todo))], "swings"):
-        found[todo[number]].append(measure(*todo[number], seconds))
-    metrics: dict[str, float] = {"drivers_that_gave_up": sum(rows.count(None) for rows in found.values())}
-    table = Table("driver", "log's disk", *SHOWN.values(), box=MARKDOWN)
-    rows = {case: summed([one for one in tried if one is not None]) for case, tried in found.items()}
+    for k in progress([n for _ in range(rounds) for n in rng.permutation(len(todo))], "swings"):
+        found[todo[k]].append(measure(*todo[k], seconds))
+    gave_up = sum(rows.count(None) for rows in found.values())
+    metrics: dict[str, float] = {"drivers_that_gave_up": gave_up}
+    rows, lines = {case: summed([one for one in tried if one is not None]) for case, tried in found.items()}, []
     for (where, disk), row in rows.items():
-        without = rows[where, "none"].get("mean_ms", np.nan)
-        row |= {"mean_ratio": row.get("mean_ms", np.nan) / without}
+        row |= {"mean_ratio": row.get("mean_ms", np.nan) / rows[where, "none"].get("mean_ms", np.nan)}
         metrics |= {f"{where}_{disk}_{name}": value for name, value in row.items()}
-        table.add_row(WHERE[where], DISK[disk], *(shown(row[name]) if name in row else "" for name in SHOWN))
-    Console().print(table)
-    if gave_up := metrics["drivers_that_gave_up"]:
-        print(f"The driver gave up in {gave_up:.0f} of {sum(map(len, found.values()))} swings, which are left out.")
-    if args.json:
-        write_json(args.json, metrics)
+        lines.append((WHERE[where], DISK[disk], *(number(row[name]) if name in row else "" for name in SHOWN)))
+    swings = sum(map(len, found.values()))
+    words = [f"The driver gave up in {gave_up} of {swings} swings, which are left out."] if gave_up else []
+    finish(args, metrics, markdown(("driver", "log's disk", *SHOWN.values()), lines), *words)
 
 
 if __name__ == "__main__":

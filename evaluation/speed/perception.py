@@ -11,7 +11,6 @@ true plant points, see evaluation/perception/registration.py), first_total_s (wi
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import subprocess
@@ -23,19 +22,16 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 
 from anther.core import Array, Box, transform_points
-from anther.core.files import replacing, write_json
 from anther.perception import Capture, cloud, flowers, masks, skeleton, stem
 from anther.plant import Crop
 from anther.pollination import grasp
-from anther.robot.arm.views import Params as ViewParams
-from anther.sim import Organ, grow, layout, photograph, views_at
-from anther.sim.simulated_cell import USUAL_DISTANCE
+from anther.sim import Organ
+from evaluation.harness import CROPS, HIDDEN, finish, options, progress, save
+from evaluation.perception.simulated import BOX, take
+from evaluation.tables import markdown
 
 VIEWS = 30
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "2"}
@@ -45,12 +41,11 @@ TARGET_S, STRETCH_S, MEMORY_GB = 5.0, 2.0, 2.0
 
 def measure(species: Crop, seed: int, repeats: int) -> dict[str, float]:
     """Return one plant's times and memory; runs in a process of its own."""
-    box = layout(USUAL_DISTANCE).workspace
-    capture, true_poses, points = take(species, seed)
+    capture, true_poses, points = seen(species, seed)
     Path("/proc/self/clear_refs").write_text("5")  # the rendering's memory does not count
     runs, cloud_poses = [], capture.T_world_cam
     for _ in range(repeats + 1):
-        seconds, cloud_poses = perceive(capture, box)
+        seconds, cloud_poses = perceive(capture, BOX)
         runs.append(seconds)
     best = min(runs[1:], key=lambda run: sum(run.values()))
     gaps = [
@@ -86,16 +81,12 @@ def perceive(capture: Capture, box: Box) -> tuple[dict[str, float], Array]:
     return seconds, points.T_world_cam
 
 
-def take(species: Crop, seed: int) -> tuple[Capture, Array, list[Array]]:
+def seen(species: Crop, seed: int) -> tuple[Capture, Array, list[Array]]:
     """Return the capture of a simulated plant, the true poses, and true plant points per view in its camera frame."""
-    joints = views_at(USUAL_DISTANCE, ViewParams(count=VIEWS)).joints
-    capture, truth = photograph(grow(species, seed, 0.0, USUAL_DISTANCE), joints, seed)
+    _, capture, truth = take(species, seed, VIEWS)
     pairs = zip(truth.depth, truth.organ, strict=True)
-    return (
-        capture,
-        truth.T_world_cam,
-        [capture.intrinsics.back_project(d, o <= Organ.FLOWER)[::7] for d, o in pairs],
-    )
+    points = [capture.intrinsics.back_project(d, o <= Organ.FLOWER)[::7] for d, o in pairs]
+    return capture, truth.T_world_cam, points
 
 
 def _peak_gb() -> float:
@@ -104,67 +95,8 @@ def _peak_gb() -> float:
     return next(float(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1e6
 
 
-def main() -> None:
-    """Measure the plants one after another in fresh processes, print the table, write --json."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path, help="write the metrics here")
-    parser.add_argument("--figure", type=Path, help="draw the bars into this file")
-    parser.add_argument("--quick", action="store_true", help="one plant, one repeat")
-    parser.add_argument("--seed", type=int, default=10, help="of the plants")
-    parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--one", choices=("tomato", "pepper"), help=argparse.SUPPRESS)
-    args = parser.parse_args()
-    if args.one:
-        print(json.dumps(measure(args.one, args.seed, args.repeats)))
-        return
-    species = ("tomato",) if args.quick else ("tomato", "pepper")
-    repeats = 1 if args.quick else args.repeats
-    rows = {name: _in_new_process(name, args.seed, repeats) for name in track(species, "plants")}
-    table = max(rows.values(), key=lambda row: row["total_s"])
-    table |= {key: max(row[key] for row in rows.values()) for key in ("peak_gb", "registration_rms_mm")}
-    _report(rows, table, args.json, args.figure)
-
-
-def _in_new_process(species: str, seed: int, repeats: int) -> dict[str, float]:
-    command = [
-        sys.executable,
-        "-m",
-        "evaluation.speed.perception",
-        "--one",
-        species,
-        "--seed",
-        str(seed),
-        "--repeats",
-        str(repeats),
-    ]
-    done = subprocess.run(command, env={**os.environ, **ONE_THREAD}, capture_output=True, text=True, check=False)
-    if done.returncode != 0:
-        raise SystemExit(done.stderr)
-    return json.loads(done.stdout.splitlines()[-1])
-
-
-def _report(
-    rows: dict[str, dict[str, float]], table: dict[str, float], json_file: Path | None, figure: Path | None
-) -> None:
-    shown = Table("of one plant, 30 views", "target", *rows, box=MARKDOWN)
-    for stage in STAGES:
-        times = (f"{row[f'{stage}_s']:.2f}, {row[f'{stage}_s'] / row['total_s']:.0%}" for row in rows.values())
-        shown.add_row(f"{stage}, s, share", "", *times)
-    for words, target, key in (
-        ("all, s", f"≤ {TARGET_S:g}", "total_s"),
-        ("the first run of a process, s", "", "first_total_s"),
-        ("peak memory, GB", f"≤ {MEMORY_GB:g}", "peak_gb"),
-        ("registration's error, RMS, mm", "", "registration_rms_mm"),
-    ):
-        shown.add_row(words, target, *(f"{row[key]:.2f}" for row in rows.values()))
-    Console().print(shown)
-    if figure:
-        _draw(rows, figure)
-    if json_file:
-        write_json(json_file, {**table, "plants": len(rows)})
-
-
-def _draw(rows: dict[str, dict[str, float]], file: Path) -> None:
+def draw(rows: dict[str, dict[str, float]]) -> Figure:
+    """Return the stages' times as bars."""
     picture = Figure(figsize=(8, 1 + 0.6 * len(rows)), layout="constrained")
     plot = picture.subplots()
     for stage in STAGES:
@@ -176,8 +108,56 @@ def _draw(rows: dict[str, dict[str, float]], file: Path) -> None:
     plot.axvline(STRETCH_S, color="0.4", linestyle=":")
     plot.set_xlabel("wall time on two cores [s]; dotted: target and stretch goal")
     plot.legend(ncols=len(STAGES), loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
-    with replacing(file) as temporary:
-        picture.savefig(temporary, dpi=130, format="png")
+    return picture
+
+
+def in_new_process(species: str, seed: int, repeats: int) -> dict[str, float]:
+    """Measure one plant in a process of its own."""
+    words = ["-m", "evaluation.speed.perception", "--one", species, "--seed", str(seed), "--repeats", str(repeats)]
+    command = [sys.executable, *words]
+    done = subprocess.run(command, env={**os.environ, **ONE_THREAD}, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise SystemExit(done.stderr)
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def report(rows: dict[str, dict[str, float]]) -> Table:
+    """Return the times and the memory of the plants."""
+    lines = [
+        (
+            f"{stage}, s, share",
+            "",
+            *(f"{r[f'{stage}_s']:.2f}, {r[f'{stage}_s'] / r['total_s']:.0%}" for r in rows.values()),
+        )
+        for stage in STAGES
+    ]
+    lines += [
+        (words, target, *(f"{row[key]:.2f}" for row in rows.values()))
+        for words, target, key in (
+            ("all, s", f"≤ {TARGET_S:g}", "total_s"),
+            ("the first run of a process, s", "", "first_total_s"),
+            ("peak memory, GB", f"≤ {MEMORY_GB:g}", "peak_gb"),
+            ("registration's error, RMS, mm", "", "registration_rms_mm"),
+        )
+    ]
+    return markdown(("of one plant, 30 views", "target", *rows), lines)
+
+
+def main() -> None:
+    """Measure the plants one after another in fresh processes, print the table, write --json."""
+    own = {"--repeats": (3, "of which the best counts"), "--one": (str, HIDDEN, CROPS)}
+    args = options(__doc__, quick="one plant, one repeat", seed=(10, "of the plants"), figure="the bars", own=own)
+    if args.one:
+        print(json.dumps(measure(args.one, args.seed, args.repeats)))
+        return
+    repeats = 1 if args.quick else args.repeats
+    crops = progress(CROPS[: 1 if args.quick else 2], "plants")
+    rows = {crop: in_new_process(crop, args.seed, repeats) for crop in crops}
+    table = max(rows.values(), key=lambda row: row["total_s"])
+    table = table | {key: max(row[key] for row in rows.values()) for key in ("peak_gb", "registration_rms_mm")}
+    finish(args, {**table, "plants": len(rows)}, report(rows))
+    if args.figure:
+        save(draw(rows), args.figure, 130)
 
 
 if __name__ == "__main__":

@@ -32,29 +32,21 @@ import time
 import tracemalloc
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from rich.progress import track
 
 from anther.core import AntherError
-from anther.core.files import read_json, write_json
-from anther.rods import (
-    Clamp,
-    Drive,
-    Rods,
-    natural_frequencies,
-    response_map,
-    simulate,
-    with_gravity_equilibrium,
-)
+from anther.core.files import read_json
+from anther.rods import Clamp, Drive, Rods, natural_frequencies, response_map, simulate, with_gravity_equilibrium
+from evaluation.harness import ONE_THREAD, finish, options, progress
 from evaluation.speed.networks import bush, reference_network, tall_plant, tips
-from evaluation.speed.peers import ONE_THREAD, Case, run_dismech, run_pyelastica
+from evaluation.speed.peers import Case, run_dismech, run_pyelastica
 from evaluation.speed.roofline import Roofline, measure_roofline
-from evaluation.speed.speed_table import Row, print_table
+from evaluation.tables import markdown
 
 # The floor of a Newton iteration is stated from two counts per node.
 # Operations: count_operations.py runs the kernels on numbers that count, when this benchmark starts. On the 86-node
@@ -111,7 +103,7 @@ def reference_rows(case: Case, operations: float, ceilings: Roofline, repeats: i
     tail, twist = ("_twist", "with twist") if case.twist else ("", "no twist")
     limits, rows = (45.0, 0.25) if case.twist else (25.0, 0.12), []
     floor = ceilings.floor(operations * len(case.rods.nodes), BYTES * len(case.rods.nodes))
-    for variant, how, shaken, integrator in track(variants(case), f"86 nodes, {twist}"):
+    for variant, how, shaken, integrator in progress(variants(case), f"86 nodes, {twist}"):
         key, words = tail + variant, f"86 nodes, {twist}, {how}"
         try:
             cost(replace(shaken, steps=3), integrator)
@@ -139,7 +131,7 @@ def scaling_rows(ceilings: Roofline, operations: float, shoots: tuple[int, ...],
     made = (replace(bush(count), viscous_time=1e-4) for count in shoots)
     cases = [Case(rods, tolerance=1e-7, twist=True, steps=max(10, 34_000 // len(rods.nodes))) for rods in made]
     cost(cases[0], gravity=(0, 0, 0))
-    for case in track(cases, "nodes"):
+    for case in progress(cases, "nodes"):
         runs = [cost(case, gravity=(0, 0, 0)) for _ in range(repeats)]
         nodes.append(len(case.rods.nodes))
         times.append(min(run.seconds / run.iterations for run in runs))
@@ -179,7 +171,7 @@ def map_rows(ceilings: Roofline, frequencies: int, repeats: int) -> list[Row]:
     hertz, grips = np.geomspace(1, 35, frequencies), np.arange(20, 120, 2)
     response_map(plant, clamp, grips, np.eye(3), hertz[:2], observe=flowers)
     walls, processor = [], []
-    for _ in track(range(repeats), "response map"):
+    for _ in progress(range(repeats), "response map"):
         begin, begin_cpu = time.perf_counter(), time.process_time()
         response_map(plant, clamp, grips, np.eye(3), hertz, observe=flowers)
         walls.append(time.perf_counter() - begin)
@@ -213,7 +205,7 @@ def map_flops(plant: Rods, grips: Any, seen: Any) -> float:
 def mode_rows(repeats: int) -> list[Row]:
     """The six lowest modes of 20,000 nodes in line, hanging sideways under gravity; compilation not included."""
     rods, times = Rods(np.linspace(0, [0.3, 0, 0], 20_000), np.arange(20_000) - 1, 3e-3, 2e8, 1100.0), []
-    for _ in track(range(repeats + 1), "modes"):
+    for _ in progress(range(repeats + 1), "modes"):
         begin = time.process_time()
         natural_frequencies(rods, Clamp.root(rods), 6)
         times.append(time.process_time() - begin)
@@ -230,7 +222,7 @@ def many_rows(quick: bool, repeats: int) -> list[Row]:
     ]
     scenarios = scenarios[::4] if quick else 4 * scenarios
     count, cores, all_cores, alone, iterations = len(scenarios), os.cpu_count() or 1, [], [], 0
-    for _ in track(range(repeats), "many scenarios"):
+    for _ in progress(range(repeats), "many scenarios"):
         for workers, times in ((cores, all_cores), (1, alone)):
             begin = time.perf_counter()
             with ThreadPoolExecutor(workers) as pool:
@@ -267,7 +259,7 @@ def start_rows(repeats: int) -> list[Row]:
         (Path(folder) / "kernel.py").write_text(LEAST_KERNEL)
         _start(LEAST_START, folder)  # compiles
         _start(START, here)  # compiles, where that is still to do
-        for _ in track(range(repeats), "second start"):
+        for _ in progress(range(repeats), "second start"):
             begin, _, _, end, _ = _start(LEAST_START, folder)
             least.append(end - begin)
             begin, first, imported, end, spent = _start(START, here)
@@ -292,7 +284,7 @@ def peer_rows(name: str, words: str, run_peer: Callable[[Case], dict[str, Any]],
     """Peer and we in turn on one case: paired ratios. An implicit peer meets our implicit Euler, else our midpoint."""
     ours, theirs = [], []
     cost(replace(case, steps=3), "implicit_euler")
-    for _ in track(range(rounds), words):
+    for _ in progress(range(rounds), words):
         peer = run_peer(case)
         if "failed" in peer:
             return [Row(name, f"{words}: fails ({peer['failed']})", "", (), more={f"{name}_failed": 1.0})]
@@ -352,20 +344,75 @@ def measure(args: argparse.Namespace) -> tuple[list[Row], Roofline]:
     return rows + all_peer_rows(args, network, 1 if args.quick else 3), ceilings
 
 
+COLUMNS = ("case", "unit", "best", "median", "worst", "limit", "floor", "best over floor")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table: samples in `unit`, floor and limit, if there are any; `more` goes to --json.
+
+    Without samples the line only says what the case says: that something failed, for instance.
+    """
+
+    key: str
+    case: str
+    unit: str
+    samples: tuple[float, ...]
+    floor: float | None = None
+    limit: float | None = None
+    more: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def metrics(self) -> dict[str, float]:
+        """The row in the flat form of the --json file."""
+        if not self.samples:
+            return self.more
+        out = {self.key: min(self.samples)} | self.more
+        if len(self.samples) > 1:
+            out |= {f"{self.key}_median": float(np.median(self.samples)), f"{self.key}_max": max(self.samples)}
+        return out if self.floor is None else out | {f"{self.key}_floor": self.floor}
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """The row as text, one for each of COLUMNS. A single sample leaves median and worst empty."""
+        if not self.samples:
+            return (self.case, *("",) * (len(COLUMNS) - 1))
+        best, spread = min(self.samples), ("", "")
+        if len(self.samples) > 1:
+            spread = (f"{np.median(self.samples):.3g}", f"{max(self.samples):.3g}")
+        limit = "" if self.limit is None else f"{self.limit:g}"
+        floor = ("", "") if self.floor is None else (f"{self.floor:.2g}", f"{best / self.floor:.1f}")
+        return (self.case, self.unit, f"{best:.3g}", *spread, limit, *floor)
+
+
+def describe(ceilings: Roofline) -> str:
+    """Return what one core could do in this run, in words."""
+    return (
+        f"One core in this run: {ceilings.vector / 1e9:.0f} Gflop/s with SIMD (this gives the floor), "
+        f"{ceilings.scalar / 1e9:.0f} one number at a time; {ceilings.small / 1e9:.0f} GB/s in the second-level cache, "
+        f"{ceilings.large / 1e9:.0f} with 24 MB. Load of the machine at the end: {os.getloadavg()[0]:.1f} on "
+        f"{os.cpu_count()} cores."
+    )
+
+
+def missed(rows: list[Row]) -> str:
+    """Return which limits the best samples miss, in words."""
+    over = [row for row in rows if row.samples and row.limit is not None and min(row.samples) > row.limit]
+    words = "; ".join(f"{row.case} ({min(row.samples):.3g} against {row.limit:g} {row.unit})" for row in over)
+    return f"Limits missed: {words or 'none'}."
+
+
 def main() -> None:
     """Measure, print, write --json."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path, help="write the metrics here")
-    parser.add_argument("--quick", action="store_true", help="smaller cases, fewer repeats")
-    parser.add_argument("--dismech", type=Path, help="a checkout of dismech-python, to be run as well")
-    parser.add_argument("--pyelastica", type=Path, help="a Python that has PyElastica, to be run as well")
-    args = parser.parse_args()
+    own = {
+        "--dismech": (Path, "a checkout of dismech-python, to be run as well"),
+        "--pyelastica": (Path, "a Python that has PyElastica, to be run as well"),
+    }
+    args = options(__doc__, quick="smaller cases, fewer repeats", own=own)
     rows, ceilings = measure(args)
-    print_table(rows, ceilings)
-    if args.json:
-        metrics = {key: value for row in rows for key, value in row.metrics.items()}
-        metrics |= {f"core_{name}": value for name, value in ceilings._asdict().items()}
-        write_json(args.json, metrics)
+    metrics = {key: value for row in rows for key, value in row.metrics.items()}
+    metrics |= {f"core_{name}": value for name, value in ceilings._asdict().items()}
+    finish(args, metrics, markdown(COLUMNS, [row.cells for row in rows]), missed(rows), describe(ceilings))
 
 
 if __name__ == "__main__":

@@ -13,12 +13,10 @@ such a page, which a busy machine does not stretch), write_p95_s (of the robot),
 
 from __future__ import annotations
 
-import argparse
 import os
 import random
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 import urllib.request
@@ -26,16 +24,15 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.table import Table
 
-from anther.core.files import write_json
 from anther.history import record_trial
-from evaluation.speed.fleet import NOW, SEASON, fill, record
+from evaluation.speed.fleet import NOW, SEASON, fill, history_in, record
 
 sys.path.append(str(Path(__file__).parents[2] / "tests" / "support"))
-from postgresql_server import Server, start
+from postgresql_server import start
+
+from evaluation.harness import finish, options
+from evaluation.tables import measured
 
 BROWSERS = 4
 WORDS = {
@@ -148,32 +145,20 @@ def measure(where: str, visits: int, plants: int, count: int) -> dict[str, float
 
 def main() -> None:
     """Fill a history, serve it, ask; print, and write --json."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path, help="write the metrics here")
-    parser.add_argument("--quick", action="store_true", help="10,000 visits, few pages")
-    parser.add_argument("--visits", type=int, default=1_000_000)
-    parser.add_argument("--postgresql", action="store_true", help="on a PostgreSQL server of its own")
-    args = parser.parse_args()
+    own = {
+        "--visits": (1_000_000, "of the history"),
+        "--postgresql": (False, "on a PostgreSQL server of its own"),
+    }
+    args = options(__doc__, quick="10,000 visits, few pages", own=own)
     visits, count = (10_000, 4) if args.quick else (args.visits, 50)
     plants = max(visits // 40, 100)
     server = start() if args.postgresql else None
     if isinstance(server, str):
         raise SystemExit(server)
-    with tempfile.TemporaryDirectory() as folder:
-        try:
-            where = server.new() if isinstance(server, Server) else str(Path(folder) / "history.sqlite")
-            fill(where, visits, plants)
-            table = measure(where, visits, plants, count)
-        finally:
-            if isinstance(server, Server):
-                server.remove()
-    shown = Table("what", "measured", box=MARKDOWN)
-    for key, words in WORDS.items():
-        value = table[key]
-        shown.add_row(words, value if isinstance(value, str) else f"{value:,}" if value >= 100 else f"{value:.2g}")
-    Console().print(shown)
-    if args.json:
-        write_json(args.json, table)
+    with history_in(server) as where:
+        fill(where, visits, plants)
+        table = measure(where, visits, plants, count)
+    finish(args, table, measured(table, WORDS))
 
 
 if __name__ == "__main__":

@@ -16,7 +16,6 @@ start: wall times mean little if it is not near 0).
 
 from __future__ import annotations
 
-import argparse
 import os
 import signal
 import socket
@@ -33,14 +32,11 @@ from typing import Any
 import numpy as np
 import psutil
 from distributed import Client, LocalCluster
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.table import Table
 
 from anther.cli import sweep as sweep_command
-from anther.core.files import write_json
 from anther.history import sweep
-from anther.history.sweep._running import ONE_THREAD
+from evaluation.harness import HIDDEN, ONE_THREAD, finish, options
+from evaluation.tables import measured
 
 Rows = list[dict[str, Any]]
 WORDS = {
@@ -89,8 +85,8 @@ def rods(count: int, ledger: Path, seconds: float) -> Rows:
 @contextmanager
 def cluster(workers: int) -> Iterator[str]:
     """Yield the address of a local cluster whose workers have started."""
-    options: dict[str, Any] = {"processes": True, "threads_per_worker": 1, "dashboard_address": None}
-    with LocalCluster(n_workers=workers, silence_logs=50, env=ONE_THREAD, **options) as made, Client(made) as client:
+    made_of: dict[str, Any] = {"processes": True, "threads_per_worker": 1, "dashboard_address": None}
+    with LocalCluster(n_workers=workers, silence_logs=50, env=ONE_THREAD, **made_of) as made, Client(made) as client:
         client.wait_for_workers(workers)
         yield made.scheduler_address
 
@@ -233,38 +229,30 @@ def left(folder: Path, tasks: int) -> dict[str, float]:
 
 def main() -> None:
     """Measure, print a table, write --json."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--quick", action="store_true", help="500 tasks of nothing, rods instead of trials, 60 tasks")
-    parser.add_argument("--part", choices=("overhead", "speedup", "kills"), nargs="*")
-    parser.add_argument("--tasks", type=int, default=100_000, help="that do nothing")
-    parser.add_argument("--killed", type=int, default=300, help="tasks of the sweep that is killed")
-    parser.add_argument("--every", type=float, default=6.0, help="seconds between killed workers")
-    parser.add_argument("--folder", type=Path, help="keep all in this folder instead of a temporary one")
-    parser.add_argument("--client", nargs=3, help=argparse.SUPPRESS)
-    args = parser.parse_args()
+    own = {
+        "--part": (("overhead", "speedup", "kills"), "what is measured", ("overhead", "speedup", "kills")),
+        "--tasks": (100_000, "that do nothing"),
+        "--killed": (300, "tasks of the sweep that is killed"),
+        "--every": (6.0, "seconds between killed workers"),
+        "--folder": (Path, "keep all in this folder instead of a temporary one"),
+        "--client": {"nargs": 3, "help": HIDDEN},
+    }
+    args = options(__doc__, quick="500 tasks of nothing, rods instead of trials, 60 tasks", own=own)
     if args.client:
         folder, scheduler, tasks = args.client
         rows = rods(int(tasks), Path(folder) / "ledger", 8.0)
         sweep.run(shaken, rows, Path(folder) / "sweep", scheduler=scheduler, deaths=20)
         return
     metrics = {"load": os.getloadavg()[0]}
-    parts = args.part or ("overhead", "speedup", "kills")
     with tempfile.TemporaryDirectory(prefix="anther-sweep-") as temporary:
         folder = args.folder or Path(temporary)
-        if "overhead" in parts:
+        if "overhead" in args.part:
             metrics |= overhead(500 if args.quick else args.tasks, folder / "overhead")
-        if "speedup" in parts:
+        if "speedup" in args.part:
             metrics |= speedup(folder / "speedup", quick=args.quick)
-        if "kills" in parts:
+        if "kills" in args.part:
             metrics |= kills(folder / "kills", 60 if args.quick else args.killed, args.every)
-    table = Table("what", "measured", box=MARKDOWN)
-    for key in (key for key in WORDS if key in metrics):
-        value = metrics[key]
-        table.add_row(WORDS[key], f"{value:,}" if isinstance(value, int) else f"{value:.3g}")
-    Console().print(table)
-    if args.json:
-        write_json(args.json, metrics)
+    finish(args, metrics, measured(metrics, WORDS))
 
 
 if __name__ == "__main__":

@@ -11,18 +11,11 @@ aside_<hz>, what it does, and aside of the line, over what was commanded, median
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
 
 from anther.core import Array
-from anther.core.files import write_json
 from anther.pollination.escalation._knowledge import ARM_ERROR, ARM_MODE, gripper_motion
 from anther.pollination.shake.observables import ComplexArray
 from anther.pollination.shake.params import FAST
@@ -30,12 +23,20 @@ from anther.robot import ArmSample
 from anther.robot.arm.sawyer import READY, SAWYER
 from anther.sim import cell as world
 from anther.sim import grow
+from evaluation.harness import finish, options, progress
+from evaluation.tables import markdown
 from evaluation.trials.grasping_trial import truth_of
 
 TONES = np.array([2.7, 4.3, 6.4, 8.5, 11.3, 14.1, 16.9, 18.5, 20.5])
 FIRST, LINES = 7700, 2
 RAMP, SECONDS = 0.5, 2.5
 FAR = 5.0  # m: the plant that a cell must have
+
+
+HEADS = (
+    *("frequency, Hz", "readings' error, median", "75 %", "90 %", "`ARM_ERROR` takes", "grip moves / is read, median"),
+    *("`ARM_MODE` takes", "grip moves / was told, median", "aside, median"),
+)
 
 
 def swings(seed: int, line: int) -> tuple[Array, ComplexArray, ComplexArray]:
@@ -79,39 +80,30 @@ def read_and_true(seed: int, joints: Array, along: Array, tones: Array) -> tuple
 
 def main() -> None:
     """Measure, print a table, write --json."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--arms", type=int, default=24)
-    args = parser.parse_args()
-    console = Console()
-    cases = [(FIRST + k, line) for k in range(args.arms) for line in range(LINES)]
-    along, read, true = map(
-        np.array, zip(*(swings(*case) for case in track(cases, "arms", console=console)), strict=True)
+    args = options(
+        __doc__, quick="three arms", seed=(FIRST, "of the first truth"), own={"--arms": (24, "simulated Sawyers")}
     )
+    arms = 3 if args.quick else args.arms
+    cases = [(args.seed + k, line) for k in range(arms) for line in range(LINES)]
+    along, read, true = map(np.array, zip(*(swings(*case) for case in progress(cases, "arms")), strict=True))
     error, size = np.linalg.norm(true - read, axis=2), np.linalg.norm(true, axis=2)
     straight = np.einsum("nqx,nx->nq", true, along)
     aside = np.linalg.norm(true - straight[..., None] * along[:, None], axis=2)
-    told: dict[str, float] = {"arms": float(args.arms)}
-    console.print(f"{args.arms} arms, {LINES} lines each. Errors and motions are shares of what was commanded.")
-    heads = ("readings' error, median", "75 %", "90 %", "`ARM_ERROR` takes")
-    moves = ("grip moves / is read, median", "`ARM_MODE` takes", "grip moves / was told, median", "aside, median")
-    table = Table("frequency, Hz", *heads, *moves, box=MARKDOWN)
-    for k, hertz in enumerate(TONES):
-        own = {
-            "error": float(np.median(error[:, k])),
-            "error_75": float(np.quantile(error[:, k], 0.75)),
-            "error_90": float(np.quantile(error[:, k], 0.9)),
-            "beyond": float(np.median(size[:, k] / np.linalg.norm(read[:, k], axis=1))),
-            "follows": float(np.median(size[:, k])),
-            "aside": float(np.median(aside[:, k])),
-        }
-        told |= {f"{name}_{hertz:g}": value for name, value in own.items()}
-        taken = [ARM_ERROR * (hertz / FAST) ** 3, 1 / (1 - (hertz / ARM_MODE) ** 2)]
-        cells = [*list(own.values())[:3], taken[0], own["beyond"], taken[1], own["follows"], own["aside"]]
-        table.add_row(f"{hertz:g}", *(f"{cell:.2f}" for cell in cells))
-    console.print(table)
-    if args.json:
-        write_json(args.json, told)
+    columns = {
+        "error": np.median(error, axis=0),
+        "error_75": np.quantile(error, 0.75, axis=0),
+        "error_90": np.quantile(error, 0.9, axis=0),
+        "beyond": np.median(size / np.linalg.norm(read, axis=2), axis=0),
+        "follows": np.median(size, axis=0),
+        "aside": np.median(aside, axis=0),
+    }
+    taken = [ARM_ERROR * (TONES / FAST) ** 3, 1 / (1 - (TONES / ARM_MODE) ** 2)]
+    first, beyond, rest = list(columns.values())[:3], columns["beyond"], [columns["follows"], columns["aside"]]
+    rows = zip(*first, taken[0], beyond, taken[1], *rest, strict=True)
+    lines = [(f"{hz:g}", *(f"{cell:.2f}" for cell in row)) for hz, row in zip(TONES, rows, strict=True)]
+    values = {f"{name}_{hz:g}": v for name, column in columns.items() for hz, v in zip(TONES, column, strict=True)}
+    words = f"{arms} arms, {LINES} lines each. Errors and motions are shares of what was commanded."
+    finish(args, {"arms": float(arms), **values}, words, markdown(HEADS, lines))
 
 
 if __name__ == "__main__":

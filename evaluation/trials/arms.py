@@ -9,22 +9,20 @@ interval of its share), what `grasping_table.effects` tells, and the medians of 
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
-from pathlib import Path
 from typing import get_args
 
 import numpy as np
 from rich.console import RenderableType
 
-from anther.core.files import write_json
 from anther.robot.arm import ArmName
-from evaluation.harness import swept
+from evaluation.harness import CROPS, finish, options, run_cases
 from evaluation.perception.skeletons import TEN
-from evaluation.trials.grasping import SPECIES, VIEWPOINTS
-from evaluation.trials.grasping_table import Row, effects, interval
+from evaluation.statistics import interval
+from evaluation.tables import markdown
+from evaluation.trials.grasping import VIEWPOINTS
+from evaluation.trials.grasping_table import EFFECTS, Row, effect_cells, effects, failures
 from evaluation.trials.grasping_trial import Case, asked, crashed, one_trial
-from evaluation.trials.trial_tables import effect_cells, failures, say, table_of
 
 CALLED = {"fr3": "panda"}
 """What the keys of --json call an arm: Franka's is Panda there, though the one that is simulated is Research 3."""
@@ -35,7 +33,6 @@ MEDIANS = {
     "reach_s": ("reaching the grasp [s]", 1.0, "{:.0f}"),
 }
 """Of a trial: the head of its column, the column's scale, how it is written."""
-EFFECTS = ("harm_probability_mean", "moved_share", "flower_acceleration_median_ms2")
 
 
 def metrics(arm: str, rows: Sequence[Row]) -> dict[str, float]:
@@ -56,15 +53,15 @@ def report(arms: Sequence[str], rows: Sequence[Row], table: dict[str, float]) ->
     for arm in arms:
         end = f"_{CALLED.get(arm, arm)}"
         own = {key.removesuffix(end): value for key, value in table.items() if key.endswith(end)}
-        held = [f"{won}/{trials}" for won, trials in (wins(rows, arm, species) for species in ("", *SPECIES))]
+        held = [f"{won}/{trials}" for won, trials in (wins(rows, arm, species) for species in ("", *CROPS))]
         between = f"{own['success_low']:.0%} to {own['success_high']:.0%}"
         medians = [how.format(scale * own[key]) if key in own else "" for key, (_, scale, how) in MEDIANS.items()]
-        lines.append((f"`{arm}`", held[0], between, *held[1:], *effect_cells(own, EFFECTS), *medians))
-    heads = ["arm", "held and unharmed", "95 % interval", *SPECIES, "probability of harm", "flowers moved (5 m/s²)"]
-    heads += ["median flower [m/s²]", *(head for head, *_ in MEDIANS.values())]
+        lines.append((f"`{arm}`", held[0], between, *held[1:], *effect_cells(own, list(EFFECTS)[:3]), *medians))
+    heads = ["arm", "held and unharmed", "95 % interval", *CROPS, *(words for words, _ in list(EFFECTS.values())[:3])]
+    heads += [head for head, *_ in MEDIANS.values()]
     return [
         "The same trials with each arm; from the median flower on medians over trials.",
-        table_of(heads, lines),
+        markdown(heads, lines),
         *failures(rows),
     ]
 
@@ -77,22 +74,16 @@ def wins(rows: Sequence[Row], arm: str, species: str) -> tuple[int, int]:
 
 def main() -> None:
     """Run what is not there yet, print the tables, write --json."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--quick", action="store_true", help="one plant of each species from two sides")
-    parser.add_argument("--arms", nargs="+", choices=get_args(ArmName), default=list(get_args(ArmName)))
-    parser.add_argument("--jobs", type=int, default=1, help="trials at a time")
-    parser.add_argument("--out", type=Path, default=Path("runs/arms"), help="where finished trials are kept")
-    args = parser.parse_args()
+    arms = {"--arms": (get_args(ArmName), "of the trials", get_args(ArmName))}
+    quick, seed = "one plant of each species from two sides", (0, "added to the seeds of all plants")
+    args = options(__doc__, quick=quick, seed=seed, jobs="trials", out="runs/arms", own=arms)
     plants, sides = ([TEN[0], TEN[2]], VIEWPOINTS[:2]) if args.quick else (TEN, VIEWPOINTS)
-    cases = [Case(*plant, side, arm=arm) for arm in args.arms for plant in plants for side in sides]
-    rows = swept(one_trial, asked(cases, rule=False), args.out, args.jobs, crashed)
+    cases = [Case(s, k + args.seed, side, arm=arm) for arm in args.arms for s, k in plants for side in sides]
+    rows = run_cases(one_trial, asked(cases, rule=False), args.out, args.jobs, crashed)
     table: dict[str, float] = {}
     for arm in args.arms:
         table |= metrics(arm, [row for row in rows if row["arm"] == arm])
-    say(report(args.arms, rows, table))
-    if args.json:
-        write_json(args.json, table)
+    finish(args, table, *report(args.arms, rows, table))
 
 
 if __name__ == "__main__":

@@ -9,23 +9,17 @@ acceleration), <name>_first_hz (lowest natural frequency) and <name>_amplitude_r
 
 from __future__ import annotations
 
-import argparse
-import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from rich.box import MARKDOWN
-from rich.console import Console
-from rich.progress import track
-from rich.table import Table
 
-from anther.core.files import read_object, write_json
+from anther.core.files import read_object
 from anther.plant import main_stem, read_source
+from evaluation.harness import finish, options, progress
+from evaluation.tables import markdown
 
-DATA = Path(os.environ.get("ANTHER_DATA", Path(__file__).parents[3] / "shared" / "data"))
 HEADS = (
     "plant",
     "the main stem rises",
@@ -49,67 +43,44 @@ def _crop(path: Path) -> str:
     return "pepper" if path.stem.startswith("pepper") else "tomato"
 
 
-def one_plant(path: Path, folder: Path, console: Console) -> tuple[dict[str, float], list[str]]:
+def one_plant(path: Path, folder: Path) -> tuple[dict[str, float], list[str]]:
     """Return a plant's numbers, and its row of the table."""
     refused = {name: asked(name, path, folder) for name in ("plan", "respond", "shake")}
     for name, why in refused.items():
         if why:
-            console.print(f"{path.stem}: {name}: {why}", highlight=False)
+            print(f"{path.stem}: {name}: {why}")
+    plan, mapped, motion = (
+        {} if refused[name] else read_object(folder / f"{file}.json")
+        for name, file in (("plan", "shake_plan"), ("respond", "respond"), ("shake", "shake"))
+    )
     _, skeleton = read_source(path, crop="pepper" if _crop(path) == "pepper" else "tomato")
-    stem = main_stem(skeleton)
-    found = {
-        "planned": float(not refused["plan"]),
-        "mapped": float(not refused["respond"]),
-        "shaken": float(not refused["shake"]),
-        "stem_share": float(np.ptp(skeleton.nodes[stem.node_ids, 2]) / np.ptp(skeleton.nodes[:, 2])),
-    }
-    cells = [
-        path.stem,
-        f"{1e3 * np.ptp(skeleton.nodes[stem.node_ids, 2]):.0f} mm, {found['stem_share']:.0%} of the height",
-    ]
-    if plan := _told(folder / "shake_plan.json", refused["plan"]):
+    heights = skeleton.nodes[:, 2]
+    rises = float(np.ptp(heights[main_stem(skeleton).node_ids]))
+    found = {"planned": float(bool(plan)), "mapped": float(bool(mapped)), "shaken": float(bool(motion))}
+    found["stem_share"] = rises / float(np.ptp(heights))
+    cells = [path.stem, f"{1e3 * rises:.0f} mm, {found['stem_share']:.0%} of the height", *["refused", ""] * 2]
+    if plan:
         found["planned_m_s2"] = float(np.mean(plan["predicted_acceleration"]))
-        at, hertz = plan["grasp"]["arc_length"], plan["frequency"]
-        cells += [f"{1e3 * plan['amplitude']:.2g} mm at {hertz:.3g} Hz, {1e2 * at:.0f} cm up"]
-        cells += [f"{found['planned_m_s2']:.2g} m/s²"]
-    else:
-        cells += ["refused", ""]
-    if found_map := _told(folder / "respond.json", refused["respond"]):
-        found |= {"grips": found_map["grips"], "first_hz": found_map["natural_frequencies_hz"][0]}
-        cells += [f"{found['grips']:.0f}", f"{found['first_hz']:.2f} Hz"]
-    else:
-        cells += ["refused", ""]
-    if motion := _told(folder / "shake.json", refused["shake"]):
+        size, hertz, up = 1e3 * plan["amplitude"], plan["frequency"], 1e2 * plan["grasp"]["arc_length"]
+        cells[2:4] = [f"{size:.2g} mm at {hertz:.3g} Hz, {up:.0f} cm up", f"{found['planned_m_s2']:.2g} m/s²"]
+    if mapped:
+        found |= {"grips": mapped["grips"], "first_hz": mapped["natural_frequencies_hz"][0]}
+        cells[4:6] = [f"{found['grips']:.0f}", f"{found['first_hz']:.2f} Hz"]
+    if motion:
         found["amplitude_ratio"] = motion["amplitude_ratio"]
-    cells += [f"{1e3 * motion['flower_amplitude_m']:.1f} mm" if motion else "refused"]
-    return found, cells
-
-
-def _told(path: Path, refused: str) -> dict[str, Any]:
-    return {} if refused else read_object(path)
+    return found, [*cells, f"{1e3 * motion['flower_amplitude_m']:.1f} mm" if motion else "refused"]
 
 
 def main() -> None:
     """Ask the commands, print and write what they did."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=DATA / "skeletons", help="folder of the skeletons")
-    parser.add_argument("--out", type=Path, default=Path("runs/authors_plants"), help="where the commands write")
-    parser.add_argument("--json", type=Path, help="write the metrics here")
-    parser.add_argument("--quick", action="store_true", help="the smallest plant only")
-    args = parser.parse_args()
-    console = Console()
+    args = options(__doc__, quick="the smallest plant only", data="skeletons", out="runs/authors_plants")
     paths = sorted(args.data.glob("*.txt"), key=lambda path: path.stat().st_size)[: 1 if args.quick else None]
-    plants = {path.stem: one_plant(path, args.out / path.stem, console) for path in track(paths, console=console)}
-    table = Table(*HEADS, box=MARKDOWN)
-    for _, (_, cells) in sorted(plants.items()):
-        table.add_row(*cells)
-    console.print(table)
-    numbers = {f"{name}_{key}": value for name, (row, _) in plants.items() for key, value in row.items()}
+    plants = {path.stem: one_plant(path, args.out / path.stem) for path in progress(paths, "plants")}
     shares = ("planned", "mapped", "shaken")
     found = {key: float(np.mean([row[key] for row, _ in plants.values()])) for key in shares}
-    if args.json:
-        kept = {key: value for key, value in numbers.items() if not key.endswith(shares)}
-        write_json(args.json, {"plants": len(plants), **found, **kept})
+    kept = {f"{name}_{k}": v for name, (row, _) in plants.items() for k, v in row.items() if k not in shares}
+    table = markdown(HEADS, [cells for _, (_, cells) in sorted(plants.items())])
+    finish(args, {"plants": len(plants), **found, **kept}, table)
 
 
 if __name__ == "__main__":

@@ -18,21 +18,17 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
-from anther.core.files import write_json
-from anther.plant import Crop
-from evaluation.harness import FOLDER, swept
+from evaluation.harness import FOLDER, by_turns, finish, options, plants_named, run_cases
 from evaluation.perception.skeletons import TEN
 from evaluation.trials.grasping_pictures import sheet
-from evaluation.trials.grasping_table import metrics
+from evaluation.trials.grasping_table import metrics, report
 from evaluation.trials.grasping_trial import PICTURE, Case, asked, crashed, one_trial
-from evaluation.trials.trial_tables import report, say
 
 VIEWPOINTS = (0, 90, 180, 270)  # degrees
 PRESETS = ("full", "fast")
-SPECIES: tuple[Crop, ...] = ("tomato", "pepper")
-FURTHER: list[tuple[Crop, int]] = [(species, 1054 + k) for k in range(50) for species in SPECIES]
+FURTHER = by_turns(100, 1054)
 """Of those before (1000-1053), which an earlier run took, the failures said what to mend."""
 
 
@@ -43,17 +39,10 @@ def chosen(args: argparse.Namespace) -> list[Case]:
     else:
         ten, further, sides, presets = TEN, FURTHER[: args.further], args.viewpoints, args.presets
     if args.plants:
-        ten, further = [_plant(word) for word in args.plants], []
+        ten, further = plants_named(args.plants), []
     cases = [Case(*plant, side, preset) for preset in presets for plant in ten for side in sides]
     cases += [Case(*plant, side) for plant in further for side in sides]
     return [Case(case.species, case.seed + args.seed, case.viewpoint, case.preset) for case in cases]
-
-
-def _plant(word: str) -> tuple[Crop, int]:
-    for species in get_args(Crop):
-        if word.startswith(f"{species}-"):
-            return species, int(word.removeprefix(f"{species}-"))
-    raise SystemExit(f"--plants: got {word}; allowed: tomato-SEED or pepper-SEED, such as pepper-10.")
 
 
 def tiles(cases: Sequence[Case], rows: Sequence[dict[str, Any]]) -> list[tuple[Path, str, bool]]:
@@ -76,25 +65,19 @@ def draw(cases: Sequence[Case], rows: Sequence[dict[str, Any]], figures: Path) -
 
 def main() -> None:
     """Run what is not there yet, print the tables, write --json and the picture."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--quick", action="store_true", help="one plant of each species from two sides, 30 views")
-    parser.add_argument("--seed", type=int, default=0, help="added to the seeds of all plants")
-    parser.add_argument("--further", type=int, default=0, help="how many of the hundred further plants")
-    parser.add_argument("--presets", nargs="*", choices=PRESETS, default=PRESETS, help="of the ten plants")
-    parser.add_argument("--viewpoints", nargs="*", type=int, default=VIEWPOINTS, help="degrees")
-    parser.add_argument("--plants", nargs="*", help="these instead of the ten, such as tomato-10 pepper-11")
-    parser.add_argument("--without-paper", action="store_true", help="leave out the paper's own grasp")
-    parser.add_argument("--jobs", type=int, default=1, help="trials at a time")
-    parser.add_argument("--out", type=Path, default=Path("runs/grasping"), help="where finished trials are kept")
-    parser.add_argument("--figures", type=Path, help="write grasping.png into this folder")
-    args = parser.parse_args()
+    own = {
+        "--further": (0, "how many of the hundred further plants"),
+        "--presets": (PRESETS, "of the ten plants", PRESETS),
+        "--viewpoints": (VIEWPOINTS, "degrees"),
+        "--plants": ((), "these instead of the ten, such as tomato-10 pepper-11"),
+        "--without-paper": (False, "leave out the paper's own grasp"),
+    }
+    quick, seed = "one plant of each species from two sides, 30 views", (0, "added to the seeds of all plants")
+    args = options(__doc__, quick=quick, seed=seed, jobs="trials", out="runs/grasping", figures="grasping.png", own=own)
     cases = chosen(args)
-    rows = swept(one_trial, asked(cases, rule=not args.without_paper), args.out, args.jobs, crashed)
+    rows = run_cases(one_trial, asked(cases, rule=not args.without_paper), args.out, args.jobs, crashed)
     table = metrics(rows)
-    say(report(rows, table))
-    if args.json:
-        write_json(args.json, table)
+    finish(args, table, *report(rows, table))
     if args.figures:
         draw(cases, rows, args.figures)
 

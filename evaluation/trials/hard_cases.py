@@ -21,19 +21,17 @@ _CASE behind it, sway_mm (the widest of the wind), and CASE_KIND, how many faile
 
 from __future__ import annotations
 
-import argparse
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from rich.console import RenderableType
 
 from anther.core import Advance, Array
-from anther.core.files import write_json
 from anther.perception import Capture
 from anther.plant import PEPPER, TOMATO, Crop
 from anther.pollination import Params, pollinate
@@ -54,11 +52,11 @@ from anther.sim import (
 from anther.sim import cell as world
 from anther.sim.capture import perturbed_hand_eye
 from anther.sim.simulated_cell import PRESETS, USUAL_DISTANCE
-from evaluation.harness import failed, swept
-from evaluation.trials.grasping_table import effects
+from evaluation.harness import CROPS, failed, finish, options, run_cases
+from evaluation.tables import markdown
+from evaluation.trials.grasping_table import EFFECTS, effect_cells, effects
 from evaluation.trials.grasping_trial import Memory, notes, performed, watched
 from evaluation.trials.hard_plants import denser, leaning, sway, swaying, two_stems
-from evaluation.trials.trial_tables import EFFECTS, effect_cells, say, table_of
 
 CASES = (
     "plain", "leaning", "two stems", "dense", "edge of reach", "pot shifted", "wind", "hand-eye", "view lost",
@@ -183,10 +181,10 @@ def report(rows: list[dict[str, Any]]) -> list[RenderableType]:
         if not row["success"]
     ]
     heads = ("case", "held and unharmed", "trials", "main stem held", *(words for words, _ in EFFECTS.values()))
-    parts = ["What became of the trials; of flowers and pollen the medians over trials.", table_of(heads, table)]
+    parts = ["What became of the trials; of flowers and pollen the medians over trials.", markdown(heads, table)]
     if not failed:
         return [*parts, "No trial failed."]
-    return [*parts, "Trials that failed.", table_of(("trial", "kind", "what happened"), failed)]
+    return [*parts, "Trials that failed.", markdown(("trial", "kind", "what happened"), failed)]
 
 
 def _aim(row: dict[str, Any]) -> str:
@@ -196,20 +194,13 @@ def _aim(row: dict[str, Any]) -> str:
 
 def main() -> None:
     """Run what is not there yet, print the table, write --json."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--quick", action="store_true", help="one plant of each species instead of three")
-    parser.add_argument("--seed", type=int, default=3000, help="first seed")
-    parser.add_argument("--cases", nargs="*", choices=CASES, default=CASES)
-    parser.add_argument("--jobs", type=int, default=1, help="trials at a time")
-    parser.add_argument("--out", type=Path, default=Path("runs/hard_cases"), help="where finished trials are kept")
-    args = parser.parse_args()
+    quick = "one plant of each species instead of three"
+    own = {"--cases": (CASES, "these alone", CASES)}
+    args = options(__doc__, quick=quick, seed=(3000, "first seed"), jobs="trials", out="runs/hard_cases", own=own)
     seeds = range(args.seed, args.seed + (1 if args.quick else 3))
-    cases = [Case(kind, species, seed) for kind in args.cases for species in get_args(Crop) for seed in seeds]
-    rows = swept(one_trial, map(asdict, cases), args.out, args.jobs, failed)
-    say(report(rows))
-    if args.json:
-        write_json(args.json, metrics(rows))
+    cases = [asdict(Case(kind, crop, seed)) for kind in args.cases for crop in CROPS for seed in seeds]
+    rows = run_cases(one_trial, cases, args.out, args.jobs, failed)
+    finish(args, metrics(rows), *report(rows))
 
 
 if __name__ == "__main__":

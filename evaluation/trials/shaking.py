@@ -16,8 +16,6 @@ Every trial ends in one JSON in --out and is not run again. Keys of --json: thos
 
 from __future__ import annotations
 
-import argparse
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -26,19 +24,16 @@ from typing import Any
 import numpy as np
 
 from anther.core import Advance
-from anther.core.files import write_json
 from anther.plant import PEPPER, TOMATO, Crop, EarlierShake, Material
 from anther.pollination import Done, Params, Seen, ShakePlan, execute, perceive, pollinate
 from anther.robot import GuardedArm
 from anther.sim import WIDE, SimulatedCell, build
 from anther.sim.simulated_cell import PRESETS
-from evaluation.harness import failed, swept
-from evaluation.prediction.vibration_plant import matched
+from evaluation.harness import by_turns, failed, finish, options, run_cases
+from evaluation.prediction.known_plant import matched
 from evaluation.trials import shaking_table
 from evaluation.trials.grasping_trial import Memory, paper_plan, performed, truth_of
-from evaluation.trials.trial_tables import say
 
-SPECIES: tuple[Crop, ...] = ("tomato", "pepper")
 FIRST, DEVELOPMENT = 9500, 7700
 """Plants from the first seed on are in no other table; on those from the second on constants may be set."""
 PAPER_SHAKE = {"amplitude": 0.012, "frequency": 1.9, "duration": 5.0}
@@ -77,14 +72,14 @@ def one(row: dict[str, Any], folder: Path) -> dict[str, Any]:
 def rows_of(cases: Sequence[Case], out: Path, jobs: int) -> list[dict[str, Any]]:
     """Return the rows of the cases: the second visits last, since they begin as the first ones ended."""
     first = [asdict(case) | {"earlier": None} for case in cases if case.way != "again"]
-    rows = swept(one, first, out, jobs, failed)
+    rows = run_cases(one, first, out, jobs, failed)
     ended = {(row["species"], row["seed"], row["truth"]): ended_with(row) for row in rows if row["way"] == "escalated"}
     second = [
         asdict(case) | {"earlier": ended.get((case.species, case.seed, case.truth))}
         for case in cases
         if case.way == "again"
     ]
-    return rows + (swept(one, second, out, jobs, failed) if second else [])
+    return rows + (run_cases(one, second, out, jobs, failed) if second else [])
 
 
 def ended_with(row: dict[str, Any]) -> dict[str, Any] | None:
@@ -148,33 +143,25 @@ def seen_and_true(cell: SimulatedCell, run: Memory, done: Done, case: Case) -> d
 
 def main() -> None:
     """Run what is missing and print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--quick", action="store_true", help="two plants")
-    parser.add_argument("--plants", type=int, default=40, help="half tomatoes, half peppers")
-    parser.add_argument("--ways", nargs="*", choices=WAYS, default=WAYS)
-    parser.add_argument(
-        "--first", nargs="*", default=[], metavar="WAY=N", help="only the first N of the plants this way"
-    )
-    parser.add_argument("--truth", choices=("wide", "nominal", *WIDE), default="wide", help="or one group alone")
-    parser.add_argument("--development", action="store_true", help="the plants on which constants may be set")
-    parser.add_argument("--seed", type=int, default=0, help="added to the seeds of all plants")
-    parser.add_argument("--jobs", type=int, default=max((os.cpu_count() or 1) // 2, 1), help="trials at a time")
-    parser.add_argument("--out", type=Path, default=Path("runs/shaking"), help="where what is done is kept")
-    args = parser.parse_args()
-    first = (DEVELOPMENT if args.development else FIRST) + args.seed
-    plants = [(SPECIES[k % 2], first + k // 2) for k in range(2 if args.quick else args.plants)]
+    own = {
+        "--plants": (40, "half tomatoes, half peppers"),
+        "--ways": (WAYS, "of shaking", WAYS),
+        "--first": {"nargs": "*", "default": [], "metavar": "WAY=N", "help": "only the first N of the plants this way"},
+        "--truth": ("wide", "or one group alone", ("wide", "nominal", *WIDE)),
+        "--development": (False, "the plants on which constants may be set"),
+    }
+    seed = (0, "added to the seeds of all plants")
+    args = options(__doc__, quick="two plants", seed=seed, jobs="trials", out="runs/shaking", own=own)
+    plants = by_turns(2 if args.quick else args.plants, (DEVELOPMENT if args.development else FIRST) + args.seed)
     fewer = {way: int(count) for way, count in (text.split("=") for text in args.first)}
     cases = [
-        Case(species, seed, way, args.truth)
-        for k, (species, seed) in enumerate(plants)
+        Case(*plant, way, args.truth)
+        for k, plant in enumerate(plants)
         for way in args.ways
         if k < fewer.get(way, len(plants))
     ]
     rows = rows_of(cases, args.out, args.jobs)
-    say(shaking_table.report(rows))
-    if args.json:
-        write_json(args.json, shaking_table.metrics(rows))
+    finish(args, shaking_table.metrics(rows), *shaking_table.report(rows))
 
 
 if __name__ == "__main__":

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from rich.console import RenderableType
 
 from anther.plant.limits import MOVED
-from evaluation.trials.grasping_table import interval
-from evaluation.trials.trial_tables import table_of
+from evaluation.statistics import bootstrap, interval, median
+from evaluation.tables import markdown
 
 Row = dict[str, Any]
 
 ACCELERATION = "true_flower_acceleration_median_ms2"
-DRAWS = 2000
-"""Bootstrap samples of plants behind each interval."""
 
 
 def of(rows: Sequence[Row], way: str, species: str | None = None) -> list[Row]:
@@ -27,15 +25,6 @@ def of(rows: Sequence[Row], way: str, species: str | None = None) -> list[Row]:
 def felt(rows: Sequence[Row]) -> np.ndarray:
     """Return (P,) the median flower's peak acceleration of each plant [m/s2]; 0 where it was not shaken."""
     return np.array([row.get(ACCELERATION) or 0.0 for row in rows])
-
-
-def bootstrap(values: np.ndarray, of_them: Callable[..., Any] = np.median) -> tuple[float, float]:
-    """Return the 95 % interval of a statistic over plants (percentile bootstrap)."""
-    if not len(values):
-        return float("nan"), float("nan")
-    draws = np.random.default_rng(0).integers(0, len(values), (DRAWS, len(values)))
-    low, high = np.quantile(of_them(values[draws], axis=1), [0.025, 0.975])
-    return float(low), float(high)
 
 
 def harmed(row: Row) -> bool:
@@ -98,15 +87,15 @@ def report(rows: Sequence[Row]) -> list[RenderableType]:
         "way", "plants", "median flower [m/s²] (95 % interval)", "tomatoes", "peppers", "plants at 5 m/s²",
         "flowers at 5 m/s²", "pollen freed (5 to 95 %)", "shaking [s]",
     )  # fmt: skip
-    flowers = table_of(heads, [(way, str(len(mine)), *map(_known, _flowers(mine))) for way, mine in ways.items()])
+    flowers = markdown(heads, [(way, str(len(mine)), *map(_known, _flowers(mine))) for way, mine in ways.items()])
     heads = (
         "way", "stem held", "stem, branches [%]", "pedicels [%]", "other stalks [%]", "leaf bases [g]", "slip [mm]",
         "plants past a limit (95 % interval)", "probability of harm",
     )  # fmt: skip
-    plants = table_of(heads, [(way, *map(_known, _plants(mine))) for way, mine in ways.items()])
+    plants = markdown(heads, [(way, *map(_known, _plants(mine))) for way, mine in ways.items()])
     lost = [row for row in rows if not row.get("held") or harmed(row)]
     lines = [(r["way"], f"{r['species']} {r['seed']}", r.get("message")) for r in lost]
-    wrong = table_of(("way", "plant", "what happened"), lines) if lines else "No trial failed."
+    wrong = markdown(("way", "plant", "what happened"), lines) if lines else "No trial failed."
     parts = [
         "What the flowers felt, by MuJoCo.",
         flowers,
@@ -134,8 +123,7 @@ def _known(cell: str) -> str:
 
 
 def _middle(rows: Sequence[Row], key: str, factor: float = 1.0) -> float:
-    known = [row[key] for row in rows if row.get(key) is not None and np.isfinite(row[key])]
-    return factor * float(np.median(known)) if known else float("nan")
+    return factor * median(row.get(key) for row in rows)
 
 
 def _flowers(rows: Sequence[Row]) -> list[str]:

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from rich.console import RenderableType
 
-from anther.plant import Crop
-from evaluation.trials.grasping_table import effects, interval
+from evaluation.harness import by_turns
+from evaluation.statistics import interval
+from evaluation.tables import markdown
+from evaluation.trials.grasping import VIEWPOINTS
+from evaluation.trials.grasping_table import EFFECTS, effect_cells, effects
 from evaluation.trials.grasping_trial import Case
-from evaluation.trials.trial_tables import EFFECTS, effect_cells, table_of
 
-SPECIES: tuple[Crop, ...] = ("tomato", "pepper")
-VIEWPOINTS = (0, 90, 180, 270)  # degrees
 FIRST = 8000
 """Plants from this seed on are in no other table."""
 GROUPS = ("stiffness", "wind", "pads", "arm", "camera poses", "leaf mass", "pot", "drag")
@@ -25,7 +25,7 @@ Row = dict[str, Any]
 
 def cases(trials: int, seed: int, preset: str, truth: str) -> list[Case]:
     """Return so many trials: plants of both species by turns, each from four sides."""
-    plants = [(SPECIES[k % 2], FIRST + seed + k // 2) for k in range(-(-trials // len(VIEWPOINTS)))]
+    plants = by_turns(-(-trials // len(VIEWPOINTS)), FIRST + seed)
     return [Case(*plant, side, preset, truth) for plant in plants for side in VIEWPOINTS][:trials]
 
 
@@ -45,4 +45,4 @@ def told(metrics: dict[str, float], rows: Sequence[Row]) -> list[RenderableType]
     line = (len(rows), f"{won}/{len(rows)} = {metrics['success']:.1%}", between, f"{metrics['held']:.1%}")
     heads = ("trials", "held and unharmed", "95 % interval", "held", *(words for words, _ in EFFECTS.values()))
     said = "Whole trials with everything drawn; of flowers and pollen the medians over trials."
-    return [said, table_of(heads, [(*line, *effect_cells(metrics))])]
+    return [said, markdown(heads, [(*line, *effect_cells(metrics))])]

@@ -10,12 +10,13 @@ import cv2
 import numpy as np
 import pytest
 
-from evaluation.harness import FOLDER, swept
+from evaluation.harness import FOLDER, run_cases
+from evaluation.statistics import interval, mcnemar
+from evaluation.tables import say
 from evaluation.trials import grasping
 from evaluation.trials.grasping_pictures import TILE, sheet
-from evaluation.trials.grasping_table import as_counted, effects, interval, mcnemar, metrics
+from evaluation.trials.grasping_table import as_counted, effects, metrics, report
 from evaluation.trials.grasping_trial import crashed
-from evaluation.trials.trial_tables import report, say
 
 
 def told(capsys, rows: list) -> str:
@@ -127,16 +128,16 @@ def test_finished_trials_are_read_back_and_crashes_are_tried_again(tmp_path):
     (tmp_path / "there").mkdir()
     luck = tmp_path / "there" / "luck"
     cases = [{"seed": 1, "luck": str(luck)}]
-    (row,) = swept(unlucky, cases, tmp_path / "out", 1, crashed)
+    (row,) = run_cases(unlucky, cases, tmp_path / "out", 1, crashed)
     assert row["ours"]["failure"] == "crashed"
     assert "out of luck" in row["ours"]["message"]
     luck.touch()
-    (row,) = swept(unlucky, cases, tmp_path / "out", 1, crashed)
+    (row,) = run_cases(unlucky, cases, tmp_path / "out", 1, crashed)
     assert row["ours"]["success"]
     assert (Path(row[FOLDER]) / "picture.png").read_bytes() == b"seen"
     calls = len(list(luck.parent.glob("1-*")))
     luck.unlink()
-    (row,) = swept(unlucky, cases, tmp_path / "out", 1, crashed)
+    (row,) = run_cases(unlucky, cases, tmp_path / "out", 1, crashed)
     assert row["ours"]["success"]
     assert len(list(luck.parent.glob("1-*"))) == calls == 2
 

@@ -10,18 +10,16 @@ from rich.table import Table
 from straight_plant import BASE, straight_plant
 
 from anther.pollination.shake.observables import semi_major
+from evaluation.prediction.known_plant import DIRECTION, matched, stem_points
 from evaluation.prediction.shaken_plant import ShakenPlant
 from evaluation.prediction.vibration import brief
 from evaluation.prediction.vibration_models import true_model
 from evaluation.prediction.vibration_plant import (
-    DIRECTION,
     HEIGHTS,
     MIDDLE,
     Case,
     arm_amplitude,
-    matched,
     plan,
-    stem_points,
 )
 from evaluation.prediction.vibration_table import metrics, report, score
 

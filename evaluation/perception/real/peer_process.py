@@ -35,7 +35,7 @@ from evaluation.perception.real.paper_rule import core_stem
 from evaluation.perception.real.plain_thinning import FINE, depth, largest_cluster, occupancy
 from evaluation.perception.real.plants import plant_size
 
-WORKERS = {"pc_skeletor": "pc_skeletor_worker.py", "skeletor": "skeletor_worker.py", "pygel": "pygel_worker.py"}
+WORKERS = ("pc_skeletor", "skeletor", "pygel")
 
 
 class Peer:
@@ -75,7 +75,8 @@ class Peer:
         self._worker.wait()
 
     def _started(self) -> subprocess.Popen[str]:
-        command, pipe = [str(self._python), str(Path(__file__).with_name(WORKERS[self._name]))], subprocess.PIPE
+        worker, pipe = str(Path(__file__).with_name("peer_worker.py")), subprocess.PIPE
+        command = [str(self._python), worker, self._name]
         worker = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL, text=True)
         if worker.stdout is None or worker.stdout.readline() != "ready\n":
             raise bad_input(

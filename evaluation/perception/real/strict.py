@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.box import MARKDOWN
 from rich.table import Table
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
@@ -20,6 +19,7 @@ from anther.pollination import Grasp
 from evaluation.perception.real.answers import NoAnswer, anther
 from evaluation.perception.real.judge import STEPS, sampled
 from evaluation.perception.real.plants import HARD, LABELLED, Labelled, develops, labelled_plants, plant_size
+from evaluation.tables import markdown
 
 NEIGHBOURS, RADII = 10, 1.5
 """A place is on the stem when most of so many nearest points are, and the stem's nearest is within so many radii."""
@@ -140,7 +140,7 @@ def on_stem(plant: Labelled, grasp: Grasp) -> bool:
 def table(rows: Sequence[Judged]) -> Table:
     """Return what became of the plants by way of disturbance."""
     heads = ("clouds", "grasp on the stem", "main stem in a leaf", "root at the base")
-    found = Table("seen", *heads, "wrong grasps that are doubted", "right grasps that are doubted", box=MARKDOWN)
+    found = markdown(["seen", *heads, "wrong grasps that are doubted", "right grasps that are doubted"])
     for kind in (*KINDS, "all"):
         mine = [row for row in rows if kind in (row.kind, "all")]
         wrong, right = ([row for row in mine if row.on_stem == good] for good in (False, True))

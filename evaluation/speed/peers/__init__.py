@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from anther.rods import Rods
+from evaluation.harness import ONE_THREAD
 
 HERE = Path(__file__).parent
-ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 @dataclass(frozen=True)
