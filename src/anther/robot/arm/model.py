@@ -216,6 +216,14 @@ class ArmModel:
             shoulder=self.shoulder + np.array([0, 0, height]),
         )
 
+    def with_tool(self, tool: Tool) -> ArmModel:
+        """Return the same arm with another tool; see `_neighbours` for what of it is not checked against the links."""
+        if tool is self.tool:
+            return self
+        other = replace(self, tool=tool)
+        of_tool = {pair for pair in _neighbours(other) if not {GRIPPER, CAMERA}.isdisjoint(pair)}
+        return replace(other, neighbours=tuple(sorted({*self.neighbours, *of_tool})))
+
     def speed_limit(self, q: ArrayLike, *, down: bool = False) -> Array:
         """Return the greatest speeds (..., J) [rad/s] with which joints (..., J) [rad] may turn up, or down."""
         q = np.asarray(q, dtype=np.float64)
