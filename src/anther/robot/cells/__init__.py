@@ -10,13 +10,13 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from anther.core.checks import check_range
 from anther.core.errors import StageFailure, bad_input
-from anther.core.geometry import Array, Box, transform_from_pose7
+from anther.core.geometry import Array, Box, Intrinsics, transform_from_pose7
 from anther.robot.arm.arms import named
 from anther.robot.arm.grippers import PRESETS, GripperSize, with_camera
 from anther.robot.arm.model import ArmModel, outline
@@ -72,9 +72,17 @@ class Simulation:
     def __post_init__(self) -> None:
         for value in self.foot or ():
             check_range("foot", value, -FARTHEST, FARTHEST, "m")
-        for name in ("wrist_intrinsics", "side_intrinsics"):
-            for value in getattr(self, name) or ():
-                check_range(name, value, 1.0, 10000.0, "px")
+        self.lens("wrist_intrinsics")
+        self.lens("side_intrinsics")
+
+    def lens(self, name: Literal["wrist_intrinsics", "side_intrinsics"]) -> Intrinsics | None:
+        """Return what is said of a camera.
+
+        Raises:
+            InputError: no camera is like that.
+        """
+        told = getattr(self, name)
+        return None if told is None else Intrinsics(int(told[0]), int(told[1]), *told[2:])
 
 
 @dataclass(frozen=True, slots=True)

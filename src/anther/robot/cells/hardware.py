@@ -35,11 +35,12 @@ OPENS = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HardwareCell:
-    """Attributes: `robot_side`, what the pipeline is given. There is no simulated world in it."""
+    """Attributes: `robot_side`, what the pipeline is given. There is no simulated world in it, and nothing supposed."""
 
     robot_side: Cell
     world: None = None
     capture_seconds: None = None
+    notes: tuple[str, ...] = ()
 
 
 class SlowPlanner(Planner):
