@@ -172,7 +172,8 @@ def _force(file: CellFile) -> float:
     Raises:
         InputError: no force of a gripper.
     """
-    force = file.gripper.table.get("force", arm_model.GRIP_FORCE)
+    force = file.gripper.table.get("force")
+    force = arm_model.GRIP_FORCE if force is None else force
     if not isinstance(force, int | float) or not 0 < force <= file.safety_limits().grip_force:
         allowed = f"0 < force <= {file.safety_limits().grip_force:g} N, the grip_force of [limits]"
         raise bad_input(file.source.where(("gripper", "force")), given=force, allowed=allowed, do="Set it lower.")
@@ -204,7 +205,7 @@ def _machine_notes(file: CellFile) -> Iterator[str]:
     if "shape" not in file.source.table["gripper"]:
         size = f"opens {1e3 * tool.stroke:.0f} mm, tips {1e3 * tool.tip:.0f} mm from the flange"
         yield f"gripper: no shape in the file; Rethink's with narrow fingers is supposed ({size})"
-    if "force" not in file.gripper.table:
+    if file.gripper.table.get("force") is None:
         yield f"gripper: no force in the file; it closes with {_force(file):g} N"
 
 

@@ -395,7 +395,9 @@ def _part(
             raise source.error(keys, given=f'"{driver}"', allowed=allowed, do="Choose one.")
         make = _parts.own_driver(driver, source.where(keys), source.path.parent)
     fitted(source, (name,), rest, make, _parts.GIVEN)
-    return Part(driver, make if connects else _parts.none, rest, (name,))
+    if not connects:
+        return Part(driver, _parts.none, _parts.usual(make) | rest, (name,))
+    return Part(driver, make, rest, (name,))
 
 
 def _model(source: TomlFile) -> ArmModel:

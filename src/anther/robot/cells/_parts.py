@@ -182,6 +182,12 @@ def none(**keys: Any) -> NoReturn:
     raise InputError(f"a simulated cell has no machine to connect to (asked with {', '.join(keys) or 'no keys'}).")
 
 
+def usual(make: Callable[..., Any]) -> dict[str, Any]:
+    """Return the keys of a driver that need not be in the file, with what they then are."""
+    given = inspect.signature(make).parameters.values()
+    return {p.name: p.default for p in given if p.default is not p.empty and p.name not in GIVEN}
+
+
 def takes(make: Callable[..., Any], argument: str) -> bool:
     """Return whether a driver wants an argument."""
     return argument in inspect.signature(make).parameters
