@@ -54,10 +54,12 @@ def read_simulated(path: Path | str) -> CellFile:
 def suppose(arm: ArmModel, simulation: Simulation, region: Box | None) -> dict[str, Any]:
     """Return the tables of a cell file with which an arm stands as in the simulated cell, around the plant's foot."""
     foot = foot_of(arm, simulation, region)
-    place, lift = layout(float(np.hypot(*foot[:2]))), foot[2] - SOIL_Z
+    distance, lift = float(np.hypot(*foot[:2])), foot[2] - SOIL_Z
+    place = layout(distance)
     turn = transform(Rotation.from_euler("z", np.arctan2(foot[1], foot[0])).as_matrix(), [0, 0, lift])
-    corners = partial(_corners, turn)
-    boxes = {"bench": place.solids[0], "side camera": place.solids[1], "pot": place.pot}
+    turned = partial(_corners, turn)
+    moved = partial(_corners, transform(np.eye(3), foot - [distance, 0, SOIL_Z]))  # as wide as they are broad
+    boxes = {"bench": turned(place.solids[0]), "side camera": turned(place.solids[1]), "pot": moved(place.pot)}
     if not simulation.side_camera:
         del boxes["side camera"]
     out: dict[str, Any] = {
@@ -65,10 +67,10 @@ def suppose(arm: ArmModel, simulation: Simulation, region: Box | None) -> dict[s
         "gripper": {},
         "wrist_camera": {"T_flange_cam": _numbers(pose7(arm.tool.T_flange_cam))},
         "side_camera": {"T_world_cam": _numbers(pose7(turn @ place.T_world_side_camera))},
-        "workspace": corners(place.workspace),
-        "region": corners(place.region),
-        "arm_space": corners(place.arm_space),
-        "keep_out": [{"name": name} | corners(box) for name, box in boxes.items()],
+        "workspace": moved(place.workspace),
+        "region": moved(place.region),
+        "arm_space": turned(place.arm_space),
+        "keep_out": [{"name": name, **box} for name, box in boxes.items()],
         "limits": {},
     }
     if not simulation.side_camera:
@@ -199,14 +201,14 @@ def notes(file: CellFile, actuator: ActuatorName = "arm") -> Iterator[str]:
 
 
 def _machine_notes(file: CellFile) -> Iterator[str]:
-    tool = file.model.tool
+    tool, force = file.model.tool, _force(file)
     if "model" not in file.source.table["arm"]:
         yield f"arm: no model in the file; a {file.model.name} is supposed"
     if "shape" not in file.source.table["gripper"]:
         size = f"opens {1e3 * tool.stroke:.0f} mm, tips {1e3 * tool.tip:.0f} mm from the flange"
         yield f"gripper: no shape in the file; Rethink's with narrow fingers is supposed ({size})"
     if file.gripper.table.get("force") is None:
-        yield f"gripper: no force in the file; it closes with {_force(file):g} N"
+        yield f"gripper: no force in the file; it closes with {force:g} N"
 
 
 def _camera_notes(file: CellFile) -> Iterator[str]:

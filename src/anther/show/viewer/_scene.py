@@ -106,7 +106,7 @@ def _add_keep_out(scene: Any, results: RunResults, handles: Handles) -> None:
     """Add the boxes of the run's cell file that the arm keeps out of."""
     if not (results.folder / ARM).exists():
         return
-    style = {"color": (150, 110, 70), "opacity": 0.3, "visible": False}
+    style = {"color": (150, 110, 70), "opacity": 0.15}
     shown = [
         scene.add_box(
             f"/keep out/{i}", dimensions=tuple(b.upper - b.lower), position=tuple((b.lower + b.upper) / 2), **style
