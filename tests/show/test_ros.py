@@ -58,7 +58,7 @@ def answers(file: CellFile, points: np.ndarray) -> ros.PlantAnswers:
 
 def test_a_plan_leads_to_the_grasp_within_the_cells_limits(file: CellFile, answers: ros.PlantAnswers) -> None:
     start = file.model.ready
-    best, way = answers.grasp(start), answers.plan(start)
+    best, way = answers.best_grasp(start), answers.plan(start)
     assert best.joints is not None
     assert way.positions[0] == pytest.approx(start)
     assert file.model.forward(way.positions[-1]) == pytest.approx(best.T_world_flange, abs=1e-4)
@@ -85,7 +85,7 @@ def test_the_cells_gripper_is_what_the_grasp_is_planned_with(
     monkeypatch.setattr(found, "_found", (None, None))
     monkeypatch.setattr(ros.grasp, "plan_grasps", told)
     with pytest.raises(StageFailure):
-        found.grasp(file.model.ready)
+        found.best_grasp(file.model.ready)
     assert seen[0].gripper == GripperShape.of(file.model.tool)
 
 

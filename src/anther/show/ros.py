@@ -82,7 +82,7 @@ class PlantAnswers:
             self._found = tree, find_stem(tree, flowers_at=flower_centres(self.cloud))
         return self._found
 
-    def grasp(self, joints: Array) -> grasp.Grasp:
+    def best_grasp(self, joints: Array) -> grasp.Grasp:
         """Return the best grasp that the arm reaches from joints (J,) [rad].
 
         Raises:
@@ -101,7 +101,7 @@ class PlantAnswers:
         Raises:
             StageFailure: there is none, or it is not within the cell's limits.
         """
-        best = self.grasp(joints)
+        best = self.best_grasp(joints)
         assert self._grasp is not None
         assert best.joints is not None
         planner = self._grasp[1]
@@ -210,7 +210,7 @@ class PlantNode:
         }
 
     def _grasp_pose(self, answers: PlantAnswers) -> dict[str, Any]:
-        best = answers.grasp(self._start()[0])
+        best = answers.best_grasp(self._start()[0])
         self._skeleton(answers)
         make, T = self._node.make, best.T_world_flange
         stamped = make("geometry_msgs/msg/PoseStamped", header=self._header(), pose=self._pose(T))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,8 @@ WRIST: Corners = (-0.045, -0.045, -0.05, 0.045, 0.045, 0.0)
 
 def _corners(solid: Solid) -> Corners:
     centre, half = np.array(solid.center), np.array(solid.half)
-    return tuple(np.concatenate([centre - half, centre + half]).round(9).tolist())
+    corners: Any = tuple(np.concatenate([centre - half, centre + half]).round(9).tolist())
+    return corners
 
 
 def _body(tool: Tool) -> tuple[Corners, ...]:

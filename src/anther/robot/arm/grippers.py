@@ -7,6 +7,7 @@ In the flange frame, z along the approach: a coupling of length `offset`, the pa
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -146,6 +147,11 @@ def with_camera(tool: Tool, T_flange_cam: Array, outline: tuple[float, float, fl
     half = np.abs(T_flange_cam[:3, :3]) @ np.array([width, height, depth]) / 2  # of the box along the flange's axes
     lower, upper = np.minimum(centre[:2], 0.0) - BRACKET[0], np.maximum(centre[:2], 0.0) + BRACKET[0]
     thin = BRACKET[1] / 2
-    plate = Solid("bracket", (*((lower + upper) / 2).tolist(), thin), (*((upper - lower) / 2).tolist(), thin))
-    camera = Solid("camera", tuple(centre.tolist()), tuple(half.tolist()))
+    plate = _solid("bracket", np.append((lower + upper) / 2, thin), np.append((upper - lower) / 2, thin))
+    camera = _solid("camera", centre, half)
     return replace(tool, T_flange_cam=T_flange_cam, camera=(camera, plate))
+
+
+def _solid(name: str, centre: Array, half: Array) -> Solid:
+    places: Any = [tuple(place.tolist()) for place in (centre, half)]
+    return Solid(name, *places)

@@ -68,8 +68,8 @@ def _link(told: dict[str, Any]) -> Link:
 
 
 def _capsule(told: dict[str, Any]) -> Capsule:
-    return Capsule(tuple(told["start"]), tuple(told["end"]), told["radius"])
+    return Capsule(**told | {name: tuple(told[name]) for name in ("start", "end")})
 
 
 def _solid(told: dict[str, Any]) -> Solid:
-    return Solid(told["name"], tuple(told["center"]), tuple(told["half"]))
+    return Solid(**told | {name: tuple(told[name]) for name in ("center", "half")})
