@@ -26,21 +26,26 @@ WATCHED = 1.0
 class Args:
     """Attributes: what to do with which cell. docs/cell_file.md has the file, docs/real_robot.md the first hour."""
 
-    action: Annotated[Literal["check", "enable", "jog"], tyro.conf.Positional]
+    action: Annotated[Literal["check", "enable", "jog", "serve-ros"], tyro.conf.Positional]
     """check: connect to each part and show what it sees; enable: switch motors on, after a released stop too, and let
-    the gripper find its ends; jog: move one joint a little, within all limits. The last two ask first."""
+    the gripper find its ends; jog: move one joint a little, within all limits; both ask first. serve-ros: a ROS 2 node
+    that answers with skeleton, grasp and plan for a cloud (docs/ros.md); it connects to no machine."""
     file: Annotated[Path, tyro.conf.Positional]
     """The cell file."""
     joint: int | None = None
     """Which joint to jog, from 0; by default the last."""
     by: float = 2.0
     """How far [degrees]."""
+    frame: str = "base_link"
+    """Name of the arm's base frame under ROS 2."""
 
 
 def run(args: Args) -> int:
     """Do it; return 0, or 1 where a part is missing."""
     from anther.robot.cells import read_cell
 
+    if args.action == "serve-ros":
+        return serve_ros(args.file, args.frame)
     file = read_cell(args.file)
     if args.action == "check":
         return check(file)
@@ -81,6 +86,23 @@ def check(file: CellFile) -> int:
     Console(markup=False, highlight=False).print(table)
     print(f"{f'{missing} missing' if missing else 'all parts are there'}; nothing was moved")
     return int(missing > 0)
+
+
+def serve_ros(path: Path, frame: str) -> int:
+    """Answer under ROS 2 until Ctrl-C."""
+    from contextlib import closing, suppress
+
+    from anther.show.ros import PlantNode
+    from anther.sim.cell_file import read_simulated
+
+    file = read_simulated(path)
+    if file.supposed:
+        print(f"the file lacks {', '.join(file.supposed)}: supposed as for a simulation (docs/sim_cell.md)")
+    with closing(PlantNode(file, frame)) as node, suppress(KeyboardInterrupt):
+        print(f"{node.words}. Nothing is moved. Ctrl-C ends.", flush=True)
+        while True:
+            time.sleep(1)
+    return 0
 
 
 def enable(file: CellFile) -> int:

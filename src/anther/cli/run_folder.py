@@ -20,7 +20,7 @@ from anther.core.files import existing, made_folder, read_object, write_json
 from anther.core.runs import FILES, PROGRESS, Run
 from anther.history import TrialRecord, add_missing, read_record, record_trial, shown
 from anther.robot.devices import Tap, untapped
-from anther.show.results import EXECUTED, FILM, PARAMS, SUMMARY, TIMING, VISIT, RunResults, read_run
+from anther.show.results import ARM, EXECUTED, FILM, PARAMS, SUMMARY, TIMING, VISIT, RunResults, read_run
 
 LOG, EARLIER = "log.mcap", "log_before.mcap"
 """The log, and that of the process which a run was gone on from."""
@@ -71,7 +71,7 @@ class TrialLog:
         return {"log_messages": kept.messages, "log_dropped": kept.dropped, "log_error": kept.error}
 
 
-OTHERS = (PARAMS, TIMING, PROGRESS, EXECUTED, SUMMARY, VISIT, FILM, LOG, EARLIER)
+OTHERS = (PARAMS, TIMING, ARM, PROGRESS, EXECUTED, SUMMARY, VISIT, FILM, LOG, EARLIER)
 WRITTEN = {*OTHERS, *FILES.values(), FILES["cloud"].replace(".ply", ".npz")}
 """What a run writes into its folder; a cloud's other arrays lie beside its .ply."""
 LIBRARIES = ("numpy", "scipy", "numba", "mujoco", "pin", "coal", "roboplan", "embreex", "small_gicp", "scikit-image")

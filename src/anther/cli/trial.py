@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from anther.cli.run_folder import TrialLog, finish, open_run, parameters, remember
+from anther.cli.run_folder import ARM, TrialLog, finish, open_run, parameters, remember
 from anther.core.checks import check_range
 from anther.core.errors import StageFailure, bad_input
 from anther.core.files import write_json
@@ -30,6 +30,8 @@ from anther.plant.limits import Crop, Preset
 from anther.pollination.pipeline import Done, MaskSource, Params, mask_finder, pollinate
 from anther.pollination.shake import with_preset
 from anther.robot.arm import ArmName
+from anther.robot.arm.gripper_shape import GripperShape
+from anther.robot.arm.saved import save_arm
 from anther.robot.cell import ActuatorName
 from anther.robot.cells import read_cell
 from anther.robot.devices import Tap, untapped
@@ -38,12 +40,14 @@ from anther.show.summary import print_summary, summarise
 
 if TYPE_CHECKING:
     from anther.robot.arm.views import Params as ViewParams
+    from anther.robot.cells import CellFile
     from anther.robot.cells.hardware import HardwareCell
     from anther.sim.judge import Verdict
     from anther.sim.simulated_cell import SimulatedCell
+    from anther.sim.truth import Truth
 
 SIMULATED = "simulated"
-SAME = ("cell", "arm", "label", "plant", "seed", "viewpoint", "distance", "preset", "views", "truth")
+SAME = ("cell", "simulate", "arm", "label", "plant", "seed", "viewpoint", "distance", "preset", "views", "truth")
 """Arguments that make the plant and how it is seen: a run cannot be gone on with as another's."""
 
 
@@ -56,6 +60,9 @@ class Args:
     cell: str = "simulated"
     """Which cell: 'simulated', or a cell file of a real one (docs/cell_file.md). Of a real one nobody knows the truth:
     seed, viewpoint, distance and truth say nothing, and the verdict is what the gripper felt."""
+    simulate: bool = False
+    """Simulate the cell of the cell file, its arm, gripper, cameras and boxes, around a plant; no machine is contacted.
+    What the file lacks is supposed, and a line says so (docs/sim_cell.md)."""
     label: str = ""
     """Name of a real plant, for its history."""
     seed: int = 0
@@ -123,16 +130,21 @@ def run(args: Args) -> int:
         do = "The simulated world and its video are not kept: restart from execution."
         given, allowed = f"'{args.restart_from}'", "a stage up to 'execution'"
         raise bad_input("restart-from", given=given, allowed=allowed, do=do)
-    args = replace(_resolved(args), params=_params(args))
+    file = _file(args)
+    args = replace(_resolved(args, file), params=_params(args, file))
     find_masks = mask_finder(args.masks, args.models, args.params, cache=None)
     belief, began = _belief(args), datetime.now(UTC)
     earlier = None if args.material == "facts" else earlier_shake(args.plant, _label(args), args.history)
     history, args = args.history, replace(args, history=shown(args.history))  # parameters are kept: no password there
-    cell = done = verdict = failure = None
+    cell, done, verdict, failure, notes = None, None, None, None, ()
     with ExitStack() as machines, open_run(out, args, SAME) as run:
         log = machines.enter_context(TrialLog(run, wanted=args.log))
         try:
-            cell = run.timed("cell", lambda _: machines.enter_context(_cell(args, log.tap)))
+            if file is not None:
+                save_arm(run.folder / ARM, file.model, file.keep_out)
+            cell = run.timed("cell", lambda _: machines.enter_context(_cell(args, file, log.tap)))
+            notes = cell.notes
+            print(*notes, sep="\n", end="\n" * bool(notes), flush=True)
             done = pollinate(cell.robot_side, belief.material, run, args.params, find_masks, earlier)
             done.shake.save(run.folder / EXECUTED)
             save_film(run.folder / FILM, done.trial.frames)
@@ -141,7 +153,7 @@ def run(args: Args) -> int:
             failure = stopped
         summary = summarise(cell, done, verdict, failure)
         summary |= {"seconds": dict(run.seconds), "parameters": parameters(args), **log.close(failure, verdict)}
-        summary |= {"material_source": belief.source, "material_reason": belief.reason}
+        summary |= {"simulated_as": notes, "material_source": belief.source, "material_reason": belief.reason}
         write_json(run.folder / SUMMARY, summary)
         lost = remember(_record(args, out, began, summary, done), out, history)
     print_summary(finish(run))
@@ -154,9 +166,28 @@ def run(args: Args) -> int:
     return int(not held_unharmed(summary))
 
 
-def _resolved(args: Args) -> Args:
-    """Return the arguments with the arm, and in the simulated cell the distance, that they leave open."""
+def _file(args: Args) -> CellFile | None:
+    """Return the cell file, read; None in the simulated cell."""
     if args.cell == SIMULATED:
+        if args.simulate:
+            given, do = "no cell file", "Name it with --cell, or leave --simulate out."
+            raise bad_input("simulate", given=given, allowed="with a cell file", do=do)
+        return None
+    if args.arm is not None:
+        raise bad_input("arm", given=f"{args.arm} and a cell file", allowed="one of the two", do="Name it in the file.")
+    if not args.simulate:
+        return read_cell(args.cell)
+    from anther.sim.cell_file import read_simulated
+
+    if args.distance is not None:
+        do = "Write where the plant stands as foot under [simulation]."
+        raise bad_input("distance", given=f"{args.distance:g} and a cell file", allowed="one of the two", do=do)
+    return read_simulated(args.cell)
+
+
+def _resolved(args: Args, file: CellFile | None) -> Args:
+    """Return the arguments with the arm, and in the simulated cell the distance, that they leave open."""
+    if file is None:
         from anther.robot.arm.arms import in_simulated_cell
         from anther.sim.simulated_cell import usual_distance
 
@@ -164,37 +195,57 @@ def _resolved(args: Args) -> Args:
         distance = usual_distance(in_simulated_cell(name)) if args.distance is None else args.distance
         check_range("distance", distance, 0.3, 3.0, "m")
         return replace(args, arm=name, distance=distance)
-    if args.arm is not None:
-        raise bad_input("arm", given=f"{args.arm} and a cell file", allowed="one of the two", do="Name it in the file.")
-    return replace(args, arm=read_cell(args.cell).model.name)
+    return replace(args, arm=file.model.name)
 
 
-def _params(args: Args) -> Params:
-    """Return the stages' parameters: those asked for, with what the shake's preset and --no-watch change."""
+def _params(args: Args, file: CellFile | None) -> Params:
+    """Return the stages' parameters: those asked for, with what the cell file, preset and --no-watch change."""
     bounds = args.params.shake if args.shake is None else with_preset(args.shake, args.params.shake)
     watch, actuator = args.watch and args.params.escalate, args.actuator or args.params.actuator
     if actuator == "gripper" and not (watch and bounds.keeps_limits):
         given = "gripper with --no-watch or --shake paper"
         raise bad_input("actuator", given=given, allowed="arm", do="A motor is always watched.")
-    return replace(args.params, shake=bounds, escalate=watch and bounds.keeps_limits, actuator=actuator)
+    grasp = args.params.grasp
+    if file is not None:
+        if grasp.gripper != GripperShape():
+            allowed = "the cell file's gripper"
+            do = "Write it under [gripper.shape] of the cell file."
+            raise bad_input("params.grasp.gripper", given="a gripper and a cell file", allowed=allowed, do=do)
+        grasp = replace(grasp, gripper=GripperShape.of(file.model.tool))
+    escalate = watch and bounds.keeps_limits
+    return replace(args.params, grasp=grasp, shake=bounds, escalate=escalate, actuator=actuator)
 
 
 def _folder(args: Args) -> str:
     if args.cell == SIMULATED:
         return f"{args.plant}-{args.seed}-{args.viewpoint:g}"
+    if args.simulate:
+        return f"{Path(args.cell).stem}-{args.plant}-{args.seed}-{args.viewpoint:g}"
     return f"{args.label or args.plant}-{datetime.now(UTC):%Y%m%d-%H%M%S}".replace("/", "-")
 
 
 @contextmanager
-def _cell(args: Args, tap: Tap) -> Iterator[SimulatedCell | HardwareCell]:
-    """Give the simulated cell, or a real one whose machines are connected for the block."""
-    if args.cell == SIMULATED:
+def _cell(args: Args, file: CellFile | None, tap: Tap) -> Iterator[SimulatedCell | HardwareCell]:
+    """Give the simulated cell, a simulation of a cell file's, or that one with its machines connected for the block."""
+    if file is None:
         yield _build(args, tap)
+        return
+    if args.simulate:
+        from anther.sim.cell_file import simulate
+
+        how: dict[str, Any] = {"truth": _truth(args), "actuator": args.params.actuator, "tap": tap}
+        yield simulate(file, args.plant, args.seed, args.viewpoint, _views(args), **how)
         return
     from anther.robot.cells.hardware import hardware_cell
 
-    with hardware_cell(read_cell(args.cell), _views(args), tap) as cell:
+    with hardware_cell(file, _views(args), tap) as cell:
         yield cell
+
+
+def _truth(args: Args) -> Truth:
+    from anther.sim.truth import NOMINAL, draw
+
+    return draw(args.seed) if args.truth == "wide" else NOMINAL
 
 
 def _views(args: Args) -> ViewParams:
@@ -207,7 +258,6 @@ def _views(args: Args) -> ViewParams:
 def _build(args: Args, tap: Tap = untapped) -> SimulatedCell:
     from anther.robot.arm.arms import in_simulated_cell
     from anther.sim.simulated_cell import build
-    from anther.sim.truth import NOMINAL, draw
 
     return build(
         args.plant,
@@ -215,7 +265,7 @@ def _build(args: Args, tap: Tap = untapped) -> SimulatedCell:
         args.viewpoint,
         _views(args),
         distance=args.distance,
-        truth=draw(args.seed) if args.truth == "wide" else NOMINAL,
+        truth=_truth(args),
         actuator=args.params.actuator,
         tap=tap,
         arm=in_simulated_cell(args.arm or "sawyer"),
@@ -237,9 +287,10 @@ def _belief(args: Args) -> Belief:
 
 
 def _label(args: Args) -> str:
-    if args.cell != SIMULATED:
+    if args.cell != SIMULATED and not args.simulate:
         return args.label or Path(args.cell).stem
-    return f"simulated {args.seed}" + (", wide truth" if args.truth == "wide" else "")  # not the same plant
+    where = f" in {Path(args.cell).stem}" if args.simulate else ""
+    return f"simulated {args.seed}{where}" + (", wide truth" if args.truth == "wide" else "")  # not the same plant
 
 
 def _record(args: Args, out: Path, began: datetime, summary: dict[str, Any], done: Done | None) -> TrialRecord:

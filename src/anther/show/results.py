@@ -28,8 +28,8 @@ from anther.pollination.grasp import Grasp, load_grasps
 from anther.pollination.response import Response
 from anther.pollination.shake import ShakePlan
 
-PARAMS, TIMING = "00_params.json", "timing.json"
-"""What the run was asked for; the time each stage took."""
+PARAMS, TIMING, ARM = "00_params.json", "timing.json", "arm.json"
+"""What the run was asked for; the time each stage took; the arm of a cell file, its gripper, and the keep-out boxes."""
 EXECUTED, FILM, SUMMARY, VISIT = "09_executed_shake.json", "09_shake.gif", "trial.json", "visit.json"
 """The shake as it was carried out; its end, as the side camera saw it; the trial in numbers; what the history keeps."""
 

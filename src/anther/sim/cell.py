@@ -6,7 +6,7 @@ T log samples, C contacts, K plant segments.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import takewhile
@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from anther.core.errors import StageFailure
-from anther.core.geometry import Array, transform
+from anther.core.geometry import Array, Box, transform
 from anther.robot.arm.model import ArmModel
 from anther.robot.arm.sawyer import SAWYER
 from anther.sim import _pieces, arm_model
@@ -104,10 +104,14 @@ class Cell:
         params: Params | None = None,
         truth: Truth = NOMINAL,
         arm: ArmModel = SAWYER,
+        solids: Sequence[Box] = (),
     ) -> None:
-        """Build the world, plant at rest under gravity, arm at `joints` (J,) [rad] or neutral, gripper open."""
+        """Build the world, plant at rest under gravity, arm at `joints` (J,) [rad] or neutral, gripper open.
+
+        `solids` stand there besides pot and bench, and count as bench.
+        """
         self.plant, self.params, self.truth, self.arm = plant, params or Params(), truth, arm
-        spec = _world(self.params.timestep, plant)
+        spec = _world(self.params.timestep, plant, solids)
         pieces = add_plant(spec, plant, self.params.plant, contype=PLANT_BIT)
         forces = {"grip_force": self.params.grip_force, "coil_force": self.params.coil_force}
         arm_model.add_arm(spec, arm, truth, **forces, contype=ROBOT_BIT, conaffinity=PLANT_BIT)
@@ -323,7 +327,7 @@ def _addresses(model: Any, joints: list[str]) -> NDArray[Any]:
     return np.array([model.joint(joint).qposadr[0] for joint in there], dtype=int)
 
 
-def _world(timestep: float, plant: SimPlant) -> Any:
+def _world(timestep: float, plant: SimPlant, solids: Sequence[Box]) -> Any:
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     option = spec.option
@@ -347,17 +351,22 @@ def _world(timestep: float, plant: SimPlant) -> Any:
         size=BENCH_HALF,
         **bits,
     )
+    for i, box in enumerate(solids):
+        middle, half = (box.lower + box.upper) / 2, (box.upper - box.lower) / 2
+        spec.worldbody.add_geom(name=f"bench_{i}", type=mujoco.mjtGeom.mjGEOM_BOX, pos=middle, size=half, **bits)
     return spec
 
 
 def _contact_codes(model: Any) -> NDArray[Any]:
     """Return (geoms, 3): part of the robot (0, 1 pads, 2 rest, -9 none); segment, POT or BENCH; whether a blade."""
-    named = {"left_pad": (0, -9, 0), "right_pad": (1, -9, 0), "pot": (-9, POT, 0), "bench": (-9, BENCH, 0)}
+    named = {"left_pad": (0, -9, 0), "right_pad": (1, -9, 0), "pot": (-9, POT, 0)}
     codes = np.full((model.ngeom, 3), -9)
     for i in range(model.ngeom):
         name = model.geom(i).name
         if name.startswith(("segment_", "blade_")):
             codes[i] = (-9, int(name.rpartition("_")[2]), name.startswith("blade_"))
+        elif name.startswith("bench"):
+            codes[i] = (-9, BENCH, 0)
         else:
             codes[i] = named.get(name, (2, -9, 0))
     return codes

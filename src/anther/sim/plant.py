@@ -7,7 +7,7 @@ Dimensions: K segments, Nv vertices, Nf faces, F flowers.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Any
 
@@ -170,6 +170,12 @@ class SimPlant:
         """(K,) mass of each segment's own tissue, a conical frustum [kg]."""
         a, b = self.radius_start, self.radius_end
         return self.density * np.pi * self.length * (a * a + a * b + b * b) / 3
+
+    def moved(self, way: ArrayLike) -> SimPlant:
+        """Return the plant and its pot elsewhere, `way` (3,) from here [m]."""
+        names = ("start", "end", "lump_centre", "flower_position", "vertices")
+        places: dict[str, Any] = {name: getattr(self, name) + way for name in names}
+        return replace(self, **places, pot=replace(self.pot, centre=self.pot.centre + way))
 
     def carried(self, values: Array) -> Array:
         """Return values (K, ...) summed over each segment and all that grows on it."""

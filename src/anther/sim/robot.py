@@ -301,8 +301,10 @@ def robot_of(
     T_world_side_camera: Array | None = None,
     seed: int = 0,
     scene: Scene | None = None,
+    wrist_lens: Intrinsics | None = None,
+    side_lens: Intrinsics | None = SIDE,
 ) -> Robot:
-    """Return the devices of a cell: arm, gripper, both cameras (wrist 1280 x 720), and the motor if there is one.
+    """Return the devices of a cell: arm, gripper, both cameras, and the motor if there is one.
 
     Args:
         cell: the world.
@@ -310,19 +312,24 @@ def robot_of(
         T_world_side_camera: where the side camera stands; None takes `side_pose`.
         seed: of the errors.
         scene: of the plant at rest, if it has been built already.
+        wrist_lens: None is a D455's 1280 x 720.
+        side_lens: None: there is no side camera.
     """
     scene = scene or Scene.of_plant(cell.plant)
     T_side = side_pose(cell) if T_world_side_camera is None else T_world_side_camera
-    wrist = SimCamera(cell, scene, d455(), lambda: cell.flange_pose() @ cell.arm.tool.T_flange_cam, errors, seed=seed)
+    lens, hand_eye = wrist_lens or d455(), cell.arm.tool.T_flange_cam
+    wrist = SimCamera(cell, scene, lens, lambda: cell.flange_pose() @ hand_eye, errors, seed=seed)
+    motor = SimMotor(cell) if cell.params.coil_force else None
+    if side_lens is None:
+        return Robot(SimArm(cell), SimGripper(cell), wrist, motor=motor)
     side = SimCamera(
         cell,
         scene,
-        SIDE,
+        side_lens,
         lambda: T_side,
         errors,
         seed=seed + 1,
         late=cell.truth.clock_offset,
         exposure=cell.truth.exposure_time,
     )
-    motor = SimMotor(cell) if cell.params.coil_force else None
     return Robot(SimArm(cell), SimGripper(cell), wrist, side, T_side, motor)

@@ -7,7 +7,7 @@ from functools import cache, partial
 
 import numpy as np
 
-from anther.core.geometry import Array, Box, look_at
+from anther.core.geometry import Array, Box, Intrinsics, look_at
 from anther.core.runs import Advance
 from anther.perception.capture import Capture
 from anther.perception.cloud import Cloud
@@ -113,12 +113,16 @@ def safety_limits(place: Layout, arm: ArmModel = SAWYER) -> SafetyLimits:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedCell:
-    """A plant (ground truth), MuJoCo's world, whose log the judge reads, the views, and what the pipeline is given."""
+    """A plant (ground truth), MuJoCo's world, whose log the judge reads, the views, and what the pipeline is given.
+
+    `notes` say what was supposed of a cell file's cell.
+    """
 
     plant: SimPlant
     world: world.Cell
     views: Views
     robot_side: Cell
+    notes: tuple[str, ...] = ()
 
     @property
     def capture_seconds(self) -> float:
@@ -204,13 +208,15 @@ def photograph(
     progress: Advance | None = None,
     truth: Truth = NOMINAL,
     arm: ArmModel = SAWYER,
+    intrinsics: Intrinsics | None = None,
 ) -> tuple[Capture, CaptureTruth]:
     """Return what the wrist camera sees of a plant from joints (V, J) [rad], and the truth, which is for judges.
 
-    Its errors come from `seed`, `viewpoint` [deg] and `visit`; `truth` says how large they are.
+    Its errors come from `seed`, `viewpoint` [deg] and `visit`; `truth` says how large they are. Without `intrinsics` it
+    is a D455.
     """
     sight, camera = (np.random.default_rng([seed, int(viewpoint), k + 10 * visit]) for k in range(2))
     T_flange_cam_true = perturbed_hand_eye(arm.tool.T_flange_cam, camera, factor=truth.hand_eye_error)
     believed, errors = arm.tool.T_flange_cam, camera_errors(truth)
     poses = (joints, arm.forward, T_flange_cam_true, believed)
-    return capture_views(plant, *poses, rng=sight, errors=errors, progress=progress)
+    return capture_views(plant, *poses, rng=sight, errors=errors, progress=progress, intrinsics=intrinsics)

@@ -1,20 +1,36 @@
-"""The shape of a gripper: what it opens, and which boxes it fills."""
+"""The shape of a gripper as a grasp sees it: what it opens, and which boxes it fills. It follows from an arm's tool."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from anther.core.geometry import Array
+from anther.robot.arm.model import Solid, Tool
+from anther.robot.arm.sawyer import TOOL
+
+Corners = tuple[float, float, float, float, float, float]
+WRIST: Corners = (-0.045, -0.045, -0.05, 0.045, 0.045, 0.0)
+"""What is behind the flange of any arm, (lower x, y, z, upper x, y, z) [m]: Sawyer's last link."""
+
+
+def _corners(solid: Solid) -> Corners:
+    centre, half = np.array(solid.center), np.array(solid.half)
+    corners: Any = tuple(np.concatenate([centre - half, centre + half]).round(9).tolist())
+    return corners
+
+
+def _body(tool: Tool) -> tuple[Corners, ...]:
+    return (_corners(tool.body), WRIST, *map(_corners, tool.camera))
 
 
 @dataclass(frozen=True, slots=True)
 class GripperShape:
     """A parallel gripper with its wrist camera, in the flange frame; fingers close along +-y.
 
-    The defaults are Sawyer's electric gripper with standard narrow fingers, soft pads and a D455 (arm/sawyer.py, which
-    gives the source of each number).
+    The defaults are those of `sawyer.TOOL`, which gives the source of each number.
 
     Attributes:
         stroke: largest opening between the pads [m].
@@ -24,16 +40,17 @@ class GripperShape:
         body: boxes (lower x, y, z, upper x, y, z) [m] of gripper body, wrist, camera and bracket.
     """
 
-    stroke: float = 0.041667
-    depth: float = 0.11712
-    pad: tuple[float, float] = (0.016, 0.037)
-    finger: tuple[float, float] = (0.015, 0.05992)
-    body: tuple[tuple[float, float, float, float, float, float], ...] = (
-        (-0.032, -0.055, 0.0, 0.032, 0.055, 0.06),
-        (-0.045, -0.045, -0.05, 0.045, 0.045, 0.0),
-        (0.0755, -0.062, 0.004, 0.1045, 0.062, 0.03),
-        (0.025, -0.02, 0.0, 0.09, 0.02, 0.006),
-    )
+    stroke: float = TOOL.stroke
+    depth: float = round(TOOL.tip - TOOL.pad[2] / 2, 9)
+    pad: tuple[float, float] = (TOOL.pad[0], TOOL.pad[2])
+    finger: tuple[float, float] = (TOOL.pad[1] + TOOL.thickness, TOOL.finger)
+    body: tuple[Corners, ...] = _body(TOOL)
+
+    @classmethod
+    def of(cls, tool: Tool) -> GripperShape:
+        """Return the shape of an arm's tool."""
+        pad, finger = (tool.pad[0], tool.pad[2]), (tool.pad[1] + tool.thickness, tool.finger)
+        return cls(tool.stroke, round(tool.tip - tool.pad[2] / 2, 9), pad, finger, _body(tool))
 
     def boxes(self, sweep: float, opening: float | None = None) -> Array:
         """Return (G, 6) corners of the open gripper's boxes, each stretched by `sweep` [m] back along the approach.

@@ -216,6 +216,13 @@ class ArmModel:
             shoulder=self.shoulder + np.array([0, 0, height]),
         )
 
+    def with_tool(self, tool: Tool) -> ArmModel:
+        """Return the same arm with another tool; what of it touches where the arm is ready or waits is not checked."""
+        if tool is self.tool:
+            return self
+        other = replace(self, tool=tool)
+        return replace(other, neighbours=tuple(sorted({*self.neighbours, *_tool_neighbours(other)})))
+
     def speed_limit(self, q: ArrayLike, *, down: bool = False) -> Array:
         """Return the greatest speeds (..., J) [rad/s] with which joints (..., J) [rad] may turn up, or down."""
         q = np.asarray(q, dtype=np.float64)
@@ -327,7 +334,7 @@ def _neighbours(arm: ArmModel) -> tuple[tuple[str, str], ...]:
 
     The latter touch where the arm is ready or waits, or, links one apart, in more than `OFTEN` of all postures.
     """
-    names = [BASE, *(link.name for link in arm.links), GRIPPER, CAMERA]
+    names = _part_names(arm)
     tool = len(names) - 2
     joined = {*zip(names[:tool], names[1:tool], strict=False), (GRIPPER, CAMERA)}
     joined |= {(names[i], part) for i in (tool - 2, tool - 1) for part in (GRIPPER, CAMERA)}
@@ -341,6 +348,18 @@ def _neighbours(arm: ArmModel) -> tuple[tuple[str, str], ...]:
             if touch[:2].any() or (min(j, tool) - i == 2 and touch.mean() > OFTEN):
                 joined.add(pair)
     return tuple(sorted(joined))
+
+
+def _tool_neighbours(arm: ArmModel) -> set[tuple[str, str]]:
+    """Return the pairs of base or link and gripper or camera that touch where the arm is ready or waits."""
+    names, balls = _part_names(arm), _parts_at(arm, np.stack([arm.ready, arm.waiting]))
+    tool = len(names) - 2
+    pairs = ((i, j) for i in range(tool) for j in (tool, tool + 1))
+    return {(names[i], names[j]) for i, j in pairs if any(map(_touch, balls[i], balls[j]))}
+
+
+def _part_names(arm: ArmModel) -> list[str]:
+    return [BASE, *(link.name for link in arm.links), GRIPPER, CAMERA]
 
 
 def _parts_at(arm: ArmModel, q: Array) -> list[Array]:
@@ -357,5 +376,12 @@ def _parts_at(arm: ArmModel, q: Array) -> list[Array]:
 
 
 def _touch(a: Array, b: Array) -> bool:
+    """Return whether any of balls (S, 4) touches any of others; boxes around them tell most that do not."""
+    if not len(a) or not len(b):
+        return False
+    if np.any((a[:, :3] - a[:, 3:]).min(axis=0) > (b[:, :3] + b[:, 3:]).max(axis=0)):
+        return False
+    if np.any((b[:, :3] - b[:, 3:]).min(axis=0) > (a[:, :3] + a[:, 3:]).max(axis=0)):
+        return False
     gap = np.linalg.norm(a[:, None, :3] - b[None, :, :3], axis=2) - a[:, None, 3] - b[None, :, 3]
     return bool((gap < 0).any())

@@ -17,14 +17,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from anther.core.geometry import transform
-from anther.robot.arm.gripper_shape import GripperShape
 from anther.robot.arm.model import CAMERA, GRIPPER, ArmModel, Capsule, Link, Solid, Tool
 
 TOOL = Tool(
     # Rethink electric parallel gripper, standard narrow fingers, soft tips (facts: sawyer 3)
     mass=0.47,
     com=(0.0028, -0.0004, 0.0343),
-    stroke=GripperShape().stroke,
+    stroke=0.041667,
     finger=0.05992,  # 0.0018 + 0.0176 + 0.04552 - 0.005
     tip=0.13562,  # the SDK's
     pad=(0.016, 0.007, 0.037),

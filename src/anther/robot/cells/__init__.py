@@ -5,22 +5,23 @@ One owner for a cell: two processes of this machine cannot command one arm.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from anther.core.checks import check_range
 from anther.core.errors import StageFailure, bad_input
-from anther.core.geometry import Array, Box, transform_from_pose7
+from anther.core.geometry import Array, Box, Intrinsics, transform_from_pose7
 from anther.robot.arm.arms import named
+from anther.robot.arm.grippers import PRESETS, GripperSize, with_camera
 from anther.robot.arm.model import ArmModel, outline
 from anther.robot.arm.plausible import FARTHEST
-from anther.robot.arm.sawyer import SAWYER, TOOL
+from anther.robot.arm.sawyer import SAWYER
 from anther.robot.calibration import HandEye
 from anther.robot.cells import _parts
 from anther.robot.cells._lock import owned
@@ -29,27 +30,59 @@ from anther.robot.devices import JointTrajectory, SafetyLimits
 from anther.robot.drivers.apart import ArmApart
 from anther.robot.safety import check_trajectory
 
-__all__ = ["CellFile", "Limits", "Part", "ToolSection", "kept_open", "owned", "read_cell"]
+__all__ = ["CellFile", "Limits", "Part", "Simulation", "ToolSection", "kept_open", "owned", "read_cell"]
 
 MODELLED = 0.005, 0.1
 """A tool may differ from the one that plans are made for by so much of its length [m] and mass [kg]."""
+REQUIRED = "arm", "gripper", "wrist_camera", "workspace", "region", "arm_space"
+KNOWN = (*REQUIRED, "side_camera", "shaker", "tool", "keep_out", "limits", "simulation")
+Lens = tuple[float, float, float, float, float, float]
+Suppose = Callable[[ArmModel, "Simulation", Box | None], Mapping[str, Any]]
+"""Returns the tables that a simulated cell has where its file has none; of (arm, simulation, region or None)."""
 
 
 @dataclass(frozen=True, slots=True)
 class ToolSection:
-    """What is on the flange: plans are made for Rethink's gripper with narrow fingers and a D455 beside it.
+    """What was measured on the flange: a check of the gripper that plans are made for. None: not measured.
 
     Attributes:
         tip: from the flange to the fingertips [m].
         mass: of gripper, camera and bracket [kg].
     """
 
-    tip: float = TOOL.tip
-    mass: float = TOOL.mass + TOOL.camera_mass
+    tip: float | None = None
+    mass: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Simulation:
+    """What a simulation of the cell wants to know beyond the machines; on metal it says nothing.
+
+    Attributes:
+        foot: where the stem leaves the soil, the middle of the pot [m]; None: the middle of the region's lower side.
+        wrist_intrinsics, side_intrinsics: width, height, fx, fy, cx, cy [px]; None: the driver's keys, else a D455's.
+        side_camera: whether a cell file without a side camera is simulated with one.
+    """
+
+    foot: Point | None = None
+    wrist_intrinsics: Lens | None = None
+    side_intrinsics: Lens | None = None
+    side_camera: bool = True
 
     def __post_init__(self) -> None:
-        check_range("tip", self.tip, TOOL.tip - MODELLED[0], TOOL.tip + MODELLED[0], "m")
-        check_range("mass", self.mass, 0.0, TOOL.mass + TOOL.camera_mass + MODELLED[1], "kg")
+        for value in self.foot or ():
+            check_range("foot", value, -FARTHEST, FARTHEST, "m")
+        self.lens("wrist_intrinsics")
+        self.lens("side_intrinsics")
+
+    def lens(self, name: Literal["wrist_intrinsics", "side_intrinsics"]) -> Intrinsics | None:
+        """Return what is said of a camera.
+
+        Raises:
+            InputError: no camera is like that.
+        """
+        told = getattr(self, name)
+        return None if told is None else Intrinsics(int(told[0]), int(told[1]), *told[2:])
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,12 +133,13 @@ class CellFile:
         arm, gripper, wrist_camera, side_camera, shaker: the machines; the last two may be missing.
         T_flange_cam: hand-eye calibration of the wrist camera.
         T_world_side_camera: where the side camera stands; None without one.
-        tool, limits: see there.
-        model: the arm's description.
+        tool, limits, simulation: see there.
+        model: the arm's description, with the gripper and the camera on its flange.
         workspace: where the plant stands.
         region: what the views look at; nothing enters it while they are taken.
         arm_space: where the flange may be.
         keep_out: where no part of arm and tool may be.
+        supposed: names of the tables, and of keys in them, that the file lacks; only where it is to be simulated.
     """
 
     source: TomlFile
@@ -123,6 +157,8 @@ class CellFile:
     tool: ToolSection = field(default_factory=ToolSection)
     limits: Limits = field(default_factory=Limits)
     model: ArmModel = SAWYER
+    simulation: Simulation = field(default_factory=Simulation)
+    supposed: tuple[str, ...] = ()
 
     @property
     def owner_name(self) -> str:
@@ -187,41 +223,100 @@ class CellFile:
             )
 
 
-def read_cell(path: Path | str) -> CellFile:
+def read_cell(path: Path | str, suppose: Suppose | None = None) -> CellFile:
     """Read and check a cell file.
+
+    Args:
+        path: of the file.
+        suppose: for a simulation: gives the tables that the file lacks. No driver is then looked for, none can be
+            connected to, and the keys of drivers of one's own are not checked.
 
     Raises:
         InputError: the first thing that is wrong, with its line.
     """
     source = read_toml(path)
-    table = dict(source.table)
-    known = ("arm", "gripper", "wrist_camera", "side_camera", "shaker", "tool", "workspace", "region", "arm_space",
-             "keep_out", "limits")  # fmt: skip
-    for key in table:
-        if key not in known:
-            raise source.error((key,), given=f"an unknown key '{key}'", allowed=", ".join(known), do="Remove it.")
-    for key in ("arm", "gripper", "wrist_camera", "workspace", "region", "arm_space"):
+    for key in source.table:
+        if key not in KNOWN:
+            raise source.error((key,), given=f"an unknown key '{key}'", allowed=", ".join(KNOWN), do="Remove it.")
+    simulation = built(source, ("simulation",), source.table.get("simulation", {}), Simulation)
+    source, supposed = (source, ()) if suppose is None else _supposed(source, suppose, simulation)
+    table = source.table
+    for key in REQUIRED:
         if key not in table:
             do = "docs/cell_file.md has one."
             raise bad_input(str(path), given=f"no [{key}]", allowed="a table of that name", do=do)
-    own, side = table["wrist_camera"], table.get("side_camera")
+    side, of = table.get("side_camera"), partial(_part, source, connects=suppose is None)
     cell = CellFile(
         source=source,
-        arm=_part(source, "arm", _parts.ARMS, besides=("model",)),
-        model=_model(source),
-        gripper=_part(source, "gripper", _parts.GRIPPERS),
-        T_flange_cam=_hand_eye(source, own),
-        wrist_camera=_part(source, "wrist_camera", _parts.CAMERAS, besides=("T_flange_cam", "calibration")),
+        arm=of("arm", _parts.ARMS, besides=("model",)),
+        gripper=of("gripper", _parts.GRIPPERS, besides=("shape",)),
+        T_flange_cam=_hand_eye(source, table["wrist_camera"]),
+        wrist_camera=of("wrist_camera", _parts.CAMERAS, besides=("T_flange_cam", "calibration", "outline")),
         T_world_side_camera=None if side is None else _pose(source, "side_camera", "T_world_cam", side),
-        side_camera=None if side is None else _part(source, "side_camera", _parts.CAMERAS, besides=("T_world_cam",)),
-        shaker=_part(source, "shaker", _parts.SHAKERS) if "shaker" in table else None,
+        side_camera=None if side is None else of("side_camera", _parts.CAMERAS, besides=("T_world_cam",)),
+        shaker=of("shaker", _parts.SHAKERS) if "shaker" in table else None,
         tool=built(source, ("tool",), table.get("tool", {}), ToolSection),
         limits=built(source, ("limits",), table.get("limits", {}), Limits),
         **{name: checked(source, (name,), table[name], Box) for name in ("workspace", "region", "arm_space")},
         keep_out=_keep_outs(source),
+        simulation=simulation,
+        supposed=supposed,
     )
+    cell = replace(cell, model=_equipped(source, _model(source), cell.T_flange_cam))
+    _check_tool(cell)
     _check_places(cell)
     return cell
+
+
+def _supposed(source: TomlFile, suppose: Suppose, simulation: Simulation) -> tuple[TomlFile, tuple[str, ...]]:
+    """Return the file with what it lacks, and the names of that."""
+    said = source.table
+    region = checked(source, ("region",), said["region"], Box) if "region" in said else None
+    usual = suppose(_model(source), simulation, region)
+    table, lacks = dict(usual) | said, [name for name in usual if name not in said]
+    for name, keys in (("wrist_camera", ("T_flange_cam", "calibration")), ("side_camera", ("T_world_cam",))):
+        own = said.get(name)
+        if isinstance(own, dict) and name in usual and not any(key in own for key in keys):
+            table[name] = {**usual[name], **own}
+            lacks.append(f"{name}.{keys[0]}")
+    return replace(source, table=table), tuple(lacks)
+
+
+def _equipped(source: TomlFile, model: ArmModel, T_flange_cam: Array) -> ArmModel:
+    """Return the arm with the gripper that the file describes, and its camera where it was calibrated."""
+    told, keys, tool = source.table["gripper"].get("shape"), ("gripper", "shape"), model.tool
+    if told is not None:
+        rest = dict(told) if isinstance(told, dict) else {"preset": told}
+        name, given = rest.pop("preset", None), dict[str, Any]()
+        if name is not None:
+            if name not in PRESETS:
+                allowed = f"{', '.join(PRESETS)}, or a table [gripper.shape] of its measures"
+                raise source.error(keys, given=repr(name), allowed=allowed, do="Choose one, or measure yours.")
+            given = asdict(PRESETS[name])
+            given["palm"] = list(given["palm"])
+        tool = built(source, keys, given | rest, GripperSize).on(tool)
+    outline, keys = source.table["wrist_camera"].get("outline"), ("wrist_camera", "outline")
+    if outline is not None:
+        outline = checked(source, keys, outline, Point)
+        with source.located(keys):
+            for side in outline:
+                check_range("side", side, 0.005, 0.3, "m")
+    return model.with_tool(with_camera(tool, T_flange_cam, outline))
+
+
+def _check_tool(cell: CellFile) -> None:
+    """Check that what was measured on the flange is what plans are made for.
+
+    Raises:
+        InputError: it is not; describe it under [gripper.shape].
+    """
+    measured, tool = cell.tool, cell.model.tool
+    mass = tool.mass + tool.camera_mass
+    with cell.source.located(("tool",)):
+        if measured.tip is not None:
+            check_range("tip", measured.tip, tool.tip - MODELLED[0], tool.tip + MODELLED[0], "m")
+        if measured.mass is not None:
+            check_range("mass", measured.mass, 0.0, mass + MODELLED[1], "kg")
 
 
 def _check_places(cell: CellFile) -> None:
@@ -276,21 +371,32 @@ def _corners(place: Box) -> str:
     return f"{place.lower} .. {place.upper} m"
 
 
-def _part(source: TomlFile, name: str, drivers: dict[str, Callable[..., Any]], besides: tuple[str, ...] = ()) -> Part:
+def _part(
+    source: TomlFile,
+    name: str,
+    drivers: dict[str, Callable[..., Any]],
+    besides: tuple[str, ...] = (),
+    *,
+    connects: bool = True,
+) -> Part:
     table = source.table[name]
-    if not isinstance(table, dict) or not isinstance(table.get("driver"), str):
+    if not isinstance(table, dict) or not isinstance(table.get("driver", None if connects else ""), str):
         choices = ", ".join(f'"{driver}"' for driver in drivers)
         allowed = f'a table with driver = {choices} or "package.module:callable"'
         raise source.error((name,), given="no driver", allowed=allowed, do="docs/cell_file.md has examples.")
-    driver, keys = table["driver"], (name, "driver")
+    driver, keys = table.get("driver", ""), (name, "driver")
+    rest = {key: value for key, value in table.items() if key not in ("driver", *besides)}
     make = drivers.get(driver)
+    if make is None and not connects and (not driver or ":" in driver):
+        return Part(driver, _parts.none, rest, (name,))
     if make is None:
         if ":" not in driver:
             allowed = ", ".join(f'"{known}"' for known in drivers) + ', "package.module:callable"'
             raise source.error(keys, given=f'"{driver}"', allowed=allowed, do="Choose one.")
         make = _parts.own_driver(driver, source.where(keys), source.path.parent)
-    rest = {key: value for key, value in table.items() if key not in ("driver", *besides)}
     fitted(source, (name,), rest, make, _parts.GIVEN)
+    if not connects:
+        return Part(driver, _parts.none, _parts.usual(make) | rest, (name,))
     return Part(driver, make, rest, (name,))
 
 

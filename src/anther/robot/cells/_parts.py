@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -175,6 +175,17 @@ def own_driver(name: str, where: str, folder: Path) -> Callable[..., Any]:
     if not callable(found):
         raise bad_input(where, given=f'"{name}"', allowed="a class or function", do="Name what makes the driver.")
     return found
+
+
+def none(**keys: Any) -> NoReturn:
+    """Stand for the driver of a cell that is read to be simulated: there is no machine to connect to."""
+    raise InputError(f"a simulated cell has no machine to connect to (asked with {', '.join(keys) or 'no keys'}).")
+
+
+def usual(make: Callable[..., Any]) -> dict[str, Any]:
+    """Return the keys of a driver that need not be in the file, with what they then are."""
+    given = inspect.signature(make).parameters.values()
+    return {p.name: p.default for p in given if p.default is not p.empty and p.name not in GIVEN}
 
 
 def takes(make: Callable[..., Any], argument: str) -> bool:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from anther.core.errors import bad_input
 from anther.core.geometry import Array
 from anther.core.runs import Advance
 from anther.perception.capture import Capture
@@ -23,20 +24,23 @@ from anther.robot.arm.views import Params as ViewParams
 from anther.robot.arm.views import Views, plan_views
 from anther.robot.cell import Cell
 from anther.robot.cells import CellFile, Part, kept_open
-from anther.robot.devices import JointTrajectory, Robot, Tap, untapped
+from anther.robot.devices import Gripper, JointTrajectory, Robot, Tap, untapped
 from anther.robot.safety import guard
 
 CALM = 0.5
 """The arm stands for so long before a picture is taken [s]: it swings a little when it stops. A guess."""
+OPENS = 1e-3
+"""A gripper may open so much less than plans are made for [m]: `devices.SafetyLimits.grip_tolerance` bears it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HardwareCell:
-    """Attributes: `robot_side`, what the pipeline is given. There is no simulated world in it."""
+    """Attributes: `robot_side`, what the pipeline is given. There is no simulated world in it, and nothing supposed."""
 
     robot_side: Cell
     world: None = None
     capture_seconds: None = None
+    notes: tuple[str, ...] = ()
 
 
 class SlowPlanner(Planner):
@@ -66,6 +70,14 @@ def motion_params(ratio: float, home: Array | None = None) -> MotionParams:
     )
 
 
+def planner_around(file: CellFile, cloud: Cloud, home: Array) -> Planner:
+    """Return the planner of a cell's arm, which stands at joints (J,) [rad], around what a cloud shows."""
+    ratio, space = file.limits.speed_ratio, file.arm_space
+    params = motion_params(ratio, home)
+    boxes, arm = file.keep_out, file.model
+    return SlowPlanner(ratio, cloud.points, cloud.obstacles, boxes, space=space, params=params, arm=arm)
+
+
 @contextmanager
 def connected(file: CellFile) -> Iterator[Robot]:
     """Own the cell's arm and connect all its machines, for the block; nothing moves. The arm is in its own process.
@@ -79,14 +91,29 @@ def connected(file: CellFile) -> Iterator[Robot]:
         def part(entry: Part | None) -> Any:
             return None if entry is None else keep(file.connect(entry, arm=arm))
 
+        gripper = part(file.gripper)
+        _check_stroke(file, gripper)
         yield Robot(
             arm=arm,
-            gripper=part(file.gripper),
+            gripper=gripper,
             wrist_camera=part(file.wrist_camera),
             side_camera=part(file.side_camera),
             T_world_side_camera=file.T_world_side_camera,
             motor=part(file.shaker),
         )
+
+
+def _check_stroke(file: CellFile, gripper: Gripper) -> None:
+    """Check that the gripper opens as far as plans are made for.
+
+    Raises:
+        InputError: it does not.
+    """
+    planned, has = file.model.tool.stroke, gripper.stroke
+    if planned > has + OPENS:
+        allowed = f"at most {has:.4f} m, which the gripper says it opens"
+        do = "Write what it opens as opening under [gripper.shape]."
+        raise bad_input(file.source.where(("gripper", "shape")), given=f"{planned:.4f} m", allowed=allowed, do=do)
 
 
 @contextmanager
@@ -104,10 +131,7 @@ def hardware_cell(file: CellFile, views: ViewParams, tap: Tap = untapped) -> Ite
             return look_around(robot, planned, hand_eye, advance, arm)
 
         def plan_around(cloud: Cloud) -> Planner:
-            params = motion_params(ratio, robot.arm.joints())
-            return SlowPlanner(
-                ratio, cloud.points, cloud.obstacles, boxes, space=file.arm_space, params=params, arm=arm
-            )
+            return planner_around(file, cloud, robot.arm.joints())
 
         yield HardwareCell(Cell(take_views, plan_around, robot, file.workspace, limits))
 

@@ -40,8 +40,12 @@ TRAJECTORY, POINT = "trajectory_msgs/msg/JointTrajectory", "trajectory_msgs/msg/
 class Node:
     """A node of ROS 2 in a context of its own: what else uses rclpy in this process is left alone."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, threads: int = 1) -> None:
         """Begin; the domain is ROS_DOMAIN_ID's.
+
+        Args:
+            name: of the node.
+            threads: on which it hears and answers; a service that takes long wants more than one.
 
         Raises:
             MissingExtra: rclpy is not installed.
@@ -54,7 +58,12 @@ class Node:
             self._node = self._rclpy.create_node(name, context=self._context, start_parameter_services=False)
         except Exception as error:  # of the middleware's own kinds
             raise DeviceError(f"ROS 2: no node can be made ({error}). Is a middleware installed? {INSTALL}.") from error
-        self._executor = _module("rclpy.executors").SingleThreadedExecutor(context=self._context)
+        executors = _module("rclpy.executors")
+        self._executor = (
+            executors.SingleThreadedExecutor(context=self._context)
+            if threads == 1
+            else executors.MultiThreadedExecutor(threads, context=self._context)
+        )
         self._executor.add_node(self._node)
         self._thread = threading.Thread(target=self._spin, daemon=True)
         self._thread.start()
@@ -64,16 +73,31 @@ class Node:
         with self._named():
             self._node.create_subscription(_kind(kind), topic, hear, _module("rclpy.qos").qos_profile_sensor_data)
 
-    def publisher(self, topic: str, kind: str) -> Any:
+    def publisher(self, topic: str, kind: str, *, latched: bool = False) -> Any:
         """Return what publishes a topic.
 
-        It is reliable, and only the newest message is sent again: an old one would begin anew when it comes.
+        It is reliable, and only the newest message is sent again: an old one would begin anew when it comes. With
+        `latched`, who subscribes later still hears the newest.
 
         Raises:
             InputError: no name of a topic.
         """
         with self._named():
-            return self._node.create_publisher(_kind(kind), topic, 1)
+            if not latched:
+                return self._node.create_publisher(_kind(kind), topic, 1)
+            qos = _module("rclpy.qos")
+            profile = qos.QoSProfile(depth=1, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL)
+            return self._node.create_publisher(_kind(kind), topic, profile)
+
+    def service(self, name: str, kind: str, answer: Callable[[Any], Any]) -> None:
+        """Let `answer` fill in the response of every request to a service, from another thread, one after the other."""
+        group = _module("rclpy.callback_groups").MutuallyExclusiveCallbackGroup()
+        with self._named():
+            self._node.create_service(_kind(kind), name, lambda _, filled: answer(filled), callback_group=group)
+
+    def now(self) -> Any:
+        """Return the time on ROS's clock, as a stamp."""
+        return self._node.get_clock().now().to_msg()
 
     def publishers(self, topic: str) -> int:
         """Return how many publish a topic."""
@@ -310,6 +334,6 @@ def _module(name: str) -> Any:
 
 
 def _kind(name: str) -> Any:
-    """Return the class of a message, such as "sensor_msgs/msg/JointState"."""
-    package, _, kind = name.partition("/msg/")
-    return getattr(_module(f"{package}.msg"), kind)
+    """Return the class of a message or service, such as "sensor_msgs/msg/JointState"."""
+    package, group, kind = name.split("/")
+    return getattr(_module(f"{package}.{group}"), kind)

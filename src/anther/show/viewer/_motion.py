@@ -20,9 +20,10 @@ from anther.pollination.shake.pads import grip_rows, pad_nodes
 from anther.robot.arm import ArmName
 from anther.robot.arm.arms import in_simulated_cell, named
 from anther.robot.arm.model import ArmModel
+from anther.robot.arm.saved import load_arm
 from anther.robot.cells import read_cell
 from anther.rods import Drive, steady_motion
-from anther.show.results import RunResults
+from anther.show.results import ARM, RunResults
 
 RATE = 30.0
 """Pictures a second of play."""
@@ -77,7 +78,9 @@ def motion_of(results: RunResults) -> Replay | None:
 
 
 def _arm(results: RunResults) -> ArmModel:
-    """Return the run's arm; one that Anther does not know by name is in the run's cell file."""
+    """Return the run's arm: as it was kept; of runs of older versions by its name, or from the run's cell file."""
+    if (results.folder / ARM).exists():
+        return load_arm(results.folder / ARM)[0]
     if results.simulated:
         return in_simulated_cell(results.arm)
     return named(results.arm) if results.arm in get_args(ArmName) else read_cell(str(results.params["cell"])).model

@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 from anther.core.geometry import Array
 from anther.perception.skeleton import Skeleton
 from anther.perception.stem import BRANCH, LEAF, ORGAN_NAMES, STEM, TRUSS
-from anther.show.results import RunResults
+from anther.robot.arm.saved import load_arm
+from anther.show.results import ARM, RunResults
 
 
 def placed(T: Array) -> tuple[Any, Any]:
@@ -73,6 +74,7 @@ def build_scene(server: viser.ViserServer, results: RunResults, most_points: int
     scene.add_frame("/world", axes_length=0.1, axes_radius=0.002)
     _add_cloud(scene, results, handles, most_points)
     _add_cameras(scene, results, handles)
+    _add_keep_out(scene, results, handles)
     _add_skeleton(scene, results, handles)
     _add_grasps(scene, results, handles)
     points = results.cloud.points if results.cloud is not None else handles.rest
@@ -98,6 +100,21 @@ def _add_cloud(scene: Any, results: RunResults, handles: Handles, most: int | No
         grey = np.full((len(cloud.obstacles), 3), 120, np.uint8)
         pot = scene.add_point_cloud("/pot and bench", cloud.obstacles.astype(np.float32), grey, point_size=0.005)
         handles.layers["pot and bench"] = [pot]
+
+
+def _add_keep_out(scene: Any, results: RunResults, handles: Handles) -> None:
+    """Add the boxes of the run's cell file that the arm keeps out of."""
+    if not (results.folder / ARM).exists():
+        return
+    style = {"color": (150, 110, 70), "opacity": 0.15}
+    shown = [
+        scene.add_box(
+            f"/keep out/{i}", dimensions=tuple(b.upper - b.lower), position=tuple((b.lower + b.upper) / 2), **style
+        )
+        for i, b in enumerate(load_arm(results.folder / ARM)[1])
+    ]
+    if shown:
+        handles.layers["keep-out boxes"] = shown
 
 
 def _add_cameras(scene: Any, results: RunResults, handles: Handles) -> None:
