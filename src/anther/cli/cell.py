@@ -22,21 +22,6 @@ WATCHED = 1.0
 """So long a camera is recorded to see its rate [s]."""
 
 
-@dataclass(frozen=True)
-class Args:
-    """Attributes: what to do with which cell. docs/cell_file.md has the file, docs/real_robot.md the first hour."""
-
-    action: Annotated[Literal["check", "enable", "jog"], tyro.conf.Positional]
-    """check: connect to each part and show what it sees; enable: switch motors on, after a released stop too, and let
-    the gripper find its ends; jog: move one joint a little, within all limits. The last two ask first."""
-    file: Annotated[Path, tyro.conf.Positional]
-    """The cell file."""
-    joint: int | None = None
-    """Which joint to jog, from 0; by default the last."""
-    by: float = 2.0
-    """How far [degrees]."""
-
-
 def run(args: Args) -> int:
     """Do it; return 0, or 1 where a part is missing."""
     from anther.robot.cells import read_cell

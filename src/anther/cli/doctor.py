@@ -39,14 +39,6 @@ FOR = {
 """Extra -> what it is for."""
 
 
-@dataclass(frozen=True)
-class Args:
-    """Attributes: how to print."""
-
-    json: bool = False
-    """Print the findings as JSON."""
-
-
 class Examined(NamedTuple):
     """One thing that was looked at: its name, its state, what is there, and how to get or mend it.
 

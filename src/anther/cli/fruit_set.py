@@ -16,20 +16,6 @@ from anther.history import read_outcomes, read_trials
 from anther.history.fruit_set import NAMES, PRIORS, FruitSet, counts_of, fit
 
 
-@dataclass(frozen=True)
-class Args:
-    """Attributes: which history and crop, and how the answer is wanted."""
-
-    history: Annotated[str, tyro.conf.Positional] = "runs/history.sqlite"
-    """A SQLite file, or postgresql://USER:PASSWORD@HOST/DATABASE."""
-    species: str = "tomato"
-    """The crop."""
-    figure: Path | None = None
-    """Draw the dose-response there (.png)."""
-    json: bool = False
-    """Print the result as JSON."""
-
-
 ACCELERATIONS = (0.0, 10.0, 25.0, 50.0, 100.0, 200.0)
 """At which the table gives P(set) [m/s2]: from nothing to a bee's buzz."""
 

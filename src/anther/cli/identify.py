@@ -32,44 +32,6 @@ GIVEN_ERROR, GIVEN_DENSITY_ERROR = 0.01, 0.05
 """Relative standard error of a frequency and of a density (the prior's spread) that are given without one [-]."""
 
 
-@dataclass(frozen=True)
-class Args:
-    """Attributes: what was measured. Any part may be left out; docs/identification.md has the file formats."""
-
-    samples: Path | None = None
-    """Cut samples, CSV: mass_g, radius_mm (or diameter_mm), length_mm."""
-    density: float | None = None
-    """Density [kg/m3], where no samples were cut."""
-    density_error: float | None = None
-    """Its standard error [kg/m3]; by default 5 %."""
-    trace: tuple[Path, ...] = ()
-    """Free vibrations, CSV: time_s, displacement_mm. Several plucks of one stem are averaged."""
-    start: float | None = None
-    """Leave out what the traces hold before this time [s]: the release."""
-    frequency: float | None = None
-    """First natural frequency [Hz], where there is no trace."""
-    frequency_error: float | None = None
-    """Its standard error [Hz]; by default 1 %."""
-    profile: Path | None = None
-    """The stem's radius from the clamp to the tip, CSV: distance_mm, radius_mm (or diameter_mm)."""
-    length: float | None = None
-    """Free length [m]; by default the last distance of the profile."""
-    radius: float | None = None
-    """Radius of a uniform stem [m], where there is no profile."""
-    leaves: Path | None = None
-    """Leaves, flowers and fruits on the stem, CSV: distance_mm from the clamp, mass_g."""
-    orientation: Literal["upright", "horizontal", "hanging"] | None = None
-    """How the plucked stem was held, horizontal: plucked vertically. Without it gravity is left out."""
-    deflection: Path | None = None
-    """Deflection test of the stem held horizontal, CSV: mass_g on the tip, deflection_mm below where it was without."""
-    errors: InstrumentErrors = field(default_factory=InstrumentErrors)
-    """Standard errors of calliper, ruler and balance."""
-    out: Path | None = None
-    """Folder for identify.json, material.json and identify.png."""
-    json: bool = False
-    """Print the result as JSON."""
-
-
 def run(args: Args) -> None:
     """Read the files, identify, print and write the results."""
     plucks = [_pluck(path, args.start) for path in args.trace]

@@ -11,14 +11,6 @@ import tyro
 from anther.cli.sample_data import SAMPLES, write_samples
 
 
-@dataclass(frozen=True)
-class Args:
-    """Attributes: where the samples go."""
-
-    out: Annotated[Path, tyro.conf.Positional] = Path("samples")
-    """Folder to write."""
-
-
 def run(args: Args) -> None:
     """Write the samples and say what they are."""
     for path in write_samples(args.out):

@@ -20,22 +20,6 @@ SHORTEST = 16
 """Characters of a token."""
 
 
-@dataclass(frozen=True)
-class Args:
-    """Attributes: which history, for whom, and who may write notes."""
-
-    history: Annotated[str, tyro.conf.Positional] = "runs/history.sqlite"
-    """A SQLite file, or postgresql://USER:PASSWORD@HOST/DATABASE."""
-    runs: Path = Path()
-    """The folder that run folders in the history are relative to; no report outside of it is shown."""
-    host: str = LOCALHOST
-    """Address to listen on. Any other than this computer's own lets whoever reaches it read everything."""
-    port: int = 8000
-    """TCP port; 0: any that is free."""
-    token: Path | None = None
-    """File with the token that people need to write a note; without it nothing can be written."""
-
-
 def run(args: Args) -> None:
     """Serve until Ctrl-C."""
     check_range("port", args.port, 0, 65535)

@@ -25,31 +25,6 @@ Kind = Literal["trial", "reconstruct"]
 _SET_BY_SWEEP = ("out", "history", "restart_from", "overwrite")
 
 
-@dataclass(frozen=True)
-class Args:
-    """Attributes: what is run, where the results go, and on which machines."""
-
-    table: Annotated[Path | None, tyro.conf.Positional] = None
-    """CSV file: a column for every option of the command, a line for every run. Without it, say how far --out is."""
-    kind: Kind = "trial"
-    """Which command is run on each line."""
-    out: str = "runs/sweep"
-    """Folder of the sweep, or an address that fsspec knows (s3://bucket/name). The same folder and table go on."""
-    workers: int | None = None
-    """Worker processes on this machine; by default one a core."""
-    scheduler: str | None = None
-    """Run on a cluster instead: the address of its dask scheduler, such as tcp://10.0.0.4:8786."""
-    history: str | None = None
-    """Where the jobs are noted: a SQLite file, or postgresql://USER:PASSWORD@HOST/DATABASE; by default history.sqlite
-    in --out."""
-    tries: int = 3
-    """How often a line that raises an error is tried before it is set aside."""
-    deaths: int = 10
-    """How many workers may die under a line before it is set aside."""
-    again: bool = False
-    """Try once more what was set aside."""
-
-
 def run(args: Args) -> int:
     """Sweep, write results.parquet and say how it went.
 
