@@ -7,15 +7,17 @@ With --live the arm of a cell takes the images; with --check it looks whether th
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from anther.cli.args.calibrate import Args
+from anther.cli.output import free
 from anther.core.errors import InputError, bad_input
 from anther.core.geometry import Array, Intrinsics, inverse
-from anther.robot.calibration import HandEye, Method
+from anther.robot.calibration import HandEye
 
 SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp"}
 BENT = 0.3
@@ -38,7 +40,16 @@ def run(args: Args) -> int:
 
 NEEDED = {"images": ("images", "poses", "board"), "live": ("cell", "board"), "check": ("cell",)}
 WAYS = {
-    "images": (*NEEDED["images"], "intrinsics", "estimate_intrinsics", "eye_to_hand", "out", "json", "method"),
+    "images": (
+        *NEEDED["images"],
+        "intrinsics",
+        "estimate_intrinsics",
+        "eye_to_hand",
+        "out",
+        "overwrite",
+        "json",
+        "method",
+    ),
     "live": (*NEEDED["live"], "live", "intrinsics", "out", "by_hand", "yes"),
     "check": (*NEEDED["check"], "check", "yes"),
 }
@@ -76,6 +87,7 @@ def _from_files(args: Args) -> None:
     from anther.show.pictures.estimates import draw_calibration
 
     folder, out = _needed(args, "images"), args.out or Path()
+    free(*(out / name for name in ("calibration.json", "calibration.png")), overwrite=args.overwrite)
     board, poses = calibration.parse_board(_needed(args, "board")), calibration.read_poses(_needed(args, "poses"))
     given = _given_intrinsics(args, folder)
     names, notes = _names(folder, poses)

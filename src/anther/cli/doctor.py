@@ -8,12 +8,13 @@ import platform
 import shutil
 import sys
 import tempfile
-from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Literal, NamedTuple
 
 from packaging.requirements import Requirement
+
+from anther.cli.args.doctor import Args
 
 LEAST_PYTHON = (3, 11)
 LEAST_DISK = 1e9

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-import tyro
 from rich.console import Console
 from rich.table import Table
 
+from anther.cli.args.fruit_set import Args
 from anther.core.errors import bad_input
 from anther.history import read_outcomes, read_trials
 from anther.history.fruit_set import NAMES, PRIORS, FruitSet, counts_of, fit
-
 
 ACCELERATIONS = (0.0, 10.0, 25.0, 50.0, 100.0, 200.0)
 """At which the table gives P(set) [m/s2]: from nothing to a bee's buzz."""

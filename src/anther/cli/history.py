@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import date
-from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
-import tyro
 from rich.console import Console
 from rich.table import Table
 
+from anther.cli.args.history import Args
 from anther.cli.run_folder import add_run
 from anther.core.errors import FailureKind, bad_input
 from anther.history import (

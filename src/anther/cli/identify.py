@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
+from anther.cli.args.identify import Args
+from anther.cli.output import room_for
 from anther.core.checks import check_range
 from anther.core.errors import InputError, bad_input
 from anther.core.files import json_text, write_json
@@ -28,20 +30,22 @@ from anther.plant.bench.measurements import DEFLECTION, LEAVES, PROFILE, SAMPLES
 from anther.show.pictures import save_figure
 from anther.show.pictures.estimates import Pluck, draw_material_test
 
+WRITTEN = ("identify.json", "material.json", "identify.png")
 GIVEN_ERROR, GIVEN_DENSITY_ERROR = 0.01, 0.05
 """Relative standard error of a frequency and of a density (the prior's spread) that are given without one [-]."""
 
 
 def run(args: Args) -> None:
     """Read the files, identify, print and write the results."""
+    out = room_for(args, WRITTEN)
     plucks = [_pluck(path, args.start) for path in args.trace]
     test = _material_test(args, tuple(pluck.fit for pluck in plucks))
     found = identify(test)
     result = _numbers(test, found)
-    if args.out is not None:
-        write_json(args.out / "identify.json", result)
-        write_material(args.out / "material.json", found.material)
-        save_figure(draw_material_test(test, found, plucks), args.out / "identify.png")
+    if out is not None:
+        write_json(out / WRITTEN[0], result)
+        write_material(out / WRITTEN[1], found.material)
+        save_figure(draw_material_test(test, found, plucks), out / WRITTEN[2])
     print(json_text(result).rstrip() if args.json else _text(args, test, found))
 
 
@@ -82,7 +86,9 @@ def _material_test(args: Args, plucks: tuple[FreeVibration, ...]) -> MaterialTes
         check_range("density", args.density, 10, 5000, "kg/m3")
         error = args.density_error if args.density_error is not None else GIVEN_DENSITY_ERROR * args.density
         density = args.density, check_range("density_error", error, 0, args.density / 2, "kg/m3")
-    return MaterialTest(stem, orientation, density=density, plucks=plucks, errors=args.errors, **measured)
+    return MaterialTest(
+        stem, orientation, density=density, plucks=plucks, errors=args.errors or InstrumentErrors(), **measured
+    )
 
 
 def _refuse_contradictions(args: Args) -> None:
@@ -153,7 +159,7 @@ def _text(args: Args, test: MaterialTest, found: Identification) -> str:
     if found.youngs is not None:
         m = found.material
         flags = f"--youngs {m.youngs:.4g} --density {m.density:.4g} --damping-ratio {m.damping_ratio:.3g}"
-        lines.append(f"to use it: anther shake SKELETON --grip N --flower M {flags}")
+        lines.append(f"to use it: anther plan SKELETON {flags}")
     return "\n".join(lines if args.out is None else [*lines, f"written: {args.out}"])
 
 

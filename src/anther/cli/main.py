@@ -199,10 +199,10 @@ def _parsed(name: str, words: list[str]) -> Any:
 
 
 def _is_of_stage(word: str, args: type, stages: dict[str, Any]) -> bool:
-    """Return whether a word may be a parameter of a stage: by its prefix or, without one, as no option of the command."""
+    """Return whether a word may be a parameter of a stage: by its prefix, or where it has none as no other option."""
     known = {each.name.replace("_", "-") for each in fields(args)}
     for name, stage in stages.items():
-        option = word.startswith("--") and word[2:].split("=")[0].replace("_", "-") not in known
+        option = word.startswith("--") and word[2:].split("=", maxsplit=1)[0].replace("_", "-") not in known
         if re.match(rf"(--)?{name}[.:]", word) or (stage.metadata["flat"] and option):
             return True
     return False
@@ -230,7 +230,7 @@ def _check_given(args: Any) -> None:
 
 def _module(name: str, where: str = "") -> ModuleType:
     """Import only the chosen command (`where` "args.": only what it is asked), so that the others cost nothing."""
-    last = name.split()[-1].replace("-", "_")
+    last = name.rsplit(maxsplit=1)[-1].replace("-", "_")
     return import_module(f"anther.cli.{where}{f'{last}_' if iskeyword(last) else last}")
 
 

@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from datetime import date
-from typing import Annotated
-
-import tyro
-
+from anther.cli.args.outcome import Args
 from anther.core.errors import InputError, bad_input
 from anther.history import Outcome, find_plants, find_visit, read_trials, record_outcome
 

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.signal import detrend, hilbert
 
 from anther.cli.args.plan import Args
-from anther.cli.plan_map import AXES
 from anther.cli.output import room_for
+from anther.cli.plan_map import AXES
 from anther.core.checks import check_range
 from anther.core.errors import bad_input
 from anther.core.files import write_json

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import socket
 from contextlib import suppress
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated
 
-import tyro
-
+from anther.cli.args.serve import Args
 from anther.core.checks import check_range
 from anther.core.errors import MissingExtra, bad_input
 from anther.core.files import existing

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import platform
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
+from anther.cli.args.trial import Args
 from anther.cli.run_folder import TrialLog, finish, open_run, parameters, remember
 from anther.core.checks import check_range
 from anther.core.errors import StageFailure, bad_input
@@ -26,11 +26,8 @@ from anther.history import (
     shown,
     starting_material,
 )
-from anther.plant.limits import Crop, Preset
-from anther.pollination.pipeline import Done, MaskSource, Params, mask_finder, pollinate
+from anther.pollination.pipeline import Done, Params, mask_finder, pollinate
 from anther.pollination.shake import with_preset
-from anther.robot.arm import ArmName
-from anther.robot.cell import ActuatorName
 from anther.robot.cells import read_cell
 from anther.robot.devices import Tap, untapped
 from anther.show.results import EXECUTED, FILM, SUMMARY, held_unharmed
@@ -115,12 +112,13 @@ def _resolved(args: Args) -> Args:
 
 def _params(args: Args) -> Params:
     """Return the stages' parameters: those asked for, with what the shake's preset and --no-watch change."""
-    bounds = args.params.shake if args.shake is None else with_preset(args.shake, args.params.shake)
-    watch, actuator = args.watch and args.params.escalate, args.actuator or args.params.actuator
+    params = args.params or Params()
+    bounds = params.shake if args.shake is None else with_preset(args.shake, params.shake)
+    watch, actuator = args.watch and params.escalate, args.actuator or params.actuator
     if actuator == "gripper" and not (watch and bounds.keeps_limits):
         given = "gripper with --no-watch or --shake paper"
         raise bad_input("actuator", given=given, allowed="arm", do="A motor is always watched.")
-    return replace(args.params, shake=bounds, escalate=watch and bounds.keeps_limits, actuator=actuator)
+    return replace(params, shake=bounds, escalate=watch and bounds.keeps_limits, actuator=actuator)
 
 
 def _folder(args: Args) -> str:

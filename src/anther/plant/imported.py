@@ -11,8 +11,8 @@ from anther.core.checks import check_range
 from anther.core.choices import Axis, Crop, Units
 from anther.core.errors import bad_input
 from anther.core.geometry import Array
-from anther.perception.formats.skeleton_file import supposed_radius
 from anther.perception.formats.clouds import TO_Z_UP
+from anther.perception.formats.skeleton_file import supposed_radius
 from anther.perception.formats.skeletons import SkeletonFile, read_skeleton
 from anther.perception.skeleton import Params, Skeleton, nearest_node
 from anther.perception.stem import LOW, Stem, find_stem
@@ -51,9 +51,7 @@ def read_source(
     Raises:
         InputError: a bad file, radius or node.
     """
-    source = read_skeleton(path, units)
-    if up is not None:
-        source = replace(source, nodes=source.nodes[:, TO_Z_UP[up]])
+    source = upright(read_skeleton(path, units), up)
     if radius is not None:
         check_range("radius", radius, 1e-4, 0.2, "m")
     if root is not None:
@@ -62,6 +60,11 @@ def read_source(
         source = source.rooted_at().without_scraps()
     bare = radius is None and source.radius is None
     return source, source.skeleton(supposed_radius(source, STEM[crop]) if bare else radius, least)
+
+
+def upright(source: SkeletonFile, up: Axis | None) -> SkeletonFile:
+    """Return a skeleton whose axis `up` points up as one with z up; None: it is z."""
+    return source if up is None else replace(source, nodes=source.nodes[:, TO_Z_UP[up]])
 
 
 def node_named(option: str, text: str, source: SkeletonFile) -> int:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from anther.core.checks import check_range
-from anther.core.choices import Crop, Preset
+from anther.core.choices import Crop, Preset  # noqa: F401 - the room gives them too
 from anther.core.geometry import Array
 
 GRAVITY = 9.81

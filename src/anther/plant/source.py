@@ -59,6 +59,10 @@ class Made(NamedTuple):
         return replace(base, **changes), "given" if "youngs" in changes else origin
 
 
+NOTHING = Made()
+"""Nobody says anything."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SourcePlant:
     """A plant as elastic rods at rest, of which the soil holds the root.
@@ -113,7 +117,7 @@ class SourcePlant:
 
 def read_plant(
     path: Path,
-    made: Made = Made(),
+    made: Made = NOTHING,
     *,
     flowers: Sequence[int] = (),
     units: Units | None = None,

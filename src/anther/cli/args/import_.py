@@ -1,4 +1,4 @@
-"""Kinect turntable frames, COLMAP workspaces, RealSense and ROS bags, MCAP -> a capture folder; fused PLY -> a cloud."""
+"""Kinect frames, COLMAP workspaces, RealSense and ROS bags, MCAP -> a capture folder; fused PLY -> a cloud."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ def tuned(args: type) -> type:
 
 
 def shortened(args: type) -> tuple[type, list[str]]:
-    """Return the arguments' class without the groups that only --help-all shows, and the names of what it leaves out."""
+    """Return the arguments' class without what only --help-all shows, and the names of that."""
     more = [each.name for each in fields(args) if "more" in each.metadata]
     made: list[Any] = [(name, Stage, field(default=None)) for name in more]
     return make_dataclass(args.__name__, made, bases=(args,), frozen=True), [*more, *stages(args)]

@@ -16,8 +16,8 @@ class Args(Overwrite, Source):
     source: Given
     """Run folder, e.g. runs/demo; or a skeleton file (.npz .swc .ply .graphml .mtg .txt)."""
     to: Path | None = None
-    """Write a file instead of opening a viewer: the scene as .html, or the skeleton as .ply .swc .graphml .mtg .glb .txt
-    .npz."""
+    """Write a file instead of opening a viewer: the scene as .html, or the skeleton as .ply .swc .graphml .mtg .glb
+    .txt .npz."""
     radius: float | None = None
     """Radius of every node [m], for a file that has none (.txt), or instead of the file's."""
     find_stem: bool = False

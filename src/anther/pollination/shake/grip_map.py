@@ -22,6 +22,7 @@ from anther.robot.arm.sawyer import SAWYER
 from anther.robot.arm.shaking import amplitude_limit
 from anther.rods import natural_frequencies, response_map
 
+ARM = arm_shaker()
 TURNS = np.pi * np.arange(12) / 12
 """Horizontal directions that are tried for the best one [rad]."""
 MODES = 4
@@ -91,7 +92,7 @@ def map_grips(
     *,
     directions: Array | None = None,
     pads: float = 0.0,
-    actuator: Actuator = arm_shaker(),
+    actuator: Actuator = ARM,
 ) -> GripMap:
     """Return how the flowers of a plant at rest answer at every grip and frequency.
 

@@ -84,9 +84,9 @@ def _draw_rods(axes: Any, rods: Rods, flat: Array, colour: Any, width: Any) -> N
 def draw_grip_response(rods: Rods, flowers: NDArray[Any], response: GripMap, title: str) -> Figure:
     """Return a figure: the heat map with the resonances of the held plant, and the plant with its grips.
 
-    White lines: the lowest natural frequencies while the grip is held. Hatched: beyond a limit that Anther keeps. Cross:
-    the best of the other cells. In the plant a grip has
-    the colour of its best frequency; magenta: the flowers' nodes (F,); star: root.
+    White lines: the lowest natural frequencies while the grip is held. Hatched: beyond a limit that Anther keeps.
+    Cross: the best of the other cells. In the plant a grip has the colour of its best frequency;
+    magenta: the flowers' nodes (F,); star: root.
     """
     figure = Figure(figsize=(12.5, 5.8), layout="constrained")
     varies = np.ptp(response.amplitude) > 0
@@ -143,9 +143,7 @@ def _borders(centres: Array) -> Array:
     return np.concatenate([[2 * centres[0] - middle[0]], middle, [2 * centres[-1] - middle[-1]]])
 
 
-def _draw_grips(
-    plot: Any, seen: list[int], rods: Rods, flowers: NDArray[Any], response: GripMap, colours: Any
-) -> None:
+def _draw_grips(plot: Any, seen: list[int], rods: Rods, flowers: NDArray[Any], response: GripMap, colours: Any) -> None:
     flat = rods.nodes[:, seen]
     radius = np.asarray(rods.edge_radius)[1:]
     _draw_rods(plot, rods, flat, PALE, 0.8 + 3 * radius / radius.max())
