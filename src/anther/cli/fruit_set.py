@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from anther.cli.args.fruit_set import Args
+from anther.cli.output import free
 from anther.core.errors import bad_input
 from anther.history import read_outcomes, read_trials
 from anther.history.fruit_set import NAMES, PRIORS, FruitSet, counts_of, fit
@@ -19,6 +20,8 @@ ACCELERATIONS = (0.0, 10.0, 25.0, 50.0, 100.0, 200.0)
 
 def run(args: Args) -> None:
     """Fit and print; draw when asked to."""
+    if args.figure is not None:
+        free(args.figure, overwrite=args.overwrite)
     if args.figure is not None and args.figure.suffix.lower() != ".png":
         raise bad_input("figure", given=str(args.figure), allowed="a name that ends in .png", do="Name it so.")
     outcomes = read_outcomes(args.history, species=args.species)
