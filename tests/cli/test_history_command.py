@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from anther.cli.args.trial import Args
 from anther.cli.main import main
 from anther.cli.run_folder import VISIT, remember
-from anther.cli.args.trial import Args
 from anther.cli.trial import _belief
 from anther.core.errors import InputError
 from anther.core.files import write_json
@@ -179,7 +179,9 @@ def test_parquet_without_pyarrow_says_what_to_install(
     ],
 )
 def test_outcomes_of_plants_visits_and_controls(history: str, say, words: list[str], plant: str, visit: int) -> None:
-    code, text = say("history", "outcome", *words, "--flowers", 8, "--fruit", 6, "--date", "2026-06-01", "--history", history)
+    code, text = say(
+        "history", "outcome", *words, "--flowers", 8, "--fruit", 6, "--date", "2026-06-01", "--history", history
+    )
     assert (code, "75%" in text) == (0, True), text
     (outcome,) = read_outcomes(history)
     assert (outcome.plant, outcome.visit, str(outcome.date)) == (plant, visit, "2026-06-01")
@@ -215,7 +217,20 @@ def test_a_number_that_is_a_plant_and_a_visit(history: str, say) -> None:
 def test_fruit_set_from_the_history(history: str, say, tmp_path: Path) -> None:
     assert "No count" in say("history", "fruit-set", history)[1]
     say("history", "outcome", "row 1", "--species", "tomato", "--flowers", 20, "--fruit", 15, "--history", history)
-    say("history", "outcome", "row 9", "--species", "tomato", "--control", "--flowers", 20, "--fruit", 9, "--history", history)
+    say(
+        "history",
+        "outcome",
+        "row 9",
+        "--species",
+        "tomato",
+        "--control",
+        "--flowers",
+        20,
+        "--fruit",
+        9,
+        "--history",
+        history,
+    )
     code, text = say("history", "fruit-set", history, "--figure", tmp_path / "f.png")
     assert (code, (tmp_path / "f.png").stat().st_size > 5000) == (0, True)
     assert "2 counts (1 without a shake), 40 flowers, 24 fruit" in text

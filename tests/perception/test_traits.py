@@ -145,7 +145,7 @@ def test_the_tables_of_a_folder(clouds: Path, tmp_path: Path, monkeypatch: pytes
     assert main(words) == 1
     assert (out / "plants.csv").read_bytes() == before
     with pytest.raises(AssertionError, match="again"):
-        main([*words, "--again"])
+        main([*words, "--overwrite"])
     with pytest.raises(AssertionError, match="again"):
         main([*words, "--params.spacing", "0.01"])
 

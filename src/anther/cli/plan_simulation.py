@@ -50,12 +50,14 @@ def run(args: Args, plant: SourcePlant) -> None:
 def _nodes(args: Args, plant: SourcePlant) -> tuple[int, int]:
     """Return the nodes of grip and flower: those asked for, else halfway up the stem, and the first or farthest end."""
     along = plant.distances()
-    height = along[plant.stem_nodes]
-    grip = int(plant.stem_nodes[np.abs(height - 0.5 * height[-1]).argmin()])
     flower = int(plant.flower_nodes[0]) if len(plant.flower_nodes) else int(along.argmax())
-    given = args.simulation.grip
     flower = plant.flower(args.flower[0]) if args.flower else flower
-    return grip if given is None else plant.node(given), flower
+    if args.simulation.grip is not None:
+        return plant.node(args.simulation.grip), flower
+    if not len(plant.stem_nodes):
+        raise bad_input("grip", given="none, and no main stem is seen", allowed="--grip NODE", do="Name it.")
+    height = along[plant.stem_nodes]
+    return int(plant.stem_nodes[np.abs(height - 0.5 * height[-1]).argmin()]), flower
 
 
 def _drive(args: Args, grip: int, also: tuple[int, ...]) -> Shake:

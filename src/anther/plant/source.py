@@ -71,7 +71,7 @@ class SourcePlant:
         rods: without viscosity, in the scanned shape, which hangs still under gravity.
         numbers: (N,) what the user calls each node; a pedicel has the number of the node that bears it.
         damping_ratio: share of critical damping [-].
-        stem_nodes: (S,) main stem, root first.
+        stem_nodes: (S,) main stem, root first; of bare edges it may be empty.
         flower_nodes: (F,) may be empty.
         stiffness: Young's modulus of stem and branches and where it is from, in words.
         model: the same plant with its limits; None of bare edges.
@@ -157,8 +157,13 @@ def read_plant(
     out = skeleton.nodes[at] - skeleton.nodes[skeleton.parent[at]]
     out *= PEDICEL / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-9)
     hung = Flowers(skeleton.nodes[at] + out, at)
-    stem = main_stem(skeleton, tip, hung.positions)
-    if bare:
+    try:
+        stem = main_stem(skeleton, tip, hung.positions)
+    except StageFailure:
+        if not bare:  # whose grip may be named
+            raise
+        stem = None
+    if bare or stem is None:
         plant = _bare(source, skeleton, stem, made, at)
         return replace(plant, rods=_at_rest(plant.rods)) if hanging else plant, skeleton, stem, None
     plant = _modelled(skeleton, stem, hung, None, made)
@@ -233,7 +238,9 @@ def _untwisted(plant: SourcePlant, made: Made) -> SourcePlant:
     return replace(plant, rods=_at_rest(replace(plant.rods, bend_over_twist=0.0, natural=None)))
 
 
-def _bare(source: SkeletonFile, skeleton: Skeleton, stem: Stem, made: Made, flowers: NDArray[Any]) -> SourcePlant:
+def _bare(
+    source: SkeletonFile, skeleton: Skeleton, stem: Stem | None, made: Made, flowers: NDArray[Any]
+) -> SourcePlant:
     material, origin = made.of()
     rods = Rods(
         nodes=skeleton.nodes,
@@ -244,9 +251,10 @@ def _bare(source: SkeletonFile, skeleton: Skeleton, stem: Stem, made: Made, flow
         bend_over_twist=made.changes.get("bend_over_twist", material.bend_over_twist),
     )
     words = f"E {material.youngs / 1e6:.3g} MPa ({origin})"
-    notes = (*source.notes, *stem.notes)
+    nodes, said = (np.zeros(0, np.int64), ()) if stem is None else (stem.node_ids, stem.notes)
+    notes = (*source.notes, *said)
     zeta = made.changes.get("damping_ratio", material.damping_ratio)
-    return SourcePlant(rods, source.numbers, zeta, stem.node_ids, flowers, words, None, source.merged, notes)
+    return SourcePlant(rods, source.numbers, zeta, nodes, flowers, words, None, source.merged, notes)
 
 
 def _at_rest(rods: Rods) -> Rods:
