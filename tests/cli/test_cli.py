@@ -27,6 +27,9 @@ from anther.core.geometry import Intrinsics, look_at
 from anther.history import TrialRecord, record_trial
 from anther.perception.capture import Capture
 from anther.perception.cloud import Cloud
+from anther.perception.formats.skeletons import read_skeleton
+from anther.perception.skeleton import Skeleton
+from anther.perception.stem import Stem
 from anther.pollination.execution import Trial
 
 
@@ -377,6 +380,22 @@ def test_a_command_that_plans_motions_says_nothing_at_its_end() -> None:
     code = "import roboplan.core, roboplan.rrt, sys; from anther.cli.main import main; sys.exit(main())"
     asked = [sys.executable, "-c", code, "--version"]
     assert not subprocess.run(asked, capture_output=True, text=True, check=True).stderr
+
+
+def test_a_skeleton_comes_with_its_stem_and_replaces_nothing_unasked(tmp_path, capfd) -> None:
+    Cloud(simple_plant()).save(tmp_path / "plant.ply")
+    out = tmp_path / "o"
+    words = ["skeletonize", str(tmp_path / "plant.ply"), "--units", "m", "--up", "z", "--out", str(out)]
+    assert main(words) == 0
+    capfd.readouterr()
+    stem, skeleton = Stem.load(out / "stem.npz"), Skeleton.load(out / "skeleton.npz")
+    assert len(stem.organ) == len(skeleton.nodes)
+    assert read_skeleton(out / "skeleton.swc").labels == tuple(stem.organ_names())
+    (out / "grasp.json").write_text("mine")
+    assert "--overwrite" in refused(capfd, *words)
+    assert (out / "grasp.json").read_text() == "mine"
+    assert main([*words, "--overwrite"]) == 0
+    assert (out / "grasp.json").read_text() != "mine"
 
 
 UNNEEDED = {"coal", "matplotlib", "mujoco", "pinocchio", "rich", "sqlalchemy", "torch", "trimesh", "viser"}

@@ -82,9 +82,7 @@ def _grips(args: Args, plant: SourcePlant) -> NDArray[Any]:
         low = min(BASE, 0.25 * float(distance[stem].max(initial=0.0)))
         free = np.setdiff1d(stem[distance[stem] >= low], plant.clamp.nodes)
         if not len(free):
-            raise bad_input(
-                "grips", given="none", allowed="a main stem that is seen and not clamped", do="Name --grips."
-            )
+            raise bad_input("grips", given="none", allowed="a stem that is seen and free", do="Name --grips.")
         nodes = free[np.unique(np.linspace(0, len(free) - 1, args.mapping.heights).round().astype(int))]
     return nodes[np.argsort(distance[nodes], kind="stable")]
 

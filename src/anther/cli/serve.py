@@ -24,7 +24,9 @@ def run(args: Args) -> None:
 
         from anther.show.serve import make_app
     except ImportError as error:
-        raise MissingExtra("anther serve needs FastAPI. Install it with: pip install 'anther[serve]'") from error
+        raise MissingExtra(
+            "anther history serve needs FastAPI. Install it with: pip install 'anther[serve]'"
+        ) from error
     token = None if args.token is None else existing(args.token).read_text(encoding="utf-8").strip()
     if token is not None and len(token) < SHORTEST:
         allowed = f"{SHORTEST} or more, e.g. of: openssl rand -hex 16"
