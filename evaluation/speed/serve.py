@@ -1,9 +1,9 @@
-"""How long a page of `anther history serve` takes when the history has a million visits, and whether a robot waits for it.
+"""How long a page of the served history takes when it has a million visits, and whether a robot waits for it.
 
     python -m evaluation.speed.serve [--quick]
 
 The history is that of evaluation/speed/fleet.py, on SQLite, or on PostgreSQL with --postgresql. The server is a process
-of its own, as `anther history serve` starts it; four browsers ask for pages one after another, each page once with different
+of its own (`anther history serve`); four browsers ask for pages one after another, each page once with different
 days, plants and visits, while a robot records a visit every second.
 
 Keys of the --json file: visits, pages, page_p95_s_1e6 (of all pages together), page_median_s, slowest_s (95 % of the

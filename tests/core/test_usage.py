@@ -25,7 +25,8 @@ def test_a_stage_that_waits_uses_no_processor_and_one_that_fills_memory_says_how
         run.timed("wait", lambda _: time.sleep(0.3))
         run.timed("work", lambda _: busy(0.3))
     assert run.seconds["wait"] >= 0.3
-    assert run.cpu_seconds["wait"] < 0.2 < 0.28 < run.cpu_seconds["work"]
+    assert run.cpu_seconds["wait"] < 0.2
+    assert run.cpu_seconds["work"] > 0.28
     if run.peak_mb:
         assert run.peak_mb["fill"] > run.peak_mb["wait"] + 150
 
