@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from anther.core.runs import Run, process_seconds
+from anther.core.runs import Run
+from anther.core.usage import process_seconds
 
 
 def busy(seconds: float) -> None:
@@ -43,7 +44,7 @@ def test_without_a_terminal_each_stage_prints_a_line_when_it_ends(
 
 
 def test_the_process_is_timed_from_its_start() -> None:
-    code = "import time; time.sleep(0.5); from anther.core.runs import process_seconds; print(process_seconds())"
+    code = "import time; time.sleep(0.5); from anther.core.usage import process_seconds; print(process_seconds())"
     before = time.monotonic()
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert 0.5 <= float(done.stdout) <= time.monotonic() - before + 0.05

@@ -9,7 +9,7 @@ from anther.cli.args.skeletonize import Args
 from anther.cli.output import room_for
 from anther.core.errors import StageFailure
 from anther.core.files import json_text
-from anther.core.runs import process_seconds
+from anther.core.usage import process_seconds
 from anther.perception.cloud import Cloud
 from anther.perception.flowers import flower_centres
 from anther.perception.formats.clouds import read_cloud

@@ -11,13 +11,9 @@ from typing import Any, TypeVar
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from anther.core._usage import cpu_seconds, mark_memory, peak_memory, process_seconds
 from anther.core.errors import FailureKind, InputError, StageFailure, bad_input
 from anther.core.files import made_folder, read_object, write_json
-
-__all__ = [
-    "FILES", "PROGRESS", "WHERE_IT_STOPPED", "Advance", "Result", "Run", "kept", "process_seconds", "stage_under_way",
-]  # fmt: skip
+from anther.core.usage import cpu_seconds, mark_memory, peak_memory
 
 FILES = {
     "capture": "01_capture",

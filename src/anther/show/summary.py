@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from anther.core.geometry import Array
-from anther.core.runs import process_seconds
+from anther.core.usage import process_seconds
 from anther.plant.limits import MOVED, moved
 from anther.pollination.execution import Step, Trial, lost_grip
 from anther.robot.devices import GripperState
