@@ -390,7 +390,7 @@ def test_a_skeleton_comes_with_its_stem_and_replaces_nothing_unasked(tmp_path, c
     capfd.readouterr()
     stem, skeleton = Stem.load(out / "stem.npz"), Skeleton.load(out / "skeleton.npz")
     assert len(stem.organ) == len(skeleton.nodes)
-    assert read_skeleton(out / "skeleton.swc").labels == tuple(stem.organ_names())
+    assert sorted(read_skeleton(out / "skeleton.swc").labels or ()) == sorted(stem.organ_names())
     (out / "grasp.json").write_text("mine")
     assert "--overwrite" in refused(capfd, *words)
     assert (out / "grasp.json").read_text() == "mine"
