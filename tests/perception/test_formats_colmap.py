@@ -283,7 +283,7 @@ def test_damaged_binary_files_never_end_in_a_traceback(tmp_path_factory, name: s
 
 def test_import_command(tmp_path: Path, capsys) -> None:
     truth = write_workspace(tmp_path / "dense", binary=True)
-    words = ["import", str(tmp_path / "dense"), str(tmp_path / "capture")]
+    words = ["import", str(tmp_path / "dense"), str(tmp_path / "capture"), "--overwrite"]
     assert main([*words, "--scale", str(SCALE), "--up=-y"]) == 0
     assert "3 views of 32 x 24 px" in capsys.readouterr().out
     again = Capture.load(tmp_path / "capture")
@@ -301,7 +301,7 @@ def test_import_command_writes_clouds(tmp_path: Path, capsys) -> None:
     assert main([*words[:2], str(tmp_path / "cloud"), *words[3:]]) == 2
     assert "name a .ply" in capsys.readouterr().err
     (tmp_path / "a.las").write_bytes(b"LASF")
-    assert main(["import", str(tmp_path / "a.las"), str(tmp_path / "cloud.ply")]) == 2
+    assert main(["import", str(tmp_path / "a.las"), str(tmp_path / "other.ply")]) == 2
     assert ".mcap" in capsys.readouterr().err
 
 

@@ -317,7 +317,7 @@ def test_export_finds_the_stem_when_asked(tmp_path: Path, capsys) -> None:
     straight_plant(tmp_path)
     (tmp_path / FILES["stem"]).unlink()
     for source in (str(tmp_path), str(tmp_path / FILES["skeleton"])):
-        words = ["view", source, "--to", str(tmp_path / "a.swc")]
+        words = ["view", source, "--to", str(tmp_path / "a.swc"), "--overwrite"]
         assert main(words) == 0
         assert "organs not told apart" in capsys.readouterr().out
         assert main([*words, "--find-stem"]) == 0
