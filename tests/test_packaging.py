@@ -94,7 +94,7 @@ def test_the_wheel_runs_outside_the_repository(wheel: Path, tmp_path: Path) -> N
     )  # fmt: skip
     assert str(tmp_path) in where.stdout
     said("samples", "s")
-    assert "nodes" in said("export", "s/skeleton.swc", "--out", "plant.glb")
+    assert "nodes" in said("view", "s/skeleton.swc", "--to", "plant.glb")
 
 
 CORE = [
@@ -102,11 +102,11 @@ CORE = [
     "skeletonize samples/plant.ply --units m --up z --out tree",
     "reconstruct samples/capture --out seen",
     "plan samples/skeleton.swc --frequencies 3 --out plan",
-    "respond samples/skeleton.swc --heights 2 --frequencies 2 --out map",
-    "export seen --out plant.glb",
+    "plan samples/skeleton.swc --map --heights 2 --frequencies 2 --out map",
+    "view seen --to plant.glb",
     "history",
 ]
-NEEDY = {"trial --plant tomato": "cell", "view seen --html scene.html": "view"}
+NEEDY = {"trial --plant tomato": "cell", "view seen --to scene.html": "view"}
 
 
 @pytest.mark.slow

@@ -33,7 +33,7 @@ import pytest
 from conftest import DATA
 from test_history import full
 
-from anther.cli.main import COMMANDS, main
+from anther.cli.main import ACTIONS, COMMANDS, main
 from anther.cli.sample_data import write_samples
 from anther.core.files import read_json
 from anther.core.geometry import Intrinsics, inverse, transform_points
@@ -108,7 +108,7 @@ def options(command: str) -> frozenset[str]:
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(said):
         patch.setenv("COLUMNS", "400")  # no name is broken over two lines
         with pytest.raises(SystemExit):
-            main([command, "--help-all"])
+            main([*command.split(), "--help-all"])
     return frozenset(re.findall(r"--[a-z][\w.-]*", said.getvalue()))
 
 
@@ -116,8 +116,9 @@ def check_anther(words: list[str]) -> None:
     """The command exists and knows these options, whatever their values."""
     assert words[1] in COMMANDS or words[1].startswith("--"), words
     if words[1] in COMMANDS:
+        command = " ".join(words[1:3]) if words[2:3] and words[2] in ACTIONS.get(words[1], ()) else words[1]
         given = {word.split("=")[0] for word in words[2:] if re.match(r"--[a-z]", word)}
-        assert given <= options(words[1]), f"{words[1]} has no {given - options(words[1])}"
+        assert given <= options(command), f"{command} has no {given - options(command)}"
 
 
 def check_make(words: list[str]) -> None:
@@ -148,8 +149,8 @@ def check_script(words: list[str]) -> None:
     assert all((ROOT / words[n]).is_file() for n in scripts)
 
 
-ENDLESS = {"serve"}
-"""Commands that go on until they are stopped; their own tests run them."""
+ENDLESS = ["history", "serve"]
+"""The command that goes on until it is stopped; its own tests run it."""
 CHECKS: dict[str, Callable[[list[str]], None]] = {"make": check_make, "pip": check_pip, "python": check_script}
 
 
@@ -157,7 +158,7 @@ def run_shell(text: str) -> None:
     for words in commands(text):
         if words[0] == "cd":
             os.chdir(words[1])
-        elif words[0] == "anther" and words[1] not in ENDLESS and not is_pattern(words):
+        elif words[0] == "anther" and words[1:3] != ENDLESS and not is_pattern(words):
             allowed = {0, 1} if words[1] == "trial" else {0}  # 1: a part of the trial's verdict failed
             assert main(words[1:]) in allowed, words
         elif words[0] == "anther":

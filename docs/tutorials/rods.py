@@ -115,4 +115,4 @@ for amplitude in (1e-3, 5e-3, 20e-3):
 
 # %% [markdown]
 # Where next: [how the solver works](../elastic_rod.md), [what it was checked against](../reports/rod_validation.md),
-# and `anther shake` and `anther respond`, which do this to a skeleton file.
+# and `anther plan --simulate` and `anther plan --map`, which do this to a skeleton file.

@@ -43,6 +43,7 @@ STEM, STEM_WITHIN = 0.40, 0.01
 DENSITY = 1077.0
 SHAKE = [
     "--grip", "15", "--flower", "41", "--amplitude", "0.004", "--frequency", "1.3", "--duration", "2", "--dt", "0.005",
+    "--density", "1100", "--bend-over-twist", "1.5",
 ]  # fmt: skip
 CHARUCO = "charuco:7x5:30mm:22mm"
 
@@ -130,7 +131,7 @@ def true_poses(path: str) -> Array:
 
 def imported(source: str, poses: str, *options: str, depth: str = "", exact: bool = False) -> Check:
     def check(out: Path) -> str:
-        done(run("import-capture", source, out / "c", *options))
+        done(run("import", source, out / "c", *options))
         capture, wanted = Capture.load(out / "c"), true_poses(poses)
         if len(capture.T_world_cam) != len(wanted):
             return f"{len(capture.T_world_cam)} of {len(wanted)} views"
@@ -199,7 +200,7 @@ def shaken(file: str, frequency: float | None, *options: str, words: tuple[str, 
     """The first natural frequency [Hz] to 1 %, or, of None, a refusal with these words."""
 
     def check(out: Path) -> str:
-        ran = run("shake", f"15_swc/{file}", *SHAKE, *options, "--json")
+        ran = run("plan", f"15_swc/{file}", "--simulate", "--bare", *SHAKE, *options, "--json")
         if frequency is None:
             return told(ran, *words)
         done(ran)

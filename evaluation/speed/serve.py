@@ -1,9 +1,9 @@
-"""How long a page of `anther serve` takes when the history has a million visits, and whether a robot waits for it.
+"""How long a page of the served history takes when it has a million visits, and whether a robot waits for it.
 
     python -m evaluation.speed.serve [--quick]
 
 The history is that of evaluation/speed/fleet.py, on SQLite, or on PostgreSQL with --postgresql. The server is a process
-of its own, as `anther serve` starts it; four browsers ask for pages one after another, each page once with different
+of its own (`anther history serve`); four browsers ask for pages one after another, each page once with different
 days, plants and visits, while a robot records a visit every second.
 
 Keys of the --json file: visits, pages, page_p95_s_1e6 (of all pages together), page_median_s, slowest_s (95 % of the
@@ -97,7 +97,7 @@ def write_on(where: str, stop: threading.Event, waited: list[float]) -> None:
 
 def measure(where: str, visits: int, plants: int, count: int) -> dict[str, float | str]:
     """Return the table for a history that is filled."""
-    command = [sys.executable, "-m", "anther.cli", "serve", where, "--port", "0"]
+    command = [sys.executable, "-m", "anther.cli", "history", "serve", where, "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=os.environ) as process:
         assert process.stdout is not None
         base = process.stdout.readline().split(" at ")[1].split("/ ")[0]

@@ -1,6 +1,6 @@
-"""Do plan, respond and shake take the paper's own plants with no option but the crop?
+"""Do plan and its --map and --simulate take the paper's own plants with no option but the crop?
 
-Each skeleton of --data is given to the three commands as a person would, in a process of its own.
+Each skeleton of --data is given to the three as a person would, in a process of its own.
 
 Keys of the --json file: plants; planned, mapped and shaken (share of them); of each plant <name>_stem_share (how much
 of its height the main stem rises), <name>_grips (how many are mapped), <name>_planned_m_s2 (the mean flower's peak
@@ -25,15 +25,17 @@ HEADS = (
     "the main stem rises",
     "`anther plan`: amplitude, frequency, place",
     "by the plan the mean flower feels",
-    "`anther respond`: grips mapped",
+    "`anther plan --map`: grips mapped",
     "lowest natural frequency",
-    "`anther shake`, 4 mm at 1.3 Hz: the flower moves",
+    "`anther plan --simulate`, 4 mm at 1.3 Hz: the flower moves",
 )
 
+MODES: dict[str, list[str]] = {"plan": [], "map": ["--map"], "simulation": ["--simulate"]}
 
-def asked(command: str, path: Path, folder: Path) -> str:
-    """Run a command on a skeleton; return what it said against it, "" if nothing."""
-    words = [command, str(path), "--crop", _crop(path), "--out", str(folder)]
+
+def asked(options: list[str], path: Path, folder: Path) -> str:
+    """Run `anther plan` on a skeleton; return what it said against it, "" if nothing."""
+    words = ["plan", str(path), *options, "--species", _crop(path), "--out", str(folder), "--overwrite"]
     run = [sys.executable, "-m", "anther.cli", *words]
     done = subprocess.run(run, capture_output=True, text=True, check=False)
     return "" if done.returncode == 0 else (done.stderr.strip().splitlines() or ["nothing said"])[-1]
@@ -45,13 +47,13 @@ def _crop(path: Path) -> str:
 
 def one_plant(path: Path, folder: Path) -> tuple[dict[str, float], list[str]]:
     """Return a plant's numbers, and its row of the table."""
-    refused = {name: asked(name, path, folder) for name in ("plan", "respond", "shake")}
+    refused = {name: asked(options, path, folder) for name, options in MODES.items()}
     for name, why in refused.items():
         if why:
             print(f"{path.stem}: {name}: {why}")
     plan, mapped, motion = (
         {} if refused[name] else read_object(folder / f"{file}.json")
-        for name, file in (("plan", "shake_plan"), ("respond", "respond"), ("shake", "shake"))
+        for name, file in (("plan", "shake_plan"), ("map", "response_map"), ("simulation", "shake"))
     )
     _, skeleton = read_source(path, crop="pepper" if _crop(path) == "pepper" else "tomato")
     heights = skeleton.nodes[:, 2]

@@ -19,7 +19,7 @@ from scipy.sparse import csr_array
 from test_history import full
 
 from anther.cli import main as cli
-from anther.cli import reconstruct
+from anther.cli.args import reconstruct
 from anther.cli.run_folder import open_run
 from anther.core import files
 from anther.core.errors import InputError
@@ -290,7 +290,7 @@ def test_what_reaches_the_top_is_one_line(monkeypatch: pytest.MonkeyPatch, capsy
         raise error
 
     monkeypatch.setattr("anther.cli.view.run", run)
-    assert cli.main(["view", "a"]) == 2
+    assert cli.main(["view", "."]) == 2
     said = capsys.readouterr().err
     assert said.startswith("anther view: ")
     assert said.count("\n") == 1
@@ -377,7 +377,7 @@ def test_a_run_whose_stem_is_of_another_skeleton(tmp_path: Path, capsys) -> None
     Stem(np.array([0, 1]), np.array([0, 0.1]), np.zeros(0, int), np.zeros(5, np.uint8), 1).save(
         tmp_path / FILES["stem"]
     )
-    assert cli.main(["view", str(tmp_path), "--html", str(tmp_path / "o.html")]) == 2
+    assert cli.main(["view", str(tmp_path), "--to", str(tmp_path / "o.html")]) == 2
     assert "organs of 5 nodes; allowed: of the 3" in capsys.readouterr().err
 
 

@@ -20,13 +20,16 @@ from made_plants import simple_plant
 
 from anther import __version__
 from anther.cli import main as cli
-from anther.cli.main import COMMANDS, main
+from anther.cli.main import ACTIONS, COMMANDS, main
 from anther.cli.run_folder import WRITTEN, open_run
 from anther.core.errors import InputError, StageFailure
 from anther.core.geometry import Intrinsics, look_at
 from anther.history import TrialRecord, record_trial
 from anther.perception.capture import Capture
 from anther.perception.cloud import Cloud
+from anther.perception.formats.skeletons import read_skeleton
+from anther.perception.skeleton import Skeleton
+from anther.perception.stem import Stem
 from anther.pollination.execution import Trial
 
 
@@ -75,46 +78,100 @@ def test_no_label_commands_a_terminal_and_no_sign_is_too_strange(encoding, tmp_p
     assert "ünder µ".encode(encoding, "backslashreplace") in said
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+ALL = [*COMMANDS, *(f"{name} {action}" for name, actions in ACTIONS.items() for action in actions)]
+
+
+def test_there_are_few_commands() -> None:
+    assert len(COMMANDS) <= 14
+
+
+@pytest.mark.parametrize("name", ALL)
 def test_every_command_has_help(name, capsys) -> None:
     with pytest.raises(SystemExit) as stop:
-        main([name, "--help"])
+        main([*name.split(), "--help"])
     assert stop.value.code == 0
-    assert f"anther {name}" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert f"anther {name}" in said
+    assert all(f"`anther {name} {action}`" in said for action in ACTIONS.get(name, ()))
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("name", ALL)
 def test_help_fits_two_screens_and_names_what_it_leaves_out(name, capsys, monkeypatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     said = {}
     for way in ("--help", "--help-all"):
         with pytest.raises(SystemExit):
-            main([name, way])
+            main([*name.split(), way])
         said[way] = capsys.readouterr().out
     short = said["--help"]
     assert len(short.splitlines()) <= 100
     options = {way: set(re.findall(r"^(?:│| ) (--[a-z][\w.-]*)", text, re.MULTILINE)) for way, text in said.items()}
     assert options["--help"] <= options["--help-all"]
-    hidden = {option[2:].rpartition(".")[0] for option in options["--help-all"] - options["--help"]}
+    hidden = {option[2:].partition(".")[0] for option in options["--help-all"] - options["--help"] if "." in option}
     assert all(group in short for group in hidden), hidden
-    assert ("--help-all" in short) == bool(hidden)
+    assert (f"anther {name} --help-all" in short) == (options["--help"] != options["--help-all"])
 
 
 def test_unknown_command(capfd) -> None:
     assert "no command 'tral'; allowed: trial, sweep, cell, reconstruct" in refused(capfd, "tral")
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("name", ALL)
 def test_unknown_option(capfd, name) -> None:
     required = {
         "trial": [],
-        "shake": ["a", "--grip", 1, "--flower", 2],
         "cell": ["check", "a"],
-        "convert-kinect": ["a", "b"],
-        "import-capture": ["a", "b"],
-    }.get(name, ["a"])
-    required += ["--units", "m", "--up", "z"] if name == "skeletonize" else []
-    assert "--frobnicate" in refused(capfd, name, *required, "--frobnicate", 3)
+        "import": ["a", "b"],
+        "calibrate": [],
+        "identify": [],
+        "doctor": [],
+    }
+    assert "--frobnicate" in refused(capfd, *name.split(), *required.get(name, ["a"]), "--frobnicate", 3)
+
+
+HEAVY = ("numba", "scipy", "sqlalchemy", "rich", "matplotlib", "cv2", "mujoco", "small_gicp", "skimage")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        *((*name.split(), "--help") for name in ALL),
+        ("tral",),
+        ("trial", "--sede", "3"),
+        ("plan", "nowhere.swc"),
+        ("plan", "nowhere.swc", "--simulate", "--youngs", "2e8"),
+        ("skeletonize", "nowhere.ply"),
+        ("traits", "nowhere", "--out", "o"),
+        ("reconstruct", "nowhere"),
+        ("view", "nowhere"),
+        ("import", "nowhere", "o"),
+        ("sweep", "nowhere.csv"),
+        ("cell", "check", "nowhere.toml"),
+        ("identify", "--trace", "nowhere.csv"),
+    ],
+    ids=" ".join,
+)
+def test_what_is_misspelled_or_missing_is_told_before_anything_heavy_is_imported(words, tmp_path) -> None:
+    code = f"""
+import sys
+from anther.cli.main import main
+try:
+    code = main({list(words)!r})
+except SystemExit as stop:
+    code = stop.code
+print("CODE", code, *({set(HEAVY)!r} & set(sys.modules)))
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1].split() == ["CODE", "0" if "--help" in words else "2"]
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_parameters_of_a_stage_are_taken_where_one_is_given(capfd, tmp_path) -> None:
+    np.savetxt(tmp_path / "a.xyz", np.zeros((3, 3)))
+    words = ["skeletonize", tmp_path / "a.xyz", "--units", "m"]
+    assert "spacing" in refused(capfd, *words, "--params.spacing", -1)
+    assert "--params.spaceing" in refused(capfd, *words, "--params.spaceing", 1)
+    assert "3 points" in refused(capfd, *words, "--params.spacing", 0.01)
 
 
 @pytest.mark.parametrize(
@@ -224,12 +281,12 @@ def test_a_missing_system_library_names_its_package(monkeypatch, capfd) -> None:
     class Args:
         pass
 
-    monkeypatch.setattr(cli, "_module", lambda _: SimpleNamespace(Args=Args, run=run, __doc__=""))
+    monkeypatch.setattr(cli, "_module", lambda *_: SimpleNamespace(Args=Args, run=run, __doc__=""))
     assert main(["trial"]) == 2
     said = capfd.readouterr().err
     assert said.count("\n") == 1
     assert "apt-get install libgomp1" in said
-    monkeypatch.setattr(cli, "_module", lambda _: SimpleNamespace(Args=Args, run=lambda _: int("x", 99), __doc__=""))
+    monkeypatch.setattr(cli, "_module", lambda *_: SimpleNamespace(Args=Args, run=lambda _: int("x", 99), __doc__=""))
     with pytest.raises(ValueError, match="base"):
         main(["trial"])
 
@@ -252,21 +309,21 @@ def test_compiling_is_told_once_and_only_what_takes_long(monkeypatch, capfd) -> 
         return 0
 
     monkeypatch.setattr(cli, "PATIENCE", 0.05)
-    monkeypatch.setattr(cli, "_module", lambda _: SimpleNamespace(Args=Args, run=slow, __doc__="slow"))
-    assert main(["shake", "--wait", "0.5"]) == 0
+    monkeypatch.setattr(cli, "_module", lambda *_: SimpleNamespace(Args=Args, run=slow, __doc__="slow"))
+    assert main(["plan", "--wait", "0.5"]) == 0
     assert capfd.readouterr().err.count("compiling for this machine") == 1
     monkeypatch.undo()
-    monkeypatch.setattr(cli, "_module", lambda _: SimpleNamespace(Args=Args, run=slow, __doc__="slow"))
+    monkeypatch.setattr(cli, "_module", lambda *_: SimpleNamespace(Args=Args, run=slow, __doc__="slow"))
     monkeypatch.setattr(cli, "PATIENCE", 30.0)
-    assert main(["shake"]) == 0
+    assert main(["plan"]) == 0
     compile_two()
     assert "compiling" not in capfd.readouterr().err
 
 
-@pytest.mark.parametrize("name", ["reconstruct", "skeletonize", "shake", "view"])
+@pytest.mark.parametrize("name", ["reconstruct", "skeletonize", "plan", "view"])
 def test_missing_files(capfd, tmp_path, name) -> None:
     extra = ["--units", "m", "--up", "z"] if name == "skeletonize" else []
-    extra += ["--grip", 3, "--flower", 5] if name == "shake" else []
+    extra += ["--simulate", "--grip", 3, "--flower", 5] if name == "plan" else []
     extra += ["--out", tmp_path / "out"] if name not in ("view",) else []
     assert "nowhere" in refused(capfd, name, tmp_path / "nowhere", *extra)
     assert list(tmp_path.iterdir()) == []
@@ -323,6 +380,22 @@ def test_a_command_that_plans_motions_says_nothing_at_its_end() -> None:
     code = "import roboplan.core, roboplan.rrt, sys; from anther.cli.main import main; sys.exit(main())"
     asked = [sys.executable, "-c", code, "--version"]
     assert not subprocess.run(asked, capture_output=True, text=True, check=True).stderr
+
+
+def test_a_skeleton_comes_with_its_stem_and_replaces_nothing_unasked(tmp_path, capfd) -> None:
+    Cloud(simple_plant()).save(tmp_path / "plant.ply")
+    out = tmp_path / "o"
+    words = ["skeletonize", str(tmp_path / "plant.ply"), "--units", "m", "--up", "z", "--out", str(out)]
+    assert main(words) == 0
+    capfd.readouterr()
+    stem, skeleton = Stem.load(out / "stem.npz"), Skeleton.load(out / "skeleton.npz")
+    assert len(stem.organ) == len(skeleton.nodes)
+    assert sorted(read_skeleton(out / "skeleton.swc").labels or ()) == sorted(stem.organ_names())
+    (out / "grasp.json").write_text("mine")
+    assert "--overwrite" in refused(capfd, *words)
+    assert (out / "grasp.json").read_text() == "mine"
+    assert main([*words, "--overwrite"]) == 0
+    assert (out / "grasp.json").read_text() != "mine"
 
 
 UNNEEDED = {"coal", "matplotlib", "mujoco", "pinocchio", "rich", "sqlalchemy", "torch", "trimesh", "viser"}
@@ -387,8 +460,12 @@ def test_a_trial_end_to_end(tmp_path, capsys) -> None:
     assert len(summary["grasp_pose7"]) == 7
     assert np.isclose(np.linalg.norm(summary["shake_direction"]), 1)
     assert {"capture", "skeleton", "shake plan", "execution"} <= set(summary["seconds"])
+    timing = json.loads((out / "timing.json").read_text())
+    assert timing["seconds"].keys() == timing["cpu_seconds"].keys() == timing["peak_mb"].keys()
+    assert min(timing["peak_mb"].values()) > 100, "more than NumPy alone"
+    assert "peak memory" in (out / "10_report.html").read_text()
     assert summary["parameters"]["seed"] == 0
     assert {"mujoco", "numpy"} <= set(summary["parameters"]["libraries"])
     assert "report" in capsys.readouterr().out
-    assert main(["view", str(out), "--html", str(tmp_path / "scene.html")]) == 0
+    assert main(["view", str(out), "--to", str(tmp_path / "scene.html")]) == 0
     assert (tmp_path / "scene.html").stat().st_size > 100_000

@@ -1,4 +1,4 @@
-"""`anther history`, `anther outcome` and `anther fruit-set`, from what a trial leaves behind to what was learned."""
+"""`anther history` and its actions, from what a trial leaves behind to what was learned."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from anther.cli.args.trial import Args
 from anther.cli.main import main
 from anther.cli.run_folder import VISIT, remember
-from anther.cli.trial import Args, _belief
+from anther.cli.trial import _belief
 from anther.core.errors import InputError
 from anther.core.files import write_json
 from anther.history import GraspRecord, ShakeRecord, TrialRecord, read_outcomes, read_trials, record_trial
@@ -88,6 +89,25 @@ def test_the_list_and_its_filters(history: str, say) -> None:
     assert "no_stem_found" in text
 
 
+def test_a_narrow_terminal_shows_whole_words(history: str, say, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    text = say("history", history)[1]
+    lines = text.splitlines()
+    assert max(len(line) for line in lines) <= 80
+    for words in ("2026-05-01 23:30", "failed: no stem found", "0.60 mm, 9.0 Hz", "row 1"):
+        assert any(words in line for line in lines), words
+
+
+def test_an_export_replaces_nothing_unasked(history: str, say, tmp_path: Path) -> None:
+    out = tmp_path / "visits.csv"
+    out.write_text("mine")
+    code, text = say("history", history, "--export", out)
+    assert (code, out.read_text()) == (2, "mine")
+    assert "--overwrite" in text
+    assert say("history", history, "--export", out, "--overwrite")[0] == 0
+    assert out.read_text() != "mine"
+
+
 def test_labels_are_text_whatever_they_look_like(tmp_path: Path, say) -> None:
     where = str(tmp_path / "h.sqlite")
     record_trial(replace(trial("row 3 [/bed]"), run="=cmd|' /C calc'!A0"), where)
@@ -127,7 +147,7 @@ def test_csv(history: str, say, tmp_path: Path) -> None:
 @pytest.mark.parametrize("table", ["visits", "flowers", "outcomes"])
 def test_parquet_and_csv_say_the_same(history: str, say, tmp_path: Path, table: str) -> None:
     parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed: pip install 'anther[parquet]'")
-    say("outcome", "row 2", "--flowers", 9, "--fruit", 4, "--history", history)
+    say("history", "outcome", "row 2", "--flowers", 9, "--fruit", 4, "--history", history)
     for suffix in ("csv", "parquet"):
         assert say("history", history, "--export", tmp_path / f"t.{suffix}", "--table", table)[0] == 0
     columns = parquet.read_table(tmp_path / "t.parquet")
@@ -159,7 +179,9 @@ def test_parquet_without_pyarrow_says_what_to_install(
     ],
 )
 def test_outcomes_of_plants_visits_and_controls(history: str, say, words: list[str], plant: str, visit: int) -> None:
-    code, text = say("outcome", *words, "--flowers", 8, "--fruit", 6, "--date", "2026-06-01", "--history", history)
+    code, text = say(
+        "history", "outcome", *words, "--flowers", 8, "--fruit", 6, "--date", "2026-06-01", "--history", history
+    )
     assert (code, "75%" in text) == (0, True), text
     (outcome,) = read_outcomes(history)
     assert (outcome.plant, outcome.visit, str(outcome.date)) == (plant, visit, "2026-06-01")
@@ -178,7 +200,7 @@ def test_outcomes_of_plants_visits_and_controls(history: str, say, words: list[s
     ],
 )
 def test_what_is_unclear_is_refused(history: str, say, words: list[str], hint: str) -> None:
-    code, text = say("outcome", *words, "--flowers", 8, "--fruit", 6, "--history", history)
+    code, text = say("history", "outcome", *words, "--flowers", 8, "--fruit", 6, "--history", history)
     assert code == 2
     assert hint in text
     assert read_outcomes(history) == []
@@ -186,24 +208,37 @@ def test_what_is_unclear_is_refused(history: str, say, words: list[str], hint: s
 
 def test_a_number_that_is_a_plant_and_a_visit(history: str, say) -> None:
     record_trial(trial("2"), history)
-    assert "plant:2 or visit:2" in say("outcome", "2", "--flowers", 8, "--fruit", 9, "--history", history)[1]
-    assert "allowed" in say("outcome", "plant:2", "--flowers", 8, "--fruit", 9, "--history", history)[1]
-    assert say("outcome", "visit:2", "--flowers", 9, "--fruit", 8, "--history", history)[0] == 0
+    assert "plant:2 or visit:2" in say("history", "outcome", "2", "--flowers", 8, "--fruit", 9, "--history", history)[1]
+    assert "allowed" in say("history", "outcome", "plant:2", "--flowers", 8, "--fruit", 9, "--history", history)[1]
+    assert say("history", "outcome", "visit:2", "--flowers", 9, "--fruit", 8, "--history", history)[0] == 0
     assert [o.visit for o in read_outcomes(history)] == [2]
 
 
 def test_fruit_set_from_the_history(history: str, say, tmp_path: Path) -> None:
-    assert "No count" in say("fruit-set", history)[1]
-    say("outcome", "row 1", "--species", "tomato", "--flowers", 20, "--fruit", 15, "--history", history)
-    say("outcome", "row 9", "--species", "tomato", "--control", "--flowers", 20, "--fruit", 9, "--history", history)
-    code, text = say("fruit-set", history, "--figure", tmp_path / "f.png")
+    assert "No count" in say("history", "fruit-set", history)[1]
+    say("history", "outcome", "row 1", "--species", "tomato", "--flowers", 20, "--fruit", 15, "--history", history)
+    say(
+        "history",
+        "outcome",
+        "row 9",
+        "--species",
+        "tomato",
+        "--control",
+        "--flowers",
+        20,
+        "--fruit",
+        9,
+        "--history",
+        history,
+    )
+    code, text = say("history", "fruit-set", history, "--figure", tmp_path / "f.png")
     assert (code, (tmp_path / "f.png").stat().st_size > 5000) == (0, True)
     assert "2 counts (1 without a shake), 40 flowers, 24 fruit" in text
     assert "extrapolated" in text  # two shakes of 4.8 m/s2 free next to nothing
-    result = json.loads(say("fruit-set", history, "--json")[1])
+    result = json.loads(say("history", "fruit-set", history, "--json")[1])
     assert result["unshaken_learned"] > result["half_dose_learned"]
     assert result["probability"]["0"][0] < result["probability"]["200"][0]
-    assert "0 counts" in say("fruit-set", history, "--species", "pepper")[1]
+    assert "0 counts" in say("history", "fruit-set", history, "--species", "pepper")[1]
 
 
 def test_a_history_out_of_reach_loses_no_trial(tmp_path: Path, say) -> None:

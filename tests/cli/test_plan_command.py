@@ -11,7 +11,8 @@ import pytest
 from sample_plants import branched, grasps_on
 
 from anther.cli import main as cli
-from anther.cli.plan import Args, run
+from anther.cli.args.plan import Args
+from anther.cli.plan import run
 from anther.core.runs import FILES
 from anther.perception.formats.skeletons import write_skeleton
 from anther.plant.model import TOMATO, build_plant

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from anther.cli import convert_kinect
+from anther.cli.args.import_ import Args
+from anther.cli.import_ import run
 from anther.core.errors import InputError
 from anther.core.geometry import Intrinsics, look_at
 from anther.perception.capture import Capture, viewed_box
@@ -214,9 +215,9 @@ def test_viewed_box_of_one_view_lies_at_the_depth_it_sees() -> None:
     np.testing.assert_allclose((box.lower + box.upper) / 2, [0.8, 0, 0.5], atol=1e-6)
 
 
-def test_convert_kinect_keeps_scale_and_poses(data: Path, tmp_path: Path) -> None:
+def test_a_kinect_import_keeps_scale_and_poses(data: Path, tmp_path: Path) -> None:
     source = data / "captures" / "sorghum_kinect"
-    convert_kinect.run(convert_kinect.Args(source, tmp_path / "sorghum"))
+    run(Args(source, tmp_path / "sorghum"))
     capture = Capture.load(tmp_path / "sorghum")
     meta = json.loads((source / "poses.json").read_text())
     assert capture.views == len(meta["frames"]) == 12
@@ -230,8 +231,8 @@ def test_convert_kinect_keeps_scale_and_poses(data: Path, tmp_path: Path) -> Non
     assert box.contains([0, 0, 0])  # the turntable's axis
 
 
-def test_convert_kinect_says_what_is_missing(tmp_path: Path) -> None:
+def test_a_kinect_import_says_what_is_missing(tmp_path: Path) -> None:
     (tmp_path / "poses.json").write_text('{"intrinsics": {}, "frames": []}')
     with pytest.raises(InputError, match="intrinsics"):
-        convert_kinect.run(convert_kinect.Args(tmp_path, tmp_path / "out"))
+        run(Args(tmp_path, tmp_path / "out"))
     assert not (tmp_path / "out").exists()

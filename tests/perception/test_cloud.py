@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 from scipy.sparse import csgraph
 from scipy.spatial import KDTree
 
-from anther.cli.convert_kinect import read_kinect
 from anther.core.errors import InputError, StageFailure
 from anther.core.geometry import Box, Intrinsics, look_at, transform_points
 from anther.perception.capture import Capture
 from anther.perception.cloud import Cloud, Params, fuse
 from anther.perception.cloud._fusion import attached_points, clusters, occupied_cells, pixel_normals, supported_pixels
 from anther.perception.cloud.ply import read_ply, write_ply
+from anther.perception.formats.kinect import read_kinect
 from anther.perception.masks import FLOWER, PLANT, Masks, segment
 from anther.sim.capture import CaptureTruth, capture_from_poses, orbit_poses
 from anther.sim.pepper import grow_pepper

@@ -334,7 +334,7 @@ def test_a_missing_extra_names_the_install_command(tmp_path: Path, monkeypatch: 
 
 def test_import_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     ros_bag(ros1=False).write(tmp_path / "a.mcap")
-    words = ["import-capture", str(tmp_path / "a.mcap"), str(tmp_path / "capture")]
+    words = ["import", str(tmp_path / "a.mcap"), str(tmp_path / "capture"), "--overwrite"]
     assert main([*words, "--views", "3"]) == 0
     assert "note: 3 of 5 matched views" in capsys.readouterr().out
     same(Capture.load(tmp_path / "capture"), truth().select([0, 2, 4]))

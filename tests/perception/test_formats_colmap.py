@@ -283,7 +283,7 @@ def test_damaged_binary_files_never_end_in_a_traceback(tmp_path_factory, name: s
 
 def test_import_command(tmp_path: Path, capsys) -> None:
     truth = write_workspace(tmp_path / "dense", binary=True)
-    words = ["import-capture", str(tmp_path / "dense"), str(tmp_path / "capture")]
+    words = ["import", str(tmp_path / "dense"), str(tmp_path / "capture"), "--overwrite"]
     assert main([*words, "--scale", str(SCALE), "--up=-y"]) == 0
     assert "3 views of 32 x 24 px" in capsys.readouterr().out
     again = Capture.load(tmp_path / "capture")
@@ -295,13 +295,13 @@ def test_import_command(tmp_path: Path, capsys) -> None:
 def test_import_command_writes_clouds(tmp_path: Path, capsys) -> None:
     points = np.random.default_rng(2).uniform(0, 1, (200, 3))
     Cloud(points).save(tmp_path / "fused.ply")
-    words = ["import-capture", str(tmp_path / "fused.ply"), str(tmp_path / "cloud.ply"), "--scale", "0.5", "--up", "z"]
+    words = ["import", str(tmp_path / "fused.ply"), str(tmp_path / "cloud.ply"), "--scale", "0.5", "--up", "z"]
     assert main(words) == 0
     np.testing.assert_allclose(Cloud.load(tmp_path / "cloud.ply").points, points * 0.5)
     assert main([*words[:2], str(tmp_path / "cloud"), *words[3:]]) == 2
     assert "name a .ply" in capsys.readouterr().err
     (tmp_path / "a.las").write_bytes(b"LASF")
-    assert main(["import-capture", str(tmp_path / "a.las"), str(tmp_path / "cloud.ply")]) == 2
+    assert main(["import", str(tmp_path / "a.las"), str(tmp_path / "other.ply")]) == 2
     assert ".mcap" in capsys.readouterr().err
 
 
@@ -323,6 +323,6 @@ def test_empty_lines_may_be_left_out_of_a_text_model(tmp_path: Path) -> None:
 def test_images_without_depth_map_are_named(tmp_path: Path, capsys) -> None:
     write_workspace(tmp_path / "dense", binary=False)
     (tmp_path / f"dense/stereo/depth_maps/{NAMES[1]}.geometric.bin").unlink()
-    arguments = ["import-capture", str(tmp_path / "dense"), str(tmp_path / "out"), "--scale", str(SCALE), f"--up={UP}"]
+    arguments = ["import", str(tmp_path / "dense"), str(tmp_path / "out"), "--scale", str(SCALE), f"--up={UP}"]
     assert main(arguments) == 0
     assert f"left out for want of a depth map: {NAMES[1]}" in capsys.readouterr().out

@@ -267,7 +267,7 @@ def test_depth_as_a_png_must_be_whole(written: Path, tmp_path: Path) -> None:
 
 
 def test_import_command(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["import-capture", str(recording), str(tmp_path / "capture"), "--poses", str(poses(tmp_path))]
+    words = ["import", str(recording), str(tmp_path / "capture"), "--poses", str(poses(tmp_path))]
     assert main(words) == 0
     assert "3 views of 96 x 72 px" in capsys.readouterr().out
     capture = Capture.load(tmp_path / "capture")

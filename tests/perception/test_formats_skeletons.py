@@ -297,7 +297,7 @@ def straight_plant(folder: Path) -> Skeleton:
 def test_export_command(tmp_path: Path, capsys, suffix: str) -> None:
     skeleton = straight_plant(tmp_path)
     out = tmp_path / f"plant{suffix}"
-    assert main(["export", str(tmp_path), "--out", str(out)]) == 0
+    assert main(["view", str(tmp_path), "--to", str(out)]) == 0
     assert "23 nodes; 21 stem nodes" in capsys.readouterr().out
     if suffix in READS:
         assert len(read_skeleton(out).nodes) == len(skeleton.nodes)
@@ -307,7 +307,7 @@ def test_export_command(tmp_path: Path, capsys, suffix: str) -> None:
 def test_export_from_file_to_file_keeps_the_organs(tmp_path: Path) -> None:
     straight_plant(tmp_path)
     for source, out in ((tmp_path, "a.mtg"), (tmp_path / "a.mtg", "b.graphml"), (tmp_path / "b.graphml", "c.ply")):
-        assert main(["export", str(source), "--out", str(tmp_path / out)]) == 0
+        assert main(["view", str(source), "--to", str(tmp_path / out)]) == 0
     labels = read_skeleton(tmp_path / "c.ply").labels
     assert labels is not None
     assert labels.count("stem") == 21
@@ -317,7 +317,7 @@ def test_export_finds_the_stem_when_asked(tmp_path: Path, capsys) -> None:
     straight_plant(tmp_path)
     (tmp_path / FILES["stem"]).unlink()
     for source in (str(tmp_path), str(tmp_path / FILES["skeleton"])):
-        words = ["export", source, "--out", str(tmp_path / "a.swc")]
+        words = ["view", source, "--to", str(tmp_path / "a.swc"), "--overwrite"]
         assert main(words) == 0
         assert "organs not told apart" in capsys.readouterr().out
         assert main([*words, "--find-stem"]) == 0
@@ -335,7 +335,7 @@ def test_export_finds_the_stem_when_asked(tmp_path: Path, capsys) -> None:
 )
 def test_export_refuses(tmp_path: Path, capsys, source: str, out: str, message: str) -> None:
     (tmp_path / "bare.txt").write_text("*Nodes\n0, 0, 0\n0, 0, 1\n*Edges\n1, 2\n")
-    assert main(["export", str(tmp_path / source), "--out", str(tmp_path / out)]) == 2
+    assert main(["view", str(tmp_path / source), "--to", str(tmp_path / out)]) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / out).exists()
 

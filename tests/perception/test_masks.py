@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from anther.cli.convert_kinect import read_kinect
 from anther.core.errors import InputError, StageFailure
 from anther.core.geometry import Box, Intrinsics, look_at, transform_points
 from anther.perception.capture import Capture
+from anther.perception.formats.kinect import read_kinect
 from anther.perception.masks import BACKGROUND, FLOWER, PLANT, Masks, Params, segment
 from anther.perception.masks._survey import ground_cells
 from anther.sim.capture import CaptureTruth, capture_from_poses, orbit_poses

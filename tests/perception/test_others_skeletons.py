@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from anther.cli.main import main
-from anther.cli.rod_plant import PlantOptions, hanging, read_plant
 from anther.cli.traits import clouds_in
 from anther.core.errors import InputError, StageFailure
 from anther.perception.formats.skeletons import read_skeleton
 from anther.plant.imported import read_source
+from anther.plant.source import Made, read_plant
 
 HEIGHT = np.linspace(0, 0.3, 16)
 
@@ -119,15 +119,15 @@ def test_radii_that_are_all_zero_are_not_known(tmp_path: Path) -> None:
 def test_a_material_in_other_units_is_refused(tmp_path: Path, options: dict[str, float], words: str) -> None:
     path = write(tmp_path / "a.swc", rows())
     with pytest.raises(InputError, match=words):
-        read_plant(PlantOptions(path, **options))
+        read_plant(path, Made(changes=options))
 
 
 def test_the_stiffness_that_would_hold_a_plant_is_told_however_far_off(tmp_path: Path) -> None:
     path = write(tmp_path / "a.swc", rows())
     told = set()
-    for youngs in (100.0, 1e4, 1e5):
+    for youngs in (1e4, 3e4, 1e5):
         with pytest.raises(StageFailure, match=r"would stand from E = [0-9.e+]+ Pa.*100 MPa is 100e6") as failure:
-            hanging(read_plant(PlantOptions(path, youngs=youngs)), "a")
+            read_plant(path, Made(changes={"youngs": youngs}), bare=True)
         told.add(str(failure.value).split("E = ")[2].split(" Pa")[0])
     assert len({f"{float(value):.1e}" for value in told}) == 1
 
@@ -152,5 +152,5 @@ def test_hidden_files_are_left_out_and_links_are_followed(tmp_path: Path) -> Non
 
 def test_export_tells_what_it_left_out(tmp_path: Path, capsys) -> None:
     path = write(tmp_path / "a.swc", rows(100.0, tip=0.0))
-    assert main(["export", str(path), "--units", "cm", "--out", str(tmp_path / "b.ply")]) == 0
+    assert main(["view", str(path), "--units", "cm", "--to", str(tmp_path / "b.ply")]) == 0
     assert "note: 1 tips of radius 0" in capsys.readouterr().out

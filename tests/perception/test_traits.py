@@ -15,9 +15,10 @@ from anther.cli import traits as command
 from anther.cli.main import main
 from anther.cli.sample_data import SAMPLES, write_samples
 from anther.core.errors import StageFailure
+from anther.perception.cloud import Cloud
 from anther.perception.skeleton import Skeleton
 from anther.perception.stem import BRANCH, LEAF, STEM, TRUSS, Stem
-from anther.perception.traits import LEVELS, REACH, measure
+from anther.perception.traits import LEVELS, REACH, measure, measure_cloud, organs_of
 
 STEP, NODES = 0.01, 41
 LIMBS = {10: (60.0, 30.0, LEAF), 20: (90.0, 200.0, TRUSS), 32: (45.0, 350.0, BRANCH)}
@@ -106,6 +107,79 @@ def test_a_forked_limb_s_length_is_that_of_its_longest_way() -> None:
     assert limb.total_length_m == pytest.approx(0.14)
 
 
+def test_of_maize_every_limb_is_a_leaf() -> None:
+    skeleton, stem = plant()
+    for species in (None, "tomato", "pepper"):
+        assert organs_of(stem, species) is stem
+    found = measure(skeleton, organs_of(stem, "maize"))
+    assert [limb.organ for limb in found.limbs] == ["leaf"] * 3
+    assert found.stem_length_m == pytest.approx(0.4)
+
+
+def test_limbs_end_in_tips_and_a_wavering_radius_is_told() -> None:
+    skeleton, stem = plant()
+    assert measure(skeleton, stem).tips == 4, "three limbs and the stem"
+    rough = skeleton.radius.copy()
+    rough[:NODES:2] *= 1.5
+    spread = measure(Skeleton(skeleton.nodes, skeleton.parent, rough), stem).radius_spread_m
+    assert np.all(spread > 2 * measure(skeleton, stem).radius_spread_m)
+
+
+BOX = np.stack(np.meshgrid(*(np.arange(0, n + 1) * STEP for n in (10, 20, 30)), indexing="ij"), -1).reshape(-1, 3)
+
+
+@given(st.floats(0.3, 3))
+def test_hulls_of_a_box(scale: float) -> None:
+    found = measure_cloud(Cloud(scale * BOX))
+    assert found.hull_volume_m3 == pytest.approx(scale**3 * 0.1 * 0.2 * 0.3)
+    assert found.hull_area_m2 == pytest.approx(scale**2 * 0.1 * 0.2)
+    assert found.plant_width_m == pytest.approx(scale * np.hypot(0.1, 0.2))
+    assert found.cell_m == pytest.approx(2 * scale * STEP)
+    assert found.hull_area_m2 <= found.projected_area_m2 <= 1.4 * found.hull_area_m2
+    assert found.green_leaf_index is found.hue_deg is None
+
+
+@pytest.mark.parametrize(
+    ("colour", "index", "hue"),
+    [((0, 200, 0), 1.0, 120.0), ((200, 0, 0), -1.0, 0.0), ((0, 0, 90), -1.0, 240.0), ((100, 200, 0), 0.6, 90.0)],
+)
+def test_colours(colour: tuple[int, int, int], index: float, hue: float) -> None:
+    found = measure_cloud(Cloud(BOX, colors=np.tile(np.array(colour, np.uint8), (len(BOX), 1))))
+    assert (found.green_leaf_index, found.hue_deg) == pytest.approx((index, hue), abs=0.5)
+
+
+def test_points_in_a_plane_are_no_plant() -> None:
+    with pytest.raises(StageFailure, match="in a plane"):
+        measure_cloud(Cloud(BOX[BOX[:, 0] == 0]))
+
+
+@pytest.mark.parametrize(
+    ("name", "plant_id", "day"),
+    [
+        ("p14_2026-05-03.ply", "p14", "2026-05-03"),
+        ("20260503/p14.ply", "p14", "2026-05-03"),
+        ("row 3/2026_05_03_p14.xyz", "row 3/p14", "2026-05-03"),
+        ("p14-2026-13-03.ply", "p14-2026-13-03", ""),
+        ("scan120260503.ply", "scan120260503", ""),
+        ("2026-05-03.ply", "2026-05-03", "2026-05-03"),
+        ("a.ply", "a", ""),
+    ],
+)
+def test_a_name_tells_plant_and_day(name: str, plant_id: str, day: str) -> None:
+    assert command.named(name) == (plant_id, day)
+
+
+def test_growth_is_from_one_day_to_the_next() -> None:
+    def row(plant_id: str, day: str, size: float, failure: str = "") -> dict[str, object]:
+        return {"plant_id": plant_id, "date": day, "failure": failure} | dict.fromkeys(command.GROWING, size)
+
+    days = [("a", "2026-05-05", 0.5), ("a", "2026-05-01", 0.1), ("a", "2026-05-03", 0.2), ("b", "2026-05-01", 9.0)]
+    rows = [row(*day) for day in days] + [row("a", "2026-05-02", 7.0, "blurred"), row("c", "", 1.0)]
+    found = list(command.growth(rows))
+    assert [(r["plant_id"], r["from"], r["days"]) for r in found] == [("a", "2026-05-01", 2), ("a", "2026-05-03", 2)]
+    assert [r["plant_height_m_per_day"] for r in found] == pytest.approx([0.05, 0.15])
+
+
 @pytest.fixture(scope="module")
 def clouds(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("clouds")
@@ -131,7 +205,12 @@ def test_the_tables_of_a_folder(clouds: Path, tmp_path: Path, monkeypatch: pytes
     assert [row["plant"] for row in rows] == ["a.ply", "b/c.ply", "scrap.ply"]
     assert "scrap.ply" in rows[2]["failure"]
     assert rows[0]["failure"] == ""
-    assert {k: v for k, v in rows[0].items() if k != "plant"} == {k: v for k, v in rows[1].items() if k != "plant"}
+    named = {"plant", "plant_id"}
+    assert {k: v for k, v in rows[0].items() if k not in named} == {k: v for k, v in rows[1].items() if k not in named}
+    assert int(rows[0]["limbs"]) == sum(int(rows[0][f"{organ}_count"]) for organ in command.COUNTED)
+    assert int(rows[0]["tips"]) >= int(rows[0]["limbs"])
+    assert float(rows[0]["hull_volume_m3"]) > 0
+    assert set(rows[0]) == set(command.COLUMNS)
     assert 0.05 < float(rows[0]["stem_length_m"]) < float(rows[0]["total_length_m"])
     limbs = [row for row in table(out / "limbs.csv") if row["plant"] == "a.ply"]
     assert len(limbs) == sum(int(rows[0][f"{organ}_count"]) for organ in command.COUNTED) > 0
@@ -145,7 +224,7 @@ def test_the_tables_of_a_folder(clouds: Path, tmp_path: Path, monkeypatch: pytes
     assert main(words) == 1
     assert (out / "plants.csv").read_bytes() == before
     with pytest.raises(AssertionError, match="again"):
-        main([*words, "--again"])
+        main([*words, "--overwrite"])
     with pytest.raises(AssertionError, match="again"):
         main([*words, "--params.spacing", "0.01"])
 

@@ -104,7 +104,7 @@ def test_a_plant_that_is_not_found_has_its_cause(capture: Capture, tmp_path: Pat
 
 
 def test_a_real_capture_agrees_and_with_a_wrong_focal_length_does_not(data: Path) -> None:
-    from anther.cli.convert_kinect import read_kinect  # noqa: PLC0415
+    from anther.perception.formats.kinect import read_kinect  # noqa: PLC0415
 
     whole = read_kinect(data / "captures" / "sorghum_kinect")
     few = replace(whole, depth=whole.depth[::2], T_world_cam=whole.T_world_cam[::2])

@@ -11,9 +11,8 @@ import pytest
 from made_plants import simple_plant
 from sample_plants import branched
 
-from anther.cli import respond
 from anther.cli.main import main
-from anther.cli.rod_plant import read_plant
+from anther.core.choices import Crop
 from anther.core.errors import InputError
 from anther.perception.cloud import Cloud
 from anther.perception.formats.skeletons import write_skeleton
@@ -21,6 +20,7 @@ from anther.perception.skeleton import Params, Skeleton, skeletonize
 from anther.perception.stem import Params as StemParams
 from anther.perception.stem import find_stem
 from anther.plant.imported import STEM, main_stem, place, read_source
+from anther.plant.source import Made, read_plant
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +77,9 @@ def test_the_command_takes_both(cloud: Cloud, tmp_path: Path, capfd: pytest.Capt
     assert "--root" in capfd.readouterr().err
 
 
+CROPS: tuple[Crop, ...] = ("tomato", "pepper")
+
+
 def bare(folder: Path) -> Path:
     """Write a skeleton without radii."""
     write_skeleton(folder / "plant.txt", branched()[0])
@@ -84,13 +87,13 @@ def bare(folder: Path) -> Path:
 
 
 def test_a_file_without_radii_is_as_thick_as_its_crop(tmp_path: Path) -> None:
-    tomato, pepper = (read_plant(respond.Args(bare(tmp_path), crop=crop)).rods for crop in ("tomato", "pepper"))
+    tomato, pepper = (read_plant(bare(tmp_path), Made(species=crop), bare=True)[0].rods for crop in CROPS)
     for rods, crop in ((tomato, "tomato"), (pepper, "pepper")):
         radius = np.asarray(rods.edge_radius)
         assert radius.max() == pytest.approx(STEM[crop], rel=0.05)
         tips = np.setdiff1d(np.arange(1, len(radius)), rods.parent)
         assert radius[tips].max() < 0.5 * radius.max(), "thinner with what it carries"
-    given = read_plant(respond.Args(bare(tmp_path), radius=3e-3)).rods
+    given = read_plant(bare(tmp_path), Made(radius=3e-3), bare=True)[0].rods
     assert np.asarray(given.edge_radius) == pytest.approx(3e-3)
 
 
@@ -113,9 +116,9 @@ def test_a_stub_is_no_main_stem(tmp_path: Path) -> None:
 
 def test_a_shake_without_nodes_is_of_the_stem_and_says_which(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     words = ["--duration", "0.02", "--frequency", "20", "--youngs", "5e8"]
-    assert main(["shake", str(bare(tmp_path)), *words]) == 0
+    assert main(["plan", str(bare(tmp_path)), "--simulate", *words]) == 0
     said = capfd.readouterr().out
-    grip, flower = (int(found) for found in re.findall(r"(?:grip|flower) node (\d+)", said)[::-1])
+    grip, flower = (int(found) for found in re.findall(r"(?:grip|flower at) node (\d+)", said)[::-1])
     source, skeleton = read_source(bare(tmp_path))
     stem = main_stem(skeleton)
     along = stem.arc_length[stem.node_ids.tolist().index(source.node(grip))]
@@ -124,22 +127,21 @@ def test_a_shake_without_nodes_is_of_the_stem_and_says_which(tmp_path: Path, cap
 
 
 def test_a_node_of_a_file_is_its_root_or_ends_its_stem(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    file, skeleton = bare(tmp_path), branched()[0]
+    file, skeleton, stiff = bare(tmp_path), branched()[0], Made(changes={"youngs": 1e11})
     top = int(skeleton.nodes[:, 2].argmax())
     at = ",".join(f"{x:.4f}" for x in skeleton.nodes[top])
-    assert read_plant(respond.Args(file, root=at)).numbers[0] == top
-    turned = read_plant(respond.Args(file, root=str(top)))
+    assert read_plant(file, stiff, root=at, bare=True)[0].numbers[0] == top
+    turned = read_plant(file, stiff, root=str(top), bare=True)[0]
     assert turned.rods.nodes[0] == pytest.approx(skeleton.nodes[top], abs=1e-6)
     assert turned.numbers[0] == top
     half = len(skeleton.path_from_root(top)) // 2
     node = int(skeleton.path_from_root(top)[half])
-    shorter = read_plant(respond.Args(file, stem_tip=str(node)))
-    assert shorter.stem_nodes is not None
+    shorter = read_plant(file, stiff, stem_tip=str(node))[0]
     assert shorter.rods.nodes[shorter.stem_nodes[-1]] == pytest.approx(skeleton.nodes[node], abs=1e-6)
     for option in ("--root", "--stem-tip"):
         for wrong, said in (("9999", "got 9999"), ("top", "got top"), ("0,0,9", "from the plant"), ("1,2", "x,y,z")):
-            assert main(["respond", str(file), option, wrong]) == 2
+            assert main(["plan", str(file), "--map", option, wrong]) == 2
             assert said in capfd.readouterr().err
         (tmp_path / "run").mkdir(exist_ok=True)
-        assert main(["respond", str(tmp_path / "run"), option, "3"]) == 2
+        assert main(["plan", str(tmp_path / "run"), "--map", option, "3"]) == 2
         assert "with a run folder" in capfd.readouterr().err

@@ -13,7 +13,8 @@ from fake_robot import LIMITS, FakeArm, FakeGripper, fake_robot, horizontal_gras
 from made_foresight import made_plan
 from small_planner import SmallPlanner, solve
 
-from anther.cli.trial import Args, _params
+from anther.cli.args.trial import Args
+from anther.cli.trial import _params
 from anther.core.errors import StageFailure
 from anther.core.geometry import Array, Box
 from anther.plant.model import TOMATO

@@ -12,7 +12,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from anther.cli.trial import Args, _params
+from anther.cli.args.trial import Args
+from anther.cli.trial import _params
 from anther.core.errors import InputError
 from anther.core.files import write_json
 from anther.pollination.execution import Step, Trial

@@ -258,7 +258,7 @@ def test_a_port_that_is_taken_is_told(tmp_path: Path, capsys: pytest.CaptureFixt
     with shown(tmp_path / "log.mcap") as port:
         assert main(["view", str(tmp_path), "--live", "--port", str(port)]) == 2
         assert "--port" in capsys.readouterr().err
-    assert main(["view", str(tmp_path), "--live", "--html", "x.html"]) == 2
+    assert main(["view", str(tmp_path), "--live", "--to", "x.html"]) == 2
 
 
 def test_who_may_watch_is_told(tmp_path: Path, capsys, monkeypatch: pytest.MonkeyPatch) -> None:

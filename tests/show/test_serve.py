@@ -335,12 +335,22 @@ def test_charts_stay_within_their_box() -> None:
 
 @contextmanager
 def serving(folder: Path) -> Iterator[str]:
-    """Yield the address of `anther serve` in a process of its own, with 61 visits of today."""
+    """Yield the address of `anther history serve` in a process of its own, with 61 visits of today."""
     record_trial(visit("row 1"), folder / "h.sqlite")
     for k in range(60):
         record_trial(visit(f"row {k}, {EVIL}", k / 3600), folder / "h.sqlite")
     (folder / "token").write_text(TOKEN)
-    words = ["serve", str(folder / "h.sqlite"), "--port", "0", "--token", str(folder / "token"), "--runs", str(folder)]
+    words = [
+        "history",
+        "serve",
+        str(folder / "h.sqlite"),
+        "--port",
+        "0",
+        "--token",
+        str(folder / "token"),
+        "--runs",
+        str(folder),
+    ]
     command = [sys.executable, "-m", "anther.cli", *words]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
@@ -375,7 +385,7 @@ def test_what_cannot_be_served_is_refused(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("short").write_text("guess")
-    assert main(["serve", "h.sqlite", *words]) == 2
+    assert main(["history", "serve", "h.sqlite", *words]) == 2
     assert said in capsys.readouterr().err
 
 
@@ -383,5 +393,5 @@ def test_without_fastapi_the_message_says_what_to_install(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "uvicorn", None)
-    assert main(["serve"]) == 2
+    assert main(["history", "serve"]) == 2
     assert "pip install 'anther[serve]'" in capsys.readouterr().err

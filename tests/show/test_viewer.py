@@ -16,6 +16,7 @@ from made_arm import CELL
 from made_foresight import made_plan
 from sample_plants import branched
 
+from anther.cli.args.view import Args
 from anther.cli.view import skeleton_results
 from anther.core.geometry import look_at
 from anther.perception.cloud import Cloud
@@ -188,7 +189,7 @@ def test_the_page_plays_in_a_browser_and_flowers_move_by_the_right_number_of_pix
 def test_a_click_names_the_node_as_commands_take_it(tmp_path: Path) -> None:
     skeleton = branched()[0]
     write_skeleton(tmp_path / "plant.swc", skeleton)
-    results = skeleton_results(tmp_path / "plant.swc")
+    results = skeleton_results(Args(tmp_path / "plant.swc"))
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     try:
         said = build_scene(server, results).said

@@ -11,7 +11,9 @@ from scipy.spatial.transform import Rotation
 from straight_plant import BASE, straight_plant, with_blade
 
 from anther.cli import trial
+from anther.cli.args.trial import Args
 from anther.core.geometry import Intrinsics, inverse, look_at, transform_points
+from anther.pollination import Params
 from anther.robot.arm import sawyer
 from anther.robot.devices import Frame
 from anther.sim import simulated_cell
@@ -112,6 +114,6 @@ def test_a_trial_of_the_wide_truth_draws_it_from_the_seed(monkeypatch: pytest.Mo
         built.append(truth)
 
     monkeypatch.setattr(simulated_cell, "build", build)
-    for args in (trial.Args(seed=4), trial.Args(seed=4, truth="wide"), trial.Args(seed=5, truth="wide")):
-        trial._build(args)
+    for seed, truth in ((4, "nominal"), (4, "wide"), (5, "wide")):
+        trial._build(Args(seed=seed, truth=truth, params=Params()))
     assert built == [NOMINAL, draw(4), draw(5)]

@@ -11,7 +11,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from anther.cli.trial import Args, _record
+from anther.cli.args.trial import Args
+from anther.cli.trial import _record
 from anther.core.errors import StageFailure
 from anther.core.geometry import Array
 from anther.plant.limits import PRESETS

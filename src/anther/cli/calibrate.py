@@ -7,57 +7,21 @@ With --live the arm of a cell takes the images; with --check it looks whether th
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from anther.cli.args.calibrate import Args
+from anther.cli.output import free
 from anther.core.errors import InputError, bad_input
 from anther.core.geometry import Array, Intrinsics, inverse
-from anther.robot.calibration import HandEye, Method
+from anther.robot.calibration import HandEye
 
 SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp"}
 BENT = 0.3
 """Distortion from which on the other commands need undistorted images [px]."""
-
-
-@dataclass(frozen=True)
-class Args:
-    """Attributes: images, poses, board; or live or check, and cell. docs/calibration.md has the file formats and how to
-    take the images."""
-
-    images: Path | None = None
-    """Folder with the images of the board, one per flange pose."""
-    poses: Path | None = None
-    """Flange poses T_base_flange, CSV (image, x, y, z, qx, qy, qz, qw) or JSON {image: [7 numbers]}; metres."""
-    board: str | None = None
-    """charuco:7x5:30mm:22mm (squares, their edge, the markers'; then perhaps :DICT_4X4_50), or chessboard:9x6:25mm
-    (inner corners)."""
-    intrinsics: Path | None = None
-    """JSON with width, height, fx, fy, cx, cy, perhaps k1 k2 p1 p2 k3 k4 k5 k6; or a transforms.json or
-    calibration.json. By default intrinsics.json in the images' folder; with --live the camera's own."""
-    estimate_intrinsics: bool = False
-    """Estimate the intrinsics from the same images."""
-    eye_to_hand: bool = False
-    """The camera stands beside the robot and the board is on the flange: find T_base_cam."""
-    out: Path | None = None
-    """Folder for calibration.json and calibration.png, by default this one. With --live for the views too, by default a
-    new one beside the cell file; one that was begun is gone on with."""
-    json: bool = False
-    """Print the result as JSON."""
-    cell: Path | None = None
-    """A real robot's cell file (docs/cell_file.md)."""
-    live: bool = False
-    """Take the images with the cell's arm and wrist camera, and write the result into the cell file. Asks first."""
-    check: bool = False
-    """Look whether the wrist camera has moved since --live: exit code 1 if so. Asks first."""
-    by_hand: bool = False
-    """With --live: a person moves the arm."""
-    yes: bool = False
-    """Move without being asked."""
-    method: Method = "tsai"
-    """Closed-form solver of the first estimate. The result is refined from there, and compared with all of them."""
 
 
 def run(args: Args) -> int:
@@ -76,7 +40,16 @@ def run(args: Args) -> int:
 
 NEEDED = {"images": ("images", "poses", "board"), "live": ("cell", "board"), "check": ("cell",)}
 WAYS = {
-    "images": (*NEEDED["images"], "intrinsics", "estimate_intrinsics", "eye_to_hand", "out", "json", "method"),
+    "images": (
+        *NEEDED["images"],
+        "intrinsics",
+        "estimate_intrinsics",
+        "eye_to_hand",
+        "out",
+        "overwrite",
+        "json",
+        "method",
+    ),
     "live": (*NEEDED["live"], "live", "intrinsics", "out", "by_hand", "yes"),
     "check": (*NEEDED["check"], "check", "yes"),
 }
@@ -114,6 +87,7 @@ def _from_files(args: Args) -> None:
     from anther.show.pictures.estimates import draw_calibration
 
     folder, out = _needed(args, "images"), args.out or Path()
+    free(*(out / name for name in ("calibration.json", "calibration.png")), overwrite=args.overwrite)
     board, poses = calibration.parse_board(_needed(args, "board")), calibration.read_poses(_needed(args, "poses"))
     given = _given_intrinsics(args, folder)
     names, notes = _names(folder, poses)

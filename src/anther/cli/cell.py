@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import tyro
+
+from anther.cli.args.cell import Args
 
 if TYPE_CHECKING:
     from anther.robot.cells import CellFile
@@ -20,24 +19,6 @@ FARTHEST = 10.0
 """A jog goes no further than this [degrees]."""
 WATCHED = 1.0
 """So long a camera is recorded to see its rate [s]."""
-
-
-@dataclass(frozen=True)
-class Args:
-    """Attributes: what to do with which cell. docs/cell_file.md has the file, docs/real_robot.md the first hour."""
-
-    action: Annotated[Literal["check", "enable", "jog", "serve-ros"], tyro.conf.Positional]
-    """check: connect to each part and show what it sees; enable: switch motors on, after a released stop too, and let
-    the gripper find its ends; jog: move one joint a little, within all limits; both ask first. serve-ros: a ROS 2 node
-    that answers with skeleton, grasp and plan for a cloud (docs/ros.md); it connects to no machine."""
-    file: Annotated[Path, tyro.conf.Positional]
-    """The cell file."""
-    joint: int | None = None
-    """Which joint to jog, from 0; by default the last."""
-    by: float = 2.0
-    """How far [degrees]."""
-    frame: str = "base_link"
-    """Name of the arm's base frame under ROS 2."""
 
 
 def run(args: Args) -> int:

@@ -8,12 +8,13 @@ import platform
 import shutil
 import sys
 import tempfile
-from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import Literal, NamedTuple
 
 from packaging.requirements import Requirement
+
+from anther.cli.args.doctor import Args
 
 LEAST_PYTHON = (3, 11)
 LEAST_DISK = 1e9
@@ -37,14 +38,6 @@ FOR = {
     "serve": "pages of the history",
 }
 """Extra -> what it is for."""
-
-
-@dataclass(frozen=True)
-class Args:
-    """Attributes: how to print."""
-
-    json: bool = False
-    """Print the findings as JSON."""
 
 
 class Examined(NamedTuple):

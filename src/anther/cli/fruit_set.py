@@ -3,32 +3,16 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-import tyro
 from rich.console import Console
 from rich.table import Table
 
+from anther.cli.args.fruit_set import Args
+from anther.cli.output import free
 from anther.core.errors import bad_input
 from anther.history import read_outcomes, read_trials
 from anther.history.fruit_set import NAMES, PRIORS, FruitSet, counts_of, fit
-
-
-@dataclass(frozen=True)
-class Args:
-    """Attributes: which history and crop, and how the answer is wanted."""
-
-    history: Annotated[str, tyro.conf.Positional] = "runs/history.sqlite"
-    """A SQLite file, or postgresql://USER:PASSWORD@HOST/DATABASE."""
-    species: str = "tomato"
-    """The crop."""
-    figure: Path | None = None
-    """Draw the dose-response there (.png)."""
-    json: bool = False
-    """Print the result as JSON."""
-
 
 ACCELERATIONS = (0.0, 10.0, 25.0, 50.0, 100.0, 200.0)
 """At which the table gives P(set) [m/s2]: from nothing to a bee's buzz."""
@@ -36,6 +20,8 @@ ACCELERATIONS = (0.0, 10.0, 25.0, 50.0, 100.0, 200.0)
 
 def run(args: Args) -> None:
     """Fit and print; draw when asked to."""
+    if args.figure is not None:
+        free(args.figure, overwrite=args.overwrite)
     if args.figure is not None and args.figure.suffix.lower() != ".png":
         raise bad_input("figure", given=str(args.figure), allowed="a name that ends in .png", do="Name it so.")
     outcomes = read_outcomes(args.history, species=args.species)

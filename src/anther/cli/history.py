@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from datetime import date
-from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
-import tyro
+from rich.box import HEAVY_HEAD, SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from anther.cli.args.history import Args
+from anther.cli.output import free
 from anther.cli.run_folder import add_run
 from anther.core.errors import FailureKind, bad_input
 from anther.history import (
@@ -31,34 +31,6 @@ from anther.history import (
 )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Args:
-    """Attributes: which history, which of its trials, and what to do with them."""
-
-    history: Annotated[str, tyro.conf.Positional] = "runs/history.sqlite"
-    """A SQLite file, or postgresql://USER:PASSWORD@HOST/DATABASE."""
-    species: str | None = None
-    """Only this crop."""
-    plant: str | None = None
-    """Only the plant with this label."""
-    since: date | None = None
-    """Only trials of this day and later, UTC (YYYY-MM-DD)."""
-    until: date | None = None
-    """Only trials of this day and earlier, UTC."""
-    result: str | None = None
-    """Only 'pollinated', 'held' (flowers hardly moved, or not measured), 'failed', or a kind of failure: 'slipped'."""
-    last: int = 40
-    """List at most so many, the last ones. An export always has all."""
-    export: Path | None = None
-    """Write a table instead of listing: a name that ends in .csv or .parquet."""
-    table: Literal["visits", "flowers", "outcomes"] = "visits"
-    """Which table to export: a line a visit, a line a flower and visit, or the counts of fruit set."""
-    add: tuple[Path, ...] = ()
-    """Run folders whose trial is not in the history yet, because it could not be reached."""
-    merge: tuple[Path, ...] = ()
-    """Histories of robots that were offline: what the history lacks of them is added. Doing it again adds nothing."""
-
-
 def run(args: Args) -> None:
     """Add, export or list."""
     kinds = (*get_args(Result), *get_args(FailureKind))
@@ -72,6 +44,7 @@ def run(args: Args) -> None:
     outcomes = [outcome for outcome in outcomes if first <= outcome.date <= last]
     if args.export is None:
         return _list(args, which, outcomes)
+    free(args.export, overwrite=args.overwrite)
     count = export(args.export, args.table, each_trial(args.history, **which), outcomes)
     return print(f"{args.export}: {count} {args.table}")
 
@@ -92,7 +65,7 @@ def _list(args: Args, which: dict[str, Any], outcomes: Sequence[Outcome]) -> Non
     if not count and not outcomes:
         return console.print(f"{shown(args.history)}: no trial or outcome, or none that fits.")
     if trials:
-        console.print(_trials(trials))
+        console.print(_trials(trials, console.width))
     if count > len(trials):
         console.print(f"... and {count - len(trials)} earlier (--last).")
     if outcomes:
@@ -102,17 +75,31 @@ def _list(args: Args, which: dict[str, Any], outcomes: Sequence[Outcome]) -> Non
     return None
 
 
-def _trials(trials: Sequence[TrialRecord]) -> Table:
-    names = ("visit", "time (UTC)", "crop", "plant", "result", "grasp [cm]", "shake", "flowers [mm]", "E after [MPa]")
-    table = Table(*names, "run", title="trials", title_justify="left")
-    for t in trials:
-        grasp, shake = t.grasp, t.shake
-        held = "" if grasp is None or grasp.arc_length is None else f"{100 * grasp.arc_length:.1f}"
-        shaken = "" if shake is None else f"{1000 * shake.amplitude:.2f} mm, {shake.frequency:.1f} Hz"
-        stiff = "" if t.material is None or not t.measured else f"{t.material.youngs / 1e6:.0f}"
-        first = (str(t.id), f"{t.time:%Y-%m-%d %H:%M}", t.species, t.plant, t.result_words)
-        table.add_row(*first, held, shaken, _motion(t), stiff, t.run or "")
+def _trials(trials: Sequence[TrialRecord], width: int) -> Table:
+    """Return the table of trials; in a narrow terminal with the columns that tell how each went."""
+    columns = COLUMNS if width >= WIDE else {name: COLUMNS[name] for name in NARROW}
+    more = (
+        ""
+        if width >= WIDE
+        else f"; from {WIDE} columns on: {', '.join(name for name in COLUMNS if name not in NARROW)}"
+    )
+    box = HEAVY_HEAD if width >= WIDE else SIMPLE_HEAD
+    table = Table(*columns, title=f"trials{more}", title_justify="left", box=box)
+    for trial in trials:
+        table.add_row(*(cell(trial) for cell in columns.values()))
     return table
+
+
+def _held(trial: TrialRecord) -> str:
+    return "" if trial.grasp is None or trial.grasp.arc_length is None else f"{100 * trial.grasp.arc_length:.1f}"
+
+
+def _shaken(trial: TrialRecord) -> str:
+    return "" if trial.shake is None else f"{1000 * trial.shake.amplitude:.2f} mm, {trial.shake.frequency:.1f} Hz"
+
+
+def _stiff(trial: TrialRecord) -> str:
+    return "" if trial.material is None or not trial.measured else f"{trial.material.youngs / 1e6:.0f}"
 
 
 def _motion(trial: TrialRecord) -> str:
@@ -123,6 +110,23 @@ def _motion(trial: TrialRecord) -> str:
         return f"{trial.flowers} not measured" if trial.flowers else ""
     predicted, measured = (1000 * np.median(motions[f"{how}_amplitude"][seen]) for how in ("predicted", "measured"))
     return f"{predicted:.2f} -> {measured:.2f} ({seen.sum()} of {trial.flowers})"
+
+
+COLUMNS: dict[str, Callable[[TrialRecord], str]] = {
+    "visit": lambda trial: str(trial.id),
+    "time (UTC)": lambda trial: f"{trial.time:%Y-%m-%d %H:%M}",
+    "crop": lambda trial: trial.species,
+    "plant": lambda trial: trial.plant,
+    "result": lambda trial: trial.result_words,
+    "grasp [cm]": _held,
+    "shake": _shaken,
+    "flowers [mm]": _motion,
+    "E after [MPa]": _stiff,
+    "run": lambda trial: trial.run or "",
+}
+NARROW = ("visit", "time (UTC)", "plant", "result", "shake")
+WIDE = 140
+"""A terminal of so many columns shows all of them."""
 
 
 def _outcomes(outcomes: Sequence[Outcome]) -> Table:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
+from anther.cli.args.identify import Args
+from anther.cli.output import room_for
 from anther.core.checks import check_range
 from anther.core.errors import InputError, bad_input
 from anther.core.files import json_text, write_json
@@ -28,58 +30,22 @@ from anther.plant.bench.measurements import DEFLECTION, LEAVES, PROFILE, SAMPLES
 from anther.show.pictures import save_figure
 from anther.show.pictures.estimates import Pluck, draw_material_test
 
+WRITTEN = ("identify.json", "material.json", "identify.png")
 GIVEN_ERROR, GIVEN_DENSITY_ERROR = 0.01, 0.05
 """Relative standard error of a frequency and of a density (the prior's spread) that are given without one [-]."""
 
 
-@dataclass(frozen=True)
-class Args:
-    """Attributes: what was measured. Any part may be left out; docs/identification.md has the file formats."""
-
-    samples: Path | None = None
-    """Cut samples, CSV: mass_g, radius_mm (or diameter_mm), length_mm."""
-    density: float | None = None
-    """Density [kg/m3], where no samples were cut."""
-    density_error: float | None = None
-    """Its standard error [kg/m3]; by default 5 %."""
-    trace: tuple[Path, ...] = ()
-    """Free vibrations, CSV: time_s, displacement_mm. Several plucks of one stem are averaged."""
-    start: float | None = None
-    """Leave out what the traces hold before this time [s]: the release."""
-    frequency: float | None = None
-    """First natural frequency [Hz], where there is no trace."""
-    frequency_error: float | None = None
-    """Its standard error [Hz]; by default 1 %."""
-    profile: Path | None = None
-    """The stem's radius from the clamp to the tip, CSV: distance_mm, radius_mm (or diameter_mm)."""
-    length: float | None = None
-    """Free length [m]; by default the last distance of the profile."""
-    radius: float | None = None
-    """Radius of a uniform stem [m], where there is no profile."""
-    leaves: Path | None = None
-    """Leaves, flowers and fruits on the stem, CSV: distance_mm from the clamp, mass_g."""
-    orientation: Literal["upright", "horizontal", "hanging"] | None = None
-    """How the plucked stem was held, horizontal: plucked vertically. Without it gravity is left out."""
-    deflection: Path | None = None
-    """Deflection test of the stem held horizontal, CSV: mass_g on the tip, deflection_mm below where it was without."""
-    errors: InstrumentErrors = field(default_factory=InstrumentErrors)
-    """Standard errors of calliper, ruler and balance."""
-    out: Path | None = None
-    """Folder for identify.json, material.json and identify.png."""
-    json: bool = False
-    """Print the result as JSON."""
-
-
 def run(args: Args) -> None:
     """Read the files, identify, print and write the results."""
+    out = room_for(args, WRITTEN)
     plucks = [_pluck(path, args.start) for path in args.trace]
     test = _material_test(args, tuple(pluck.fit for pluck in plucks))
     found = identify(test)
     result = _numbers(test, found)
-    if args.out is not None:
-        write_json(args.out / "identify.json", result)
-        write_material(args.out / "material.json", found.material)
-        save_figure(draw_material_test(test, found, plucks), args.out / "identify.png")
+    if out is not None:
+        write_json(out / WRITTEN[0], result)
+        write_material(out / WRITTEN[1], found.material)
+        save_figure(draw_material_test(test, found, plucks), out / WRITTEN[2])
     print(json_text(result).rstrip() if args.json else _text(args, test, found))
 
 
@@ -120,7 +86,9 @@ def _material_test(args: Args, plucks: tuple[FreeVibration, ...]) -> MaterialTes
         check_range("density", args.density, 10, 5000, "kg/m3")
         error = args.density_error if args.density_error is not None else GIVEN_DENSITY_ERROR * args.density
         density = args.density, check_range("density_error", error, 0, args.density / 2, "kg/m3")
-    return MaterialTest(stem, orientation, density=density, plucks=plucks, errors=args.errors, **measured)
+    return MaterialTest(
+        stem, orientation, density=density, plucks=plucks, errors=args.errors or InstrumentErrors(), **measured
+    )
 
 
 def _refuse_contradictions(args: Args) -> None:
@@ -191,7 +159,7 @@ def _text(args: Args, test: MaterialTest, found: Identification) -> str:
     if found.youngs is not None:
         m = found.material
         flags = f"--youngs {m.youngs:.4g} --density {m.density:.4g} --damping-ratio {m.damping_ratio:.3g}"
-        lines.append(f"to use it: anther shake SKELETON --grip N --flower M {flags}")
+        lines.append(f"to use it: anther plan SKELETON {flags}")
     return "\n".join(lines if args.out is None else [*lines, f"written: {args.out}"])
 
 

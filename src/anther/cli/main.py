@@ -1,7 +1,8 @@
 """The command line: `anther COMMAND ...`. Exit code 0: done; 1: the trial failed; 2: bad input, or it never began.
 
-A command is a module of `anther.cli`: its docstring and `Args` are its help, `run(args)` does it, returns the exit
-code (None is 0), and raises an `AntherError` where something given is wrong or a stage cannot go on.
+A command is two modules. That of `anther.cli.args` is light: its docstring and `Args` are its help. That of
+`anther.cli`, imported once the words are understood and the files there, does it: `run(args)` returns the exit code
+(None is 0), and raises an `AntherError` where something given is wrong or a stage cannot go on.
 """
 
 from __future__ import annotations
@@ -13,14 +14,15 @@ import os
 import re
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, redirect_stdout
-from functools import partial
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import fields
 from importlib import import_module
+from keyword import iskeyword
 from signal import SIGTERM, default_int_handler, signal
 from threading import current_thread, main_thread
 from types import ModuleType
-from typing import Any
+from typing import Any, get_type_hints
 
 PATIENCE = 2.0  # s
 
@@ -36,23 +38,24 @@ COMMANDS = {
     "cell": "a real robot's cell: check its parts, enable them, jog a joint",
     "reconstruct": "RGB-D views of a plant -> cloud, skeleton, main stem, flowers, grasp",
     "skeletonize": "point cloud -> skeleton, main stem, grasp",
-    "traits": "a folder of point clouds -> a table of traits: stem, internodes, leaves, angles; goes on after a stop",
-    "plan": "choose the shake for a skeleton or run and explain it: limits, runner-up, every flower, response map",
-    "shake": "shake a skeleton with the elastic-rod model; print the flower's motion",
-    "respond": "map how flowers answer shakes of a skeleton or run, over grip height and frequency",
+    "traits": "a folder of point clouds -> tables of traits: stem, limbs, hulls, colours, growth; goes on after a stop",
+    "plan": "choose the shake for a skeleton or run and explain it; or simulate one shake, or map all",
     "identify": "bench measurements of a stem -> density, stiffness, damping, with uncertainty",
     "calibrate": "images of a board and flange poses -> where the camera sits on the flange, and how well it is known",
-    "history": "list the trials, filter them, export them as CSV or Parquet",
-    "outcome": "record how many flowers of a plant or visit set fruit",
-    "fruit-set": "what the counts of fruit set teach of the dose-response, and what they do not",
-    "serve": "pages of the history for a browser or a phone: today, failures, trends, robots, plants; read-only",
-    "view": "open a run or a skeleton in the 3-D viewer, write it to one HTML file, or show a trial as it happens",
-    "export": "a run's skeleton -> PLY, SWC, GraphML, MTG (OpenAlea) or glTF, by the file's suffix",
-    "import-capture": "COLMAP, RealSense or ROS bags, MCAP -> a capture folder; fused PLY -> a cloud",
-    "convert-kinect": "Kinect turntable frames -> a capture folder",
+    "history": "list the trials, filter and export them; record and learn fruit set; show all on pages",
+    "view": "open a run or a skeleton in the 3-D viewer, write it for other programs, or show a trial as it happens",
+    "import": "Kinect frames, COLMAP, RealSense or ROS bags, MCAP -> a capture folder; fused PLY -> a cloud",
     "samples": "write small sample inputs for the commands above",
     "doctor": "what is installed, what is missing and how to get it",
 }
+ACTIONS = {
+    "history": {
+        "outcome": "record how many flowers of a plant or visit set fruit",
+        "fruit-set": "what the counts of fruit set teach of the dose-response, and what they do not",
+        "serve": "pages for a browser or a phone: today, failures, trends, robots, plants; read-only",
+    }
+}
+"""Command -> what else it does, each with options of its own: `anther history outcome ...`."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -76,8 +79,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     if words[0] not in COMMANDS:
         print(f"anther: no command '{words[0]}'; allowed: {', '.join(COMMANDS)}. See: anther --help", file=sys.stderr)
         return 2
+    own = 2 if words[1:] and words[1] in ACTIONS.get(words[0], ()) else 1
     with _terminated_as_interrupted():
-        return _run(words[0], words[1:])
+        return _run(" ".join(words[:own]), words[own:])
 
 
 def plain(text: str) -> str:
@@ -141,17 +145,11 @@ def _compiling_told(name: str) -> Iterator[None]:
 
 
 def _run(name: str, words: list[str]) -> int:
-    import tyro
-
     from anther.core.errors import AntherError, missing_extra
 
     try:
+        args = _parsed(name, words)
         command = _module(name)
-        asked = ["--help" if word == "--help-all" else word for word in words]
-        parse = partial(tyro.cli, command.Args, prog=f"anther {name}", description=command.__doc__, args=asked)
-        if asked == words and {"-h", "--help"} & set(words):
-            _short_help(name, parse)
-        args = parse()
         with _compiling_told(name):
             return int(command.run(args) or 0)
     except (AntherError, ImportError) as error:
@@ -177,29 +175,63 @@ def _run(name: str, words: list[str]) -> int:
         return 130
 
 
-OWN = ("positional arguments", "options")
+def _parsed(name: str, words: list[str]) -> Any:
+    """Return what a command is asked; nothing heavy is imported unless a stage's parameter is among it."""
+    import tyro
 
+    from anther.cli.args import shared
 
-def _short_help(name: str, parse: Callable[[], Any]) -> None:
-    """Print the help that `parse` prints without the parameters of the stages, name their groups, and end likewise."""
-    encoding = (sys.stdout.encoding or "utf-8").lower()  # tyro draws boxes in "utf-8" only
-    said = io.TextIOWrapper(io.BytesIO(), encoding, errors="replace")
+    module = _module(name, "args.")
+    asked, stages = module.Args, shared.stages(module.Args)
+    short, more = bool({"-h", "--help"} & set(words)), list[str]()
+    if short:
+        asked, more = shared.shortened(asked)
+    elif "--help-all" in words or any(_is_of_stage(word, asked, stages) for word in words):
+        asked = shared.tuned(asked)
+    words = ["--help" if word == "--help-all" else word for word in words]
     try:
-        with redirect_stdout(said):
-            parse()
+        args = tyro.cli(asked, prog=f"anther {name}", description=_description(name, module.__doc__), args=words)
     finally:
-        said.seek(0)
-        head, *groups = re.split(r"(?m)^(?=╭─ )", said.read())
-        titled = {group[3:].split(" ─")[0]: group for group in groups}
-        print(head + "".join(titled[title] for title in OWN if title in titled), end="")
-        more = [title.removesuffix(" options") for title in titled if title not in (*OWN, "subcommands")]
-        if more:
-            print(f"Parameters of {', '.join(more)}: anther {name} --help-all")
+        if short and more:
+            print(f"Options of {', '.join(more)}: anther {name} --help-all")
+    _check_given(args)
+    return args
 
 
-def _module(name: str) -> ModuleType:
-    """Import only the chosen command, so that the others cost nothing."""
-    return import_module(f"anther.cli.{name.replace('-', '_')}")
+def _is_of_stage(word: str, args: type, stages: dict[str, Any]) -> bool:
+    """Return whether a word may be a parameter of a stage: by its prefix, or where it has none as no other option."""
+    known = {each.name.replace("_", "-") for each in fields(args)}
+    for name, stage in stages.items():
+        option = word.startswith("--") and word[2:].split("=", maxsplit=1)[0].replace("_", "-") not in known
+        if re.match(rf"(--)?{name}[.:]", word) or (stage.metadata["flat"] and option):
+            return True
+    return False
+
+
+def _description(name: str, text: str) -> str:
+    """Return a command's help, with what else it does."""
+    actions = "".join(f"\n\n`anther {name} {action}`: {does}." for action, does in ACTIONS.get(name, {}).items())
+    return text + actions
+
+
+def _check_given(args: Any) -> None:
+    """Raise InputError where a file or folder that is read does not exist; a trial to be shown live may begin later."""
+    from anther.cli.args.shared import EXISTS
+
+    for name, hint in get_type_hints(type(args), include_extras=True).items():
+        value = getattr(args, name)
+        if EXISTS in getattr(hint, "__metadata__", ()) and not getattr(args, "live", False):
+            from anther.core.files import existing  # NumPy
+
+            for path in value if isinstance(value, tuple) else (value,):
+                if path is not None:
+                    existing(path)
+
+
+def _module(name: str, where: str = "") -> ModuleType:
+    """Import only the chosen command (`where` "args.": only what it is asked), so that the others cost nothing."""
+    last = name.rsplit(maxsplit=1)[-1].replace("-", "_")
+    return import_module(f"anther.cli.{where}{f'{last}_' if iskeyword(last) else last}")
 
 
 if __name__ == "__main__":

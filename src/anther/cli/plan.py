@@ -1,32 +1,29 @@
-"""Choose the shake for a skeleton or a run, and explain it: limits, runner-up, what each flower should do, and why."""
+"""Choose the shake for a skeleton or a run, and explain it; or simulate one shake, or map all, of the same plant."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Annotated, Any, get_args
+from dataclasses import replace
+from typing import Any, get_args
 
-import numpy as np
-import tyro
 from rich.console import Console
 from rich.table import Table
 
+from anther.cli.args.plan import Args
+from anther.cli.output import room_for
 from anther.cli.skeletonize import best_grasps
+from anther.core.choices import Crop
 from anther.core.errors import bad_input
 from anther.core.files import read_object
 from anther.core.geometry import Array
 from anther.core.runs import FILES, kept
 from anther.history.fruit_set import worth
 from anther.perception.cloud import Cloud
-from anther.perception.flowers import Flowers
-from anther.perception.formats.skeletons import Units
 from anther.perception.skeleton import Skeleton
 from anther.perception.stem import Stem
 from anther.plant.bench import read_material
-from anther.plant.imported import main_stem, node_named, read_source
-from anther.plant.limits import Crop, Preset, like_breeze  # fmt: skip
-from anther.plant.model import PEPPER, TOMATO, Material, PlantModel, plant_with_flowers
+from anther.plant.limits import like_breeze
+from anther.plant.source import Made, SourcePlant, read_plant
 from anther.pollination.grasp import Grasp, load_grasps
 from anther.pollination.shake import (
     VIBRATING_GRIPPER,
@@ -38,72 +35,86 @@ from anther.pollination.shake import (
     sawyer_limit,
     with_preset,
 )
-from anther.robot.cell import ActuatorName
+from anther.rods import with_gravity_equilibrium
 from anther.show.pictures import save_figure
 from anther.show.pictures.report import draw_plan
 from anther.show.results import PARAMS
 
-PEDICEL = 0.015
-"""A flower named as a node of a skeleton hangs this far beyond it [m]: a pedicel (facts: pollination 2)."""
-
-
-@dataclass(frozen=True)
-class Args:
-    """Attributes: the plant, what shakes it, and what for."""
-
-    source: Annotated[Path, tyro.conf.Positional]
-    """Run folder, or skeleton file (.npz, .swc, .txt, .ply, .graphml, .mtg)."""
-    flower: tuple[int, ...] = ()
-    """Of a skeleton file: nodes that bear a flower, numbered as in the file. By default flowers are supposed at the
-    ends of the branches."""
-    radius: float | None = None
-    """Of a skeleton file without radii: of every node [m]; by default as thick as the crop's stem is at its base, and
-    thinner with what a node carries."""
-    units: Units | None = None
-    """Of a skeleton file: of its lengths; by default what it states, else metres if that makes a plant."""
-    root: str | None = None
-    """Of a skeleton file: where the plant stands, a node's number or x,y,z [m]; by default the file's own root, or
-    where it begins to rise."""
-    stem_tip: str | None = None
-    """Of a skeleton file: where the main stem ends, named likewise; by default it is found."""
-    crop: Crop = "tomato"
-    """Whose prior the material is, where neither the run nor --material tells it, and whose breeze the limits are
-    likened to."""
-    material: Path | None = None
-    """What `anther identify` measured (material.json)."""
-    actuator: ActuatorName = "arm"
-    """The arm shakes the closed gripper, or the gripper vibrates by itself (10-40 Hz)."""
-    shake: Preset | None = None
-    """How boldly the plant may be loaded (docs/shake.md has the limits); by default what --params says. 'paper' is
-    the paper's own shake, 12 mm at 1.9 Hz: no limit of the plant is kept and slip is not prevented."""
-    lowest: float | None = None
-    """Lowest frequency [Hz]; by default the actuator's."""
-    highest: float | None = None
-    """Highest frequency [Hz]; by default the actuator's."""
-    frequencies: int | None = None
-    """How many frequencies are tried."""
-    out: Path | None = None
-    """Folder for shake_plan.json and shake_plan.png."""
-    json: bool = False
-    """Print the plan as JSON."""
-    params: Params = field(default_factory=Params)
-    """Limits and search."""
+MATERIAL = ("youngs", "density", "bend_over_twist", "damping_ratio")
+WRITTEN = ("shake_plan.json", "shake_plan.png")
 
 
 def run(args: Args) -> None:
-    """Plan the shake, print it, and write it to `out`."""
-    plant, grasps = read_plant(args)
-    run_params = args.source / PARAMS
-    asked = read_object(run_params) if run_params.is_file() else {}
-    crop: Crop = asked["plant"] if asked.get("plant") in get_args(Crop) else args.crop
-    plan = plan_shake(plant, grasps, _actuator(args, str(asked.get("arm") or "sawyer")), _params(args))
-    if args.out is not None:
-        plan.save(args.out / "shake_plan.json")
-        save_figure(draw_plan(plan), args.out / "shake_plan.png")
+    """Plan the shake, print it, and write it to `out`; or simulate or map instead."""
+    if args.simulate and args.map:
+        raise bad_input("options", given="--simulate and --map", allowed="one of them", do="Leave one out.")
+    if args.simulate or args.map:
+        from anther.cli import plan_map, plan_simulation
+
+        (plan_map if args.map else plan_simulation).run(args, plant_in_time(args))
+        return
+    if args.rods.bare:
+        raise bad_input("bare", given="no --simulate or --map", allowed="one of them", do="Leave --bare out.")
+    asked = _asked(args)
+    crop: Crop = asked["plant"] if asked.get("plant") in get_args(Crop) else args.species
+    out = room_for(args, WRITTEN)
+    source, skeleton, stem, cloud = read(args)
+    assert source.model is not None
+    grasps = _grasps(args, skeleton, stem, cloud)
+    plan = plan_shake(source.model, grasps, _actuator(args, str(asked.get("arm") or "sawyer")), _params(args))
+    if out is not None:
+        plan.save(out / WRITTEN[0])
+        save_figure(draw_plan(plan), out / WRITTEN[1])
     if args.json:
-        print(json.dumps(summary(plan, crop), indent=2))
+        print(json.dumps(summary(plan, crop) | {"stiffness": source.stiffness}, indent=2))
     else:
-        _print(args, plan, crop)
+        _print(args, plan, crop, source)
+
+
+def _asked(args: Args) -> dict[str, Any]:
+    """Return what the run was asked for; nothing of a file."""
+    return read_object(args.source / PARAMS) if (args.source / PARAMS).is_file() else {}
+
+
+def read(args: Args) -> tuple[SourcePlant, Skeleton | None, Stem | None, Cloud | None]:
+    """Return what `read_plant` does of what is asked."""
+    given = {name: getattr(args.rods, name) for name in MATERIAL}
+    changes = {name: value for name, value in given.items() if value is not None}
+    species = was if (was := _asked(args).get("plant")) in get_args(Crop) else args.species
+    measured = None if args.material is None else read_material(args.material)
+    return read_plant(
+        args.source,
+        Made(species, measured, changes, args.rods.radius, args.rods.least_radius),
+        flowers=() if args.source.is_dir() and (args.simulate or args.map) else args.flower,
+        units=args.units,
+        up=args.up,
+        root=args.root,
+        stem_tip=args.stem_tip,
+        bare=args.rods.bare,
+        hanging=not _stress_free(args),
+    )
+
+
+def plant_in_time(args: Args) -> SourcePlant:
+    """Return the plant with the discretisation and at the rest that are asked for."""
+    plant = read(args)[0]
+    if not _stress_free(args) and args.rods.discretisation == plant.rods.discretisation:
+        return plant
+    rods = replace(plant.rods, discretisation=args.rods.discretisation, natural=None)
+    return replace(plant, rods=rods if _stress_free(args) else with_gravity_equilibrium(rods, plant.clamp))
+
+
+def _stress_free(args: Args) -> bool:
+    return args.simulate and args.simulation.rest == "stress-free"
+
+
+def _grasps(args: Args, skeleton: Skeleton | None, stem: Stem | None, cloud: Cloud | None) -> list[Grasp]:
+    """Return the grasps to choose from: a run's; without a cloud, clear of the skeleton's own nodes."""
+    if (args.source / FILES["grasp"]).exists():
+        return load_grasps(args.source / FILES["grasp"])
+    if skeleton is None or stem is None:
+        skeleton, stem = Skeleton.load(kept(args.source, "skeleton")), Stem.load(kept(args.source, "stem"))
+    return best_grasps(stem, skeleton, cloud or Cloud(skeleton.nodes))[0]
 
 
 def _actuator(args: Args, arm: str) -> Actuator:
@@ -124,48 +135,9 @@ def _actuator(args: Args, arm: str) -> Actuator:
 
 def _params(args: Args) -> Params:
     given = {name: getattr(args, name) for name in ("lowest", "highest", "frequencies")}
-    params = args.params if args.shake is None else with_preset(args.shake, args.params)
+    params = args.params or Params()
+    params = params if args.shake is None else with_preset(args.shake, params)
     return replace(params, **{name: value for name, value in given.items() if value is not None})
-
-
-def read_plant(args: Args) -> tuple[PlantModel, list[Grasp]]:
-    """Return the plant as rods, and the grasps to choose from."""
-    measured = None if args.material is None else read_material(args.material)
-    material = measured or {"tomato": TOMATO, "pepper": PEPPER}[args.crop]
-    if not args.source.is_dir():
-        return _of_skeleton(args, material)
-    if args.flower or any(given is not None for given in (args.units, args.radius, args.root, args.stem_tip)):
-        names = "--flower, --units, --radius, --root or --stem-tip"
-        raise bad_input(names, given="with a run folder", allowed="skeleton files", do="Leave it out.")
-    skeleton, stem = Skeleton.load(kept(args.source, "skeleton")), Stem.load(kept(args.source, "stem"))
-    there = {stage: args.source / name for stage, name in FILES.items() if (args.source / name).exists()}
-    cloud = Cloud.load(there["cloud"]) if "cloud" in there else None
-    if "plant model" in there:
-        plant = PlantModel.load(there["plant model"])
-        plant = plant if measured is None else plant.with_material(measured)
-    else:
-        flowers = Flowers.load(there["flowers"]) if "flowers" in there else Flowers(np.zeros((0, 3)), np.zeros(0))
-        plant = plant_with_flowers(skeleton, stem, flowers, cloud, material)
-    return plant, load_grasps(there["grasp"]) if "grasp" in there else _grasps(stem, skeleton, cloud)
-
-
-def _of_skeleton(args: Args, material: Material) -> tuple[PlantModel, list[Grasp]]:
-    source, skeleton = read_source(args.source, units=args.units, radius=args.radius, root=args.root, crop=args.crop)
-    at = np.array([source.node(number) for number in args.flower], dtype=np.int64)
-    if np.any(at == 0):
-        raise bad_input("flower", given="the root", allowed="a node of a branch or of the stem", do="Name another.")
-    out = skeleton.nodes[at] - skeleton.nodes[skeleton.parent[at]]
-    out *= PEDICEL / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-9)
-    flowers = Flowers(skeleton.nodes[at] + out, at)
-    tip = None if args.stem_tip is None else source.node(node_named("--stem-tip", args.stem_tip, source))
-    stem = main_stem(skeleton, tip, flowers.positions)
-    plant = plant_with_flowers(skeleton, stem, flowers, None, material)
-    return replace(plant, notes=(*stem.notes, *plant.notes)), _grasps(stem, skeleton, None)
-
-
-def _grasps(stem: Stem, skeleton: Skeleton, cloud: Cloud | None) -> list[Grasp]:
-    """Return grasps of the stem; without a cloud, clear of the skeleton's own nodes."""
-    return best_grasps(stem, skeleton, cloud or Cloud(skeleton.nodes))[0]
 
 
 def summary(plan: ShakePlan, crop: Crop) -> dict[str, Any]:
@@ -194,9 +166,10 @@ def summary(plan: ShakePlan, crop: Crop) -> dict[str, Any]:
     }
 
 
-def _print(args: Args, plan: ShakePlan, crop: Crop) -> None:
-    console = Console(width=100, markup=False, highlight=False)
+def _print(args: Args, plan: ShakePlan, crop: Crop, source: SourcePlant) -> None:
+    console = Console(markup=False, highlight=False)
     console.print(plan.reason)
+    console.print(f"stiffness: {source.stiffness}")
     limits = Table("limit", "planned", "allowed", "as in a breeze of", "used", title="How close each limit is")
     for name, value, limit, share in plan.limits:
         style, wind = "bold" if share > 0.9 else None, like_breeze(name, limit, crop)
@@ -209,7 +182,7 @@ def _print(args: Args, plan: ShakePlan, crop: Crop) -> None:
         flowers.add_row(str(k + 1), f"{1e3 * amplitude:.2f}", between, f"{jolt:.1f}")
     console.print(flowers)
     console.print(worth(plan.predicted_acceleration, crop))
-    for note in plan.notes:
+    for note in dict.fromkeys((*source.notes, *plan.notes)):
         console.print(f"note: {note}")
     if args.actuator == "gripper":
         console.print("note: no such gripper is built: this is what one would change.")

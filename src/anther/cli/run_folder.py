@@ -101,7 +101,8 @@ def open_run(folder: Path, args: Any, same: tuple[str, ...]) -> Iterator[Run]:
         try:
             yield run
         finally:
-            write_json(folder / TIMING, run.seconds)
+            names = ("seconds", "cpu_seconds", "peak_mb")
+            write_json(folder / TIMING, {name: getattr(run, name) for name in names})
 
 
 def parameters(args: Any) -> dict[str, Any]:

@@ -2,25 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated
-
-import tyro
-
+from anther.cli.args.samples import Args
+from anther.cli.output import free
 from anther.cli.sample_data import SAMPLES, write_samples
-
-
-@dataclass(frozen=True)
-class Args:
-    """Attributes: where the samples go."""
-
-    out: Annotated[Path, tyro.conf.Positional] = Path("samples")
-    """Folder to write."""
 
 
 def run(args: Args) -> None:
     """Write the samples and say what they are."""
+    free(*(args.out / name for name in SAMPLES), overwrite=args.overwrite)
     for path in write_samples(args.out):
-        print(f"{path!s:24}{SAMPLES[path.name]}")
+        print(f"{path!s:24} {SAMPLES[path.name]}")
     print("The table in README.md has a command for each.")

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import socket
 from contextlib import suppress
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated
 
-import tyro
-
+from anther.cli.args.serve import Args
 from anther.core.checks import check_range
 from anther.core.errors import MissingExtra, bad_input
 from anther.core.files import existing
@@ -20,22 +16,6 @@ SHORTEST = 16
 """Characters of a token."""
 
 
-@dataclass(frozen=True)
-class Args:
-    """Attributes: which history, for whom, and who may write notes."""
-
-    history: Annotated[str, tyro.conf.Positional] = "runs/history.sqlite"
-    """A SQLite file, or postgresql://USER:PASSWORD@HOST/DATABASE."""
-    runs: Path = Path()
-    """The folder that run folders in the history are relative to; no report outside of it is shown."""
-    host: str = LOCALHOST
-    """Address to listen on. Any other than this computer's own lets whoever reaches it read everything."""
-    port: int = 8000
-    """TCP port; 0: any that is free."""
-    token: Path | None = None
-    """File with the token that people need to write a note; without it nothing can be written."""
-
-
 def run(args: Args) -> None:
     """Serve until Ctrl-C."""
     check_range("port", args.port, 0, 65535)
@@ -44,7 +24,9 @@ def run(args: Args) -> None:
 
         from anther.show.serve import make_app
     except ImportError as error:
-        raise MissingExtra("anther serve needs FastAPI. Install it with: pip install 'anther[serve]'") from error
+        raise MissingExtra(
+            "anther history serve needs FastAPI. Install it with: pip install 'anther[serve]'"
+        ) from error
     token = None if args.token is None else existing(args.token).read_text(encoding="utf-8").strip()
     if token is not None and len(token) < SHORTEST:
         allowed = f"{SHORTEST} or more, e.g. of: openssl rand -hex 16"

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import time
-from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Annotated, Any
+from dataclasses import replace
+from typing import Any
 
-import tyro
-
+from anther.cli.args.skeletonize import Args
+from anther.cli.output import room_for
 from anther.core.errors import StageFailure
 from anther.core.files import json_text
+from anther.core.usage import process_seconds
 from anther.perception.cloud import Cloud
 from anther.perception.flowers import flower_centres
-from anther.perception.formats.clouds import Axis, Units, read_cloud
+from anther.perception.formats.clouds import read_cloud
 from anther.perception.formats.skeletons import write_skeleton
 from anther.perception.skeleton import Params, Skeleton, skeletonize
 from anther.perception.stem import Params as StemParams
@@ -23,55 +22,28 @@ from anther.pollination.grasp import Grasp, plan_grasps, save_grasps
 from anther.pollination.grasp import Params as GraspParams
 from anther.show.pictures import save_figure
 
+WRITTEN = ("skeleton.npz", "skeleton.swc", "stem.npz", "grasp.json", "overview.png")
 GRASP = ("point", "tangent", "approach", "arc_length", "stem_diameter", "clearance", "reason")
 """Numbers of the grasp that are told."""
 
 
-@dataclass(frozen=True)
-class Args:
-    """Attributes: the cloud, what its numbers mean, and where the results go."""
-
-    cloud: Annotated[Path, tyro.conf.Positional]
-    """Point cloud: .ply, .pcd, .xyz, .txt, .csv, .asc or .npz."""
-    units: Units | None = None
-    """Units of the file; by default what the file states, else metres."""
-    up: Axis | None = None
-    """Axis that points up in the file; by default what the file states, else z."""
-    plant: int | None = None
-    """Which plant of an .npz that holds several, from 0 on."""
-    root: str | None = None
-    """Where the stem leaves the soil, if you know better: x,y,z [m], as `anther view` prints it on a click."""
-    stem_tip: str | None = None
-    """Where the main stem ends, if you know better: x,y,z [m]."""
-    out: Path | None = None
-    """Folder for skeleton.npz, skeleton.swc, grasp.json and overview.png."""
-    json: bool = False
-    """Print the result as JSON."""
-    params: Params = field(default_factory=Params)
-    """How the cloud becomes a skeleton."""
-    stem: StemParams = field(default_factory=StemParams)
-    """How the main stem is found."""
-    grasp: GraspParams = field(default_factory=GraspParams)
-    """Gripper and grasp."""
-
-
 def run(args: Args) -> None:
     """Read, skeletonise, find stem and grasp, write and print them."""
+    out = room_for(args, WRITTEN)
     cloud = read_cloud(args.cloud, args.units, args.up, plant=args.plant)
-    begin = time.perf_counter()
-    params, known = known_better(args.root, args.stem_tip, args.params, args.stem)
+    params, known = known_better(args.root, args.stem_tip, args.params or Params(), args.stem or StemParams())
     skeleton = skeletonize(cloud, params)
     stem = find_stem(skeleton, known, flowers_at=flower_centres(cloud))
     grasps, notes = best_grasps(stem, skeleton, cloud, args.grasp)
-    seconds = time.perf_counter() - begin
-    if args.out is not None:
+    if out is not None:
         from anther.show.pictures.plant import draw_plant  # Matplotlib takes a second
 
-        skeleton.save(args.out / "skeleton.npz")
-        write_skeleton(args.out / "skeleton.swc", skeleton, stem.organ_names())
-        save_grasps(args.out / "grasp.json", grasps)  # all, best first
-        save_figure(draw_plant(cloud, skeleton, stem, grasps[0]), args.out / "overview.png")
-    result = summary(cloud, skeleton, stem, grasps[0], notes) | {"seconds": seconds, "out": args.out}
+        skeleton.save(out / WRITTEN[0])
+        write_skeleton(out / WRITTEN[1], skeleton, stem.organ_names())
+        stem.save(out / WRITTEN[2])
+        save_grasps(out / WRITTEN[3], grasps)  # all, best first
+        save_figure(draw_plant(cloud, skeleton, stem, grasps[0]), out / WRITTEN[4])
+    result = summary(cloud, skeleton, stem, grasps[0], notes) | {"seconds": process_seconds(), "out": out}
     print(json_text(result).rstrip() if args.json else _text(result))
 
 

@@ -6,16 +6,20 @@ import shlex
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass, replace
 from functools import cache
 from io import StringIO
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import tyro
 
 from anther.cli import reconstruct as reconstruct_command
 from anther.cli import trial as trial_command
+from anther.cli.args import reconstruct as reconstruct_args
+from anther.cli.args import trial as trial_args
+from anther.cli.args.shared import tuned
+from anther.cli.args.sweep import Args
 from anther.core.errors import InputError, StageFailure, bad_input
 from anther.core.files import read_object
 from anther.show.results import read_run
@@ -23,31 +27,6 @@ from anther.show.results import read_run
 LOG = "log.txt"
 Kind = Literal["trial", "reconstruct"]
 _SET_BY_SWEEP = ("out", "history", "restart_from", "overwrite")
-
-
-@dataclass(frozen=True)
-class Args:
-    """Attributes: what is run, where the results go, and on which machines."""
-
-    table: Annotated[Path | None, tyro.conf.Positional] = None
-    """CSV file: a column for every option of the command, a line for every run. Without it, say how far --out is."""
-    kind: Kind = "trial"
-    """Which command is run on each line."""
-    out: str = "runs/sweep"
-    """Folder of the sweep, or an address that fsspec knows (s3://bucket/name). The same folder and table go on."""
-    workers: int | None = None
-    """Worker processes on this machine; by default one a core."""
-    scheduler: str | None = None
-    """Run on a cluster instead: the address of its dask scheduler, such as tcp://10.0.0.4:8786."""
-    history: str | None = None
-    """Where the jobs are noted: a SQLite file, or postgresql://USER:PASSWORD@HOST/DATABASE; by default history.sqlite
-    in --out."""
-    tries: int = 3
-    """How often a line that raises an error is tried before it is set aside."""
-    deaths: int = 10
-    """How many workers may die under a line before it is set aside."""
-    again: bool = False
-    """Try once more what was set aside."""
 
 
 def run(args: Args) -> int:
@@ -89,7 +68,7 @@ def trial(row: dict[str, Any], folder: Path) -> dict[str, Any]:
 
     A trial that fails is a result as well: exit_code, failure and success say how it ended.
     """
-    args = _arguments(trial_command.Args(out=folder, history=str(folder / "history.sqlite")), row)
+    args = _arguments(tuned(trial_args.Args)(out=folder, history=str(folder / "history.sqlite")), row)
     with _kept_log(folder):
         code = trial_command.run(args)
     summary = read_object(folder / "trial.json")
@@ -111,7 +90,7 @@ def reconstruct(row: dict[str, Any], folder: Path) -> dict[str, Any]:
             row = {**row, "capture": fetched}
         try:
             with _kept_log(folder):
-                reconstruct_command.run(_arguments(reconstruct_command.Args(Path(), folder), row))
+                reconstruct_command.run(_arguments(tuned(reconstruct_args.Args)(capture=Path(), out=folder), row))
         except StageFailure as failure:
             return {"failure": failure.kind, "message": str(failure)}
     return {"failure": None} | _found(folder)
@@ -135,7 +114,7 @@ def _found(folder: Path) -> dict[str, Any]:
 
 def typed(kind: Kind, rows: Sequence[Mapping[str, str]]) -> list[dict[str, Any]]:
     """Return a table's rows with every cell as its option takes it; paths become absolute."""
-    args = {"trial": trial_command.Args, "reconstruct": reconstruct_command.Args}[kind]
+    args = tuned({"trial": trial_args.Args, "reconstruct": reconstruct_args.Args}[kind])
     for name in dict.fromkeys(name for row in rows for name in row):
         if _hint(args, name) is None or name in _SET_BY_SWEEP:
             options = [f.name for f in fields(args) if f.name not in (*_SET_BY_SWEEP, "params")]

@@ -3,69 +3,73 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field
+import re
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from datetime import date
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-import tyro
 from rich.console import Console
 from rich.table import Table
 
+from anther.cli.args.traits import Args
 from anther.core.errors import AntherError, bad_input
 from anther.core.files import existing, made_folder, read_object, write_json
 from anther.core.tables import write_table
 from anther.perception.flowers import flower_centres
-from anther.perception.formats.clouds import Axis, Units, read_cloud
+from anther.perception.formats.clouds import read_cloud
 from anther.perception.skeleton import Params, skeletonize
 from anther.perception.stem import Params as StemParams
 from anther.perception.stem import find_stem
-from anther.perception.traits import LEVELS, Limb, measure
+from anther.perception.stem.confidence import doubt
+from anther.perception.traits import LEVELS, CloudTraits, Limb, measure, measure_cloud, organs_of
+from anther.plant.imported import known_better
 from anther.show.pictures import save_figure
 from anther.show.pictures.plant import draw_plant
 
+VERSION = 2
+"""Of the columns: rows of another are measured again."""
 SUFFIXES = (".ply", ".pcd", ".xyz", ".txt", ".csv", ".asc", ".pts", ".npz")
 COUNTED = ("branch", "truss", "leaf")
 COLUMNS: dict[str, type] = {
     "plant": str,
+    "plant_id": str,
+    "date": str,
     "plant_height_m": float,
+    **dict.fromkeys(CloudTraits._fields, float),
     "stem_length_m": float,
     "stem_lean_deg": float,
-    **{f"stem_radius_{share}_m": float for share in LEVELS},
+    **{f"stem_radius_{share}{spread}_m": float for share in LEVELS for spread in ("", "_spread")},
     "internodes": int,
     "internode_median_m": float,
+    "limbs": int,
+    "tips": int,
     **{f"{organ}_count": int for organ in COUNTED},
+    "limb_length_median_m": float,
+    "limb_length_most_m": float,
     "leaf_angle_median_deg": float,
     "total_length_m": float,
     "points": int,
     "stem_confidence": float,
+    "stem_doubt": str,
     "notes": str,
     "failure": str,
 }
 """Of plants: one line each. stem_radius_50_m is that half-way up."""
+GROWING = ("plant_height_m", "plant_width_m", "stem_length_m", "total_length_m", "projected_area_m2", "hull_volume_m3")
+GROWTH: dict[str, type] = {
+    "plant_id": str,
+    "from": str,
+    "to": str,
+    "days": int,
+    **{f"{name}_per_day": float for name in GROWING},
+}
+"""Of plants with clouds of several days: a line from each day to the next."""
+DATE = re.compile(r"(?<!\d)(20\d\d)([-_.]?)(\d\d)\2(\d\d)(?!\d)")
+"""A day in a file's name or folder: 2026-05-03, 2026_05_03, 20260503."""
 LIMB_COLUMNS = {"plant": str, **dict.fromkeys(Limb._fields, float), "organ": str}
-
-
-@dataclass(frozen=True)
-class Args:
-    """Attributes: the clouds, what their numbers mean, and where the tables go."""
-
-    clouds: Annotated[Path, tyro.conf.Positional]
-    """Folder of point clouds (.ply, .pcd, .xyz, .txt, .csv, .asc, .npz), one plant each; its subfolders too."""
-    out: Path
-    """Folder for the tables and, by plant, picture and numbers. What is there already is not measured again."""
-    units: Units | None = None
-    """Units of the files; by default what a file states, else metres."""
-    up: Axis | None = None
-    """Axis that points up in the files; by default what a file states, else z."""
-    parquet: bool = False
-    """Write plants.parquet and limbs.parquet instead of CSV."""
-    again: bool = False
-    """Measure all plants again."""
-    params: Params = field(default_factory=Params)
-    """How a cloud becomes a skeleton."""
-    stem: StemParams = field(default_factory=StemParams)
-    """How the main stem is found."""
 
 
 def run(args: Args) -> int:
@@ -85,13 +89,15 @@ def run(args: Args) -> int:
         row = rows[-1]
         told = f"not measured: {row['failure']}"
         if not row["failure"]:
-            limbs = ", ".join(f"{row[f'{organ}_count']} {organ}" for organ in COUNTED)
-            told = f"stem {row['stem_length_m']:.3f} m, {limbs}"
+            counts = ", ".join(f"{row[f'{organ}_count']} {organ}" for organ in COUNTED)
+            told = f"stem {row['stem_length_m']:.3f} m, {row['limbs']} limbs ({counts}), {row['tips']} tips"
         console.print(f"{row['plant']}: {told}")
     suffix = "parquet" if args.parquet else "csv"
-    limbs = ({"plant": row["plant"]} | limb for row in rows for limb in row["limbs"])
+    limbs = ({"plant": row["plant"]} | limb for row in rows for limb in row["limb_rows"])
     write_table(args.out / f"plants.{suffix}", COLUMNS, ({n: row.get(n) for n in COLUMNS} for row in rows))
     write_table(args.out / f"limbs.{suffix}", LIMB_COLUMNS, limbs)
+    if grown := list(growth(rows)):
+        write_table(args.out / f"growth.{suffix}", GROWTH, grown)
     _print(console, rows, args.out / f"plants.{suffix}")
     return int(any(row["failure"] for row in rows))
 
@@ -119,6 +125,34 @@ def clouds_in(folder: Path, out: Path) -> tuple[list[Path], list[str]]:
     return sorted(found.values()), left_out
 
 
+def named(name: str) -> tuple[str, str]:
+    """Return (plant, day) of a cloud by its name, "" without one: row3/p14_2026-05-03.ply is row3/p14, 2026-05-03."""
+    stem = str(Path(name).with_suffix(""))
+    for found in DATE.finditer(stem):
+        try:
+            day = date(int(found[1]), int(found[3]), int(found[4]))
+        except ValueError:
+            continue
+        rest = re.sub(r"[-_. ]*/[-_. ]*", "/", stem[: found.start()] + stem[found.end() :])
+        return rest.strip("-_. /") or stem, str(day)
+    return stem, ""
+
+
+def growth(rows: Sequence[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """Yield the rows of `GROWTH`: of each plant, what changed a day from one dated cloud to the next."""
+    plants = defaultdict[str, list[dict[str, Any]]](list)
+    for row in rows:
+        if row.get("date") and not row["failure"]:
+            plants[row["plant_id"]].append(row)
+    for name, seen in sorted(plants.items()):
+        seen.sort(key=lambda row: row["date"])
+        for old, new in zip(seen, seen[1:], strict=False):
+            days = (date.fromisoformat(new["date"]) - date.fromisoformat(old["date"])).days
+            if days:
+                change = {f"{trait}_per_day": (new[trait] - old[trait]) / days for trait in GROWING}
+                yield {"plant_id": name, "from": old["date"], "to": new["date"], "days": days} | change
+
+
 def _measured(args: Args, path: Path, name: str) -> dict[str, Any]:
     """Return what is known of one plant, measured now unless it was before, from this file with these options."""
     place = args.out / "plants" / name
@@ -126,45 +160,59 @@ def _measured(args: Args, path: Path, name: str) -> dict[str, Any]:
     asked = {
         "size": path.stat().st_size,
         "changed": path.stat().st_mtime,
-        "options": repr((args.units, args.up, args.params, args.stem)),
+        "options": repr((args.units, args.up, args.root, args.stem_tip, args.species, *_stages(args), VERSION)),
     }
-    if kept.is_file() and not args.again:
+    if kept.is_file() and not args.overwrite:
         before = read_object(kept)
         row = before.get("row")
         if before.get("of") == asked and isinstance(row, dict) and not row.get("failure"):
             return row
     try:
-        row = _row(args, path, place) | {"plant": name, "failure": ""}
+        row = _row(args, path, place) | {"failure": ""}
     except AntherError as error:
-        row = {"plant": name, "failure": str(error), "limbs": []}
+        row = {"failure": str(error), "limb_rows": []}
+    row |= dict(zip(("plant", "plant_id", "date"), (name, *named(name)), strict=True))
     write_json(kept, {"of": asked, "row": row})
     return row
 
 
 def _row(args: Args, path: Path, place: Path) -> dict[str, Any]:
     cloud = read_cloud(path, args.units, args.up)
-    skeleton = skeletonize(cloud, args.params)
-    stem = find_stem(skeleton, args.stem, flowers_at=flower_centres(cloud))
+    params, known = _stages(args)
+    skeleton = skeletonize(cloud, params)
+    stem = organs_of(find_stem(skeleton, known, flowers_at=flower_centres(cloud)), args.species)
     traits = measure(skeleton, stem)
     skeleton.save(place / "skeleton.npz")
     stem.save(place / "stem.npz")
     save_figure(draw_plant(cloud, skeleton, stem), place / "overview.png")
+    lengths = [limb.length_m for limb in traits.limbs]
     angles = [limb.angle_deg for limb in traits.limbs if limb.organ == "leaf"]
     return {
         "points": len(cloud.points),
         "notes": "; ".join((*cloud.notes, *skeleton.notes, *stem.notes)),
-        "limbs": [limb._asdict() for limb in traits.limbs],
+        "limb_rows": [limb._asdict() for limb in traits.limbs],
+        "limbs": len(traits.limbs),
+        "tips": traits.tips,
+        **measure_cloud(cloud)._asdict(),
         "plant_height_m": traits.plant_height_m,
         "stem_length_m": traits.stem_length_m,
         "stem_lean_deg": traits.stem_lean_deg,
         **{f"stem_radius_{share}_m": float(r) for share, r in zip(LEVELS, traits.radius_m, strict=True)},
+        **{f"stem_radius_{share}_spread_m": float(r) for share, r in zip(LEVELS, traits.radius_spread_m, strict=True)},
         "internodes": len(traits.internode_m),
         "internode_median_m": float(np.median(traits.internode_m)) if len(traits.internode_m) else None,
         **{f"{organ}_count": traits.count(organ) for organ in COUNTED},
+        "limb_length_median_m": float(np.median(lengths)) if lengths else None,
+        "limb_length_most_m": max(lengths, default=None),
         "leaf_angle_median_deg": float(np.median(angles)) if angles else None,
         "total_length_m": traits.total_length_m,
         "stem_confidence": traits.stem_confidence,
+        "stem_doubt": "; ".join(doubt(stem.confidence)),
     }
+
+
+def _stages(args: Args) -> tuple[Params, StemParams]:
+    return known_better(args.root, args.stem_tip, args.params or Params(), args.stem or StemParams())
 
 
 def _print(console: Console, rows: list[dict[str, Any]], path: Path) -> None:

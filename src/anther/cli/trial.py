@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import platform
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
+from anther.cli.args.trial import Args
 from anther.cli.run_folder import ARM, TrialLog, finish, open_run, parameters, remember
 from anther.core.checks import check_range
 from anther.core.errors import StageFailure, bad_input
@@ -26,13 +26,10 @@ from anther.history import (
     shown,
     starting_material,
 )
-from anther.plant.limits import Crop, Preset
-from anther.pollination.pipeline import Done, MaskSource, Params, mask_finder, pollinate
+from anther.pollination.pipeline import Done, Params, mask_finder, pollinate
 from anther.pollination.shake import with_preset
-from anther.robot.arm import ArmName
 from anther.robot.arm.gripper_shape import GripperShape
 from anther.robot.arm.saved import save_arm
-from anther.robot.cell import ActuatorName
 from anther.robot.cells import read_cell
 from anther.robot.devices import Tap, untapped
 from anther.show.results import EXECUTED, FILM, SUMMARY, held_unharmed
@@ -49,65 +46,6 @@ if TYPE_CHECKING:
 SIMULATED = "simulated"
 SAME = ("cell", "simulate", "arm", "label", "plant", "seed", "viewpoint", "distance", "preset", "views", "truth")
 """Arguments that make the plant and how it is seen: a run cannot be gone on with as another's."""
-
-
-@dataclass(frozen=True)
-class Args:
-    """Attributes: which plant, how it is seen, and where the run is kept."""
-
-    plant: Crop = "tomato"
-    """Species of the simulated plant."""
-    cell: str = "simulated"
-    """Which cell: 'simulated', or a cell file of a real one (docs/cell_file.md). Of a real one nobody knows the truth:
-    seed, viewpoint, distance and truth say nothing, and the verdict is what the gripper felt."""
-    simulate: bool = False
-    """Simulate the cell of the cell file, its arm, gripper, cameras and boxes, around a plant; no machine is contacted.
-    What the file lacks is supposed, and a line says so (docs/sim_cell.md)."""
-    label: str = ""
-    """Name of a real plant, for its history."""
-    seed: int = 0
-    """Which plant; all noise comes from it too."""
-    viewpoint: float = 0.0
-    """Turn the plant about its pot's axis [degrees]."""
-    arm: ArmName | None = None
-    """Which arm, by default a Sawyer; a cell file names its own (docs/arm.md)."""
-    distance: float | None = None
-    """Of the pot in front of the arm [m]; by default what suits the arm: 0.72 for a Sawyer."""
-    preset: Literal["full", "fast"] = "full"
-    """Views all around, or few views along a short way (docs/reports/views.md says what that costs)."""
-    views: int | None = None
-    """How many RGB-D views the arm takes; by default what the preset says: 30, or 10 when fast."""
-    masks: MaskSource = "colour"
-    """What finds plant and flowers: colour and geometry, Grounding DINO and SAM 2, or SAM 3 (docs/masks.md)."""
-    models: Path = Path("models")
-    """Folder with the weights of the networks."""
-    out: Path | None = None
-    """Run folder; by default runs/PLANT-SEED-VIEWPOINT."""
-    restart_from: str | None = None
-    """Read the results of earlier stages from the run folder and go on from this stage, or 'where-it-stopped'."""
-    overwrite: bool = False
-    """Replace the results of an earlier run in the same folder."""
-    history: str = "runs/history.sqlite"
-    """Trial history to learn from and to add this trial to: a SQLite file, or postgresql://USER:PASSWORD@HOST/DATABASE."""
-    robot: str = field(default_factory=platform.node)
-    """Name of this robot in the history; by default the computer's."""
-    truth: Literal["nominal", "wide"] = "nominal"
-    """What is true of plant, air, pads, arm and camera: as usual, or drawn from the seed wider than any stage believes.
-    It is for judging: no stage is told."""
-    material: Literal["learned", "facts"] = "learned"
-    """Begin with what the history teaches of this plant or its crop, and with the shake that its last visit ended with;
-    or as if nothing had ever been measured."""
-    shake: Preset | None = None
-    """How boldly the plant may be loaded (docs/shake.md has the limits); by default what --params says. 'paper' is
-    the paper's own shake, 12 mm at 1.9 Hz: no limit of the plant is kept, slip is not prevented, nothing is raised."""
-    watch: bool = True
-    """Raise the shake in steps by what the side camera sees, or carry out the plan alone."""
-    actuator: ActuatorName | None = None
-    """What shakes the plant: the arm, or a motor in the gripper (docs/gripper_motor.md), which is always watched."""
-    log: bool = True
-    """Write log.mcap, which Foxglove opens and `anther view --live` shows as it happens (docs/log.md)."""
-    params: Params = field(default_factory=Params)
-    """Parameters of the stages."""
 
 
 def run(args: Args) -> int:
@@ -200,12 +138,13 @@ def _resolved(args: Args, file: CellFile | None) -> Args:
 
 def _params(args: Args, file: CellFile | None) -> Params:
     """Return the stages' parameters: those asked for, with what the cell file, preset and --no-watch change."""
-    bounds = args.params.shake if args.shake is None else with_preset(args.shake, args.params.shake)
-    watch, actuator = args.watch and args.params.escalate, args.actuator or args.params.actuator
+    params = args.params or Params()
+    bounds = params.shake if args.shake is None else with_preset(args.shake, params.shake)
+    watch, actuator = args.watch and params.escalate, args.actuator or params.actuator
     if actuator == "gripper" and not (watch and bounds.keeps_limits):
         given = "gripper with --no-watch or --shake paper"
         raise bad_input("actuator", given=given, allowed="arm", do="A motor is always watched.")
-    grasp = args.params.grasp
+    grasp = params.grasp
     if file is not None:
         if grasp.gripper != GripperShape():
             allowed = "the cell file's gripper"
@@ -213,7 +152,7 @@ def _params(args: Args, file: CellFile | None) -> Params:
             raise bad_input("params.grasp.gripper", given="a gripper and a cell file", allowed=allowed, do=do)
         grasp = replace(grasp, gripper=GripperShape.of(file.model.tool))
     escalate = watch and bounds.keeps_limits
-    return replace(args.params, grasp=grasp, shake=bounds, escalate=escalate, actuator=actuator)
+    return replace(params, grasp=grasp, shake=bounds, escalate=escalate, actuator=actuator)
 
 
 def _folder(args: Args) -> str:

@@ -1,73 +1,103 @@
-"""Open a run or a skeleton in the 3-D viewer, write it to one HTML file, or show a trial in Foxglove as it goes on."""
+"""Show a run or a skeleton in 3-D, write it for other programs, or show a trial in Foxglove as it goes on."""
 
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
-import tyro
-
+from anther.cli.args.view import Args
+from anther.cli.output import free
 from anther.cli.run_folder import LOG
 from anther.core.checks import check_range
 from anther.core.errors import StageFailure, bad_input
-from anther.perception.formats.skeletons import Units
-from anther.plant.imported import main_stem, read_source
+from anther.core.files import existing
+from anther.core.runs import FILES, kept
+from anther.perception.formats.skeletons import WRITES, read_skeleton, write_skeleton
+from anther.perception.skeleton import Skeleton
+from anther.perception.stem import Stem, find_stem
+from anther.plant.imported import main_stem, node_named, read_source, upright
 from anther.show.results import RunResults, read_run
 
-
-@dataclass(frozen=True)
-class Args:
-    """Attributes: what to view and how."""
-
-    run: Annotated[Path, tyro.conf.Positional]
-    """Run folder, e.g. runs/demo; or a skeleton file."""
-    units: Units | None = None
-    """Of a skeleton file: of its lengths; by default what it states, else metres if that makes a plant."""
-    html: Path | None = None
-    """Write the scene to this HTML file instead of opening a viewer."""
-    exaggeration: float = 5.0
-    """By how much motions are shown larger [-]; in the live viewer a slider."""
-    live: bool = False
-    """Show a trial that is under way, or is about to begin, to Foxglove's app on this machine (docs/log.md)."""
-    port: int | None = None
-    """TCP port of the viewer, by default 8080; of --live 8765."""
+SCENE = (".html", ".htm")
 
 
 def run(args: Args) -> None:
-    """Read the run and show it."""
+    """Read the run and show or write it."""
     check_range("port", 1 if args.port is None else args.port, 1, 65535)
+    if args.source.is_dir() and any(given is not None for given in (args.units, args.up, args.root, args.stem_tip)):
+        names = "--units, --up, --root or --stem-tip"
+        raise bad_input(names, given="with a run folder", allowed="skeleton files", do="Leave it out.")
+    suffix = None if args.to is None else args.to.suffix.lower()
     if args.live:
-        _show(args)
-        return
+        return _show(args)
+    if suffix not in (None, *SCENE, *WRITES):
+        raise bad_input(
+            "to", given=str(args.to), allowed=" ".join((".html", *WRITES)), do="Choose one of these suffixes."
+        )
+    if args.to is not None:
+        free(args.to, overwrite=args.overwrite)
+    if args.to is not None and suffix not in SCENE:
+        return _write(args, args.to)
     from anther.show import viewer  # needs the extra `view`
 
     check_range("exaggeration", args.exaggeration, 0, 1000)
-    results = skeleton_results(args.run, args.units) if args.run.is_file() else read_run(args.run)
-    if args.html is None:
+    results = skeleton_results(args) if args.source.is_file() else read_run(args.source)
+    if args.to is None:
         viewer.serve(results, args.port or 8080, exaggeration=args.exaggeration)
-    else:
-        viewer.write_html(args.html, results, exaggeration=args.exaggeration)
-        print(f"scene: {args.html}")
+        return None
+    viewer.write_html(args.to, results, exaggeration=args.exaggeration)
+    return print(f"scene: {args.to}")
 
 
-def skeleton_results(path: Path, units: Units | None = None) -> RunResults:
+def skeleton_results(args: Args) -> RunResults:
     """Return what can be shown of an imported skeleton: its lines and, if one is found, its main stem."""
-    source, skeleton = read_source(path, units=units)
+    source, skeleton = read_source(args.source, units=args.units, up=args.up, radius=args.radius, root=args.root)
+    tip = None if args.stem_tip is None else source.node(node_named("--stem-tip", args.stem_tip, source))
     stem = None
     with suppress(StageFailure):
-        stem = main_stem(skeleton)
-    return RunResults(path, {"capture": str(path)}, skeleton=skeleton, stem=stem, numbers=source.numbers)
+        stem = main_stem(skeleton, tip)
+    return RunResults(args.source, {"capture": str(args.source)}, skeleton=skeleton, stem=stem, numbers=source.numbers)
+
+
+def _write(args: Args, to: Path) -> None:
+    """Write the skeleton, and say what was written."""
+    skeleton, labels, notes = labelled_skeleton(args)
+    write_skeleton(to, skeleton, labels)
+    apart = "organs not told apart (--find-stem does it)"
+    organs = apart if labels is None else f"{labels.count('stem')} stem nodes"
+    print("\n".join([f"{to}: {len(skeleton.nodes)} nodes; {organs}", *(f"note: {note}" for note in notes)]))
+
+
+def labelled_skeleton(args: Args) -> tuple[Skeleton, list[str] | None, tuple[str, ...]]:
+    """Return (skeleton, organ name a node, or None where nothing tells, notes) of a run folder or skeleton file.
+
+    Its radii are replaced by --radius; with --find-stem or --stem-tip the stem is found anew instead of taking the
+    labels that are there.
+    """
+    labels: list[str] | None = None
+    notes: tuple[str, ...] = ()
+    if not existing(args.source).is_dir():
+        file = upright(read_skeleton(args.source, args.units), args.up)
+        file = file if args.root is None else file.rooted_at(node_named("--root", args.root, file))
+        skeleton, notes = file.skeleton(args.radius), file.notes
+        labels = None if file.labels is None else list(file.labels)
+        if args.stem_tip is not None:
+            tip = file.node(node_named("--stem-tip", args.stem_tip, file))
+            return skeleton, main_stem(skeleton, tip).organ_names(), notes
+    else:
+        skeleton = Skeleton.load(kept(args.source, "skeleton"))
+        if (args.source / FILES["stem"]).exists():
+            labels = Stem.load(args.source / FILES["stem"]).organ_names()
+    return skeleton, find_stem(skeleton).organ_names() if args.find_stem else labels, notes
 
 
 def _show(args: Args) -> None:
     """Serve the trial's log until Ctrl-C."""
     from anther.show.log.live import PORT, show  # needs the extra `log`
 
-    path = args.run / LOG
-    if args.html is not None:
-        raise bad_input("html", given="with --live", allowed="one of them", do="Leave one out.")
+    path = args.source / LOG
+    if args.to is not None:
+        raise bad_input("to", given="with --live", allowed="one of them", do="Leave one out.")
 
     def ready(port: int) -> None:
         how = f"Open ws://localhost:{port} in Foxglove or Lichtblick (Open connection)"

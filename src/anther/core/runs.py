@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -12,6 +13,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from anther.core.errors import FailureKind, InputError, StageFailure, bad_input
 from anther.core.files import made_folder, read_object, write_json
+from anther.core.usage import cpu_seconds, mark_memory, peak_memory
 
 FILES = {
     "capture": "01_capture",
@@ -46,11 +48,14 @@ Result = TypeVar("Result")
 class Run:
     """One run folder, its progress bars and the time each stage took.
 
-    Use as a context manager; bars are drawn while it is open, unless it is `quiet`. With `restart_from`, a stage or
+    Use as a context manager; bars are drawn while it is open, unless it is `quiet`; without a
+    terminal each stage prints a line when it ends. With `restart_from`, a stage or
     "where-it-stopped", results of earlier stages are read from the folder instead of computed.
 
     Attributes:
         seconds: stage -> time it took [s]; stages that were read back are absent.
+        cpu_seconds: stage -> processor time, of ended children too [s].
+        peak_mb: stage -> the most memory the process held during it [MB]; absent where nothing tells.
         told: hears of every stage's name and result as it arises, and of what else there is to tell; never waits and
             raises nothing (`anther.show.log`).
 
@@ -66,10 +71,14 @@ class Run:
             raise bad_input("restart-from", given=f"'{restart_from}'", allowed=allowed, do="Name one of these stages.")
         self.folder = made_folder(folder)
         self.seconds: dict[str, float] = {}
+        self.cpu_seconds: dict[str, float] = {}
+        self.peak_mb: dict[str, float] = {}
         self.told: Callable[[str, Any], None] = lambda name, value: None
         self._restart_from = restart_from
         columns = (TextColumn("{task.description:<12}"), BarColumn(), TimeElapsedColumn())
-        self._bars = Progress(*columns, console=Console(stderr=True), disable=quiet)
+        console = Console(stderr=True)
+        self._lines = not (quiet or console.is_terminal)
+        self._bars = Progress(*columns, console=console, disable=quiet or self._lines)
 
     def __enter__(self) -> Run:
         if self._restart_from is None:
@@ -111,11 +120,16 @@ class Run:
         return result
 
     def timed(self, name: str, compute: Callable[[Advance], Result]) -> Result:
-        """Compute something under a progress bar and note the time it took."""
+        """Compute something and note what it took: under a progress bar or, without a terminal, with a line."""
         bar = self._bars.add_task(name, total=None)
-        start = time.perf_counter()
+        start, cpu = time.perf_counter(), cpu_seconds()
+        mark_memory()
         value = compute(lambda done, total: self._bars.update(bar, completed=done, total=total))
-        self.seconds[name] = time.perf_counter() - start
+        self.seconds[name], self.cpu_seconds[name] = time.perf_counter() - start, cpu_seconds() - cpu
+        if (peak := peak_memory()) is not None:
+            self.peak_mb[name] = peak
+        if self._lines:
+            print(f"{name}: {self.seconds[name]:.1f} s", file=sys.stderr, flush=True)
         self._bars.update(bar, completed=1, total=1)
         return value
 

@@ -156,7 +156,7 @@ class FruitSet:
         if not any(self.freed(c) < 0.02 for c in self.counts):
             notes.append(
                 "No plant was counted that had no shake: what sets by itself and what the shake adds are told apart by"
-                " the literature only. Leave some plants out and count them (anther outcome LABEL --control)."
+                " the literature only. Leave some plants out and count them (anther history outcome LABEL --control)."
             )
         most = max(self.freed(c) for c in self.counts)
         if most < 0.5:

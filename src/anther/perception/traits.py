@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError, cKDTree
 
+from anther.core.choices import Species
+from anther.core.errors import StageFailure
 from anther.core.geometry import Array
+from anther.perception.cloud import Cloud
 from anther.perception.skeleton import Skeleton
 from anther.perception.skeleton.raw_tree import edge_lengths, sum_above
-from anther.perception.stem import LEAF, ORGAN_NAMES, Stem
+from anther.perception.stem import LEAF, ORGAN_NAMES, STEM, Stem
 
 LEVELS = (10, 25, 50, 75, 90)
 """Where the stem's radius is told [% of its length]."""
 REACH = 0.03
 """An insertion angle is that of a limb's first so many metres, or of all of a shorter one."""
+
+SAMPLED = 2000
+"""Points whose nearest neighbour is sought."""
+LEAST_CELL = 1e-4
+"""Of a projected area, where points repeat [m]."""
 
 
 class Limb(NamedTuple):
@@ -47,9 +57,11 @@ class Traits(NamedTuple):
         plant_height_m: from the root to the highest node.
         stem_length_m: along the main stem.
         stem_lean_deg: of the line from its root to its top, off the vertical.
-        radius_m: (5,) median radius of the stem about each of `LEVELS`.
+        radius_m, radius_spread_m: (5,) median radius of the stem about each of `LEVELS`; half of the range that holds
+            the middle 68 % of the radii there.
         internode_m: (I,) distances along the stem from one place where something leaves it to the next.
         limbs: what leaves it, root first.
+        tips: ends of the skeleton, the stem's own too.
         total_length_m: of all axes of the skeleton.
         stem_confidence: see `Stem.confidence`; None if unknown.
     """
@@ -58,8 +70,10 @@ class Traits(NamedTuple):
     stem_length_m: float
     stem_lean_deg: float
     radius_m: Array
+    radius_spread_m: Array
     internode_m: Array
     limbs: tuple[Limb, ...]
+    tips: int
     total_length_m: float
     stem_confidence: float | None
 
@@ -84,13 +98,16 @@ def measure(skeleton: Skeleton, stem: Stem) -> Traits:
     ]
     rise = line[-1] - line[0]
     places = np.unique(arc[np.sort(stem.attachments)])
+    about = np.array([_radius_about(skeleton.radius[stem.node_ids], arc, share / 100) for share in LEVELS])
     return Traits(
         plant_height_m=float(skeleton.nodes[:, 2].max() - line[0, 2]),
         stem_length_m=float(arc[-1] - arc[0]),
         stem_lean_deg=float(np.degrees(np.arctan2(np.linalg.norm(rise[:2]), rise[2]))),
-        radius_m=np.array([_radius_about(skeleton.radius[stem.node_ids], arc, share / 100) for share in LEVELS]),
+        radius_m=about[:, 0],
+        radius_spread_m=about[:, 1],
         internode_m=np.diff(places),
         limbs=tuple(sorted(limbs, key=lambda limb: limb.arc_length_m)),
+        tips=int((skeleton.children_count == 0).sum()),
         total_length_m=float(length.sum()),
         stem_confidence=stem.confidence,
     )
@@ -128,7 +145,66 @@ def _limb(skeleton: Skeleton, stem: Stem, length: Array, way: Array, nodes: NDAr
     )
 
 
-def _radius_about(radius: Array, arc: Array, share: float) -> float:
-    """Return the median radius of the stem's tenth about a share of its length [m]."""
+def _radius_about(radius: Array, arc: Array, share: float) -> tuple[float, float]:
+    """Return the median radius of the stem's tenth about a share of its length, and its spread [m]."""
     away = np.abs((arc - arc[0]) / (arc[-1] - arc[0]) - share)
-    return float(np.median(radius[away <= max(0.05, float(away.min()))]))
+    low, middle, high = np.quantile(radius[away <= max(0.05, float(away.min()))], [0.16, 0.5, 0.84])
+    return float(middle), float(high - low) / 2
+
+
+def organs_of(stem: Stem, species: Species | None) -> Stem:
+    """Return the stem with the organs of a species: of maize every limb is a leaf; else as their shape tells."""
+    if species != "maize":
+        return stem
+    return replace(stem, organ=np.where(stem.organ == STEM, STEM, LEAF).astype(np.uint8))
+
+
+class CloudTraits(NamedTuple):
+    """What is measured of a plant's points, without a skeleton.
+
+    Attributes:
+        plant_width_m: largest horizontal distance between two points.
+        projected_area_m2: of the plant seen from above: cells of `cell_m` that hold a point.
+        cell_m: twice the median distance from a point to the nearest one.
+        hull_area_m2: of the convex hull seen from above.
+        hull_volume_m3: of the convex hull.
+        green_leaf_index: mean of (2 G - R - B) / (2 G + R + B) over the points, -1 to 1; None without colours.
+        hue_deg: circular mean of the points' hue, weighted by their saturation; 120 is green; None without colours.
+    """
+
+    plant_width_m: float
+    projected_area_m2: float
+    cell_m: float
+    hull_area_m2: float
+    hull_volume_m3: float
+    green_leaf_index: float | None
+    hue_deg: float | None
+
+
+def measure_cloud(cloud: Cloud) -> CloudTraits:
+    """Return the traits of a plant's points (N, 3), z up.
+
+    Raises:
+        StageFailure: kind "no_plant_found": the points lie in a plane, so that they have no hull.
+    """
+    points = cloud.points
+    try:
+        flat, whole = ConvexHull(points[:, :2]), ConvexHull(points)
+    except QhullError as error:
+        raise StageFailure(
+            "no_plant_found", "traits: all points lie in a plane. Is this a cloud of a plant?"
+        ) from error
+    rim = points[flat.vertices, :2]
+    sample = points[:: max(len(points) // SAMPLED, 1)]
+    cell = 2 * float(np.median(cKDTree(points).query(sample, k=2)[0][:, 1])) or LEAST_CELL
+    taken = np.unique(np.floor(points[:, :2] / cell).astype(np.int64), axis=0)
+    colours = (None, None) if cloud.colors is None else _colour_indices(cloud.colors.astype(np.float64))
+    width = float(np.linalg.norm(rim[:, None] - rim[None], axis=-1).max())
+    return CloudTraits(width, len(taken) * cell**2, cell, float(flat.volume), float(whole.volume), *colours)
+
+
+def _colour_indices(rgb: Array) -> tuple[float, float]:
+    r, g, b = rgb.T
+    index = (2 * g - r - b) / np.maximum(2 * g + r + b, 1.0)
+    chroma = (r - 0.5 * (g + b)) + 1j * np.sqrt(0.75) * (g - b)  # length and angle: chroma and hue
+    return float(index.mean()), float(np.degrees(np.angle(chroma.mean())) % 360)

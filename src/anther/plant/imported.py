@@ -8,14 +8,15 @@ from pathlib import Path
 import numpy as np
 
 from anther.core.checks import check_range
+from anther.core.choices import Axis, Crop, Units
 from anther.core.errors import bad_input
 from anther.core.geometry import Array
+from anther.perception.formats.clouds import TO_Z_UP
 from anther.perception.formats.skeleton_file import supposed_radius
-from anther.perception.formats.skeletons import SkeletonFile, Units, read_skeleton
+from anther.perception.formats.skeletons import SkeletonFile, read_skeleton
 from anther.perception.skeleton import Params, Skeleton, nearest_node
 from anther.perception.stem import LOW, Stem, find_stem
 from anther.perception.stem import Params as StemParams
-from anther.plant.limits import Crop
 
 Place = tuple[float, float, float]
 STEM = {"tomato": 5e-3, "pepper": 6e-3}
@@ -29,6 +30,7 @@ def read_source(
     path: Path,
     *,
     units: Units | None = None,
+    up: Axis | None = None,
     radius: float | None = None,
     least: float = 0.0,
     root: str | None = None,
@@ -39,6 +41,7 @@ def read_source(
     Args:
         path: the file.
         units: of its lengths; None: those that it states, else metres.
+        up: axis that points up in the file; None: z.
         least: no node's radius is less [m].
         radius: of every node [m]; None: those in the file, else the crop's stem at its base, thinner with what a node
             carries (`supposed_radius`).
@@ -48,7 +51,7 @@ def read_source(
     Raises:
         InputError: a bad file, radius or node.
     """
-    source = read_skeleton(path, units)
+    source = upright(read_skeleton(path, units), up)
     if radius is not None:
         check_range("radius", radius, 1e-4, 0.2, "m")
     if root is not None:
@@ -57,6 +60,11 @@ def read_source(
         source = source.rooted_at().without_scraps()
     bare = radius is None and source.radius is None
     return source, source.skeleton(supposed_radius(source, STEM[crop]) if bare else radius, least)
+
+
+def upright(source: SkeletonFile, up: Axis | None) -> SkeletonFile:
+    """Return a skeleton whose axis `up` points up as one with z up; None: it is z."""
+    return source if up is None else replace(source, nodes=source.nodes[:, TO_Z_UP[up]])
 
 
 def node_named(option: str, text: str, source: SkeletonFile) -> int:

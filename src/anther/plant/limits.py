@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from anther.core.checks import check_range
+from anther.core.choices import Crop, Preset  # noqa: F401 - the room gives them too
 from anther.core.geometry import Array
 
 GRAVITY = 9.81
@@ -58,14 +58,12 @@ class PlantLimits:
         return dict(zip(PEAKS, (self.stem_strain, self.pedicel_strain, self.base_strain, leaf), strict=True))
 
 
-Preset = Literal["gentle", "default", "bold", "paper"]
 PRESETS = {
     "gentle": PlantLimits(0.005, 0.005, 0.005, 0.7 * GRAVITY),
     "default": PlantLimits(),
     "bold": PlantLimits(0.01, 0.02, 0.02, 3.0 * GRAVITY),
 }
 """Starting limits by name; a judgement (facts: pollination 6)."""
-Crop = Literal["tomato", "pepper"]
 FLOWERS = "flower acceleration [m/s2]"
 WIND = np.array([2.0, 4.0, 6.0])
 """Local wind about the plant [m/s]."""

@@ -7,10 +7,10 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
+from anther.core.choices import ActuatorName, MaskSource
 from anther.core.errors import FailureKind, InputError, StageFailure
 from anther.core.geometry import Array, Box
 from anther.core.runs import Advance, Run
@@ -32,7 +32,7 @@ from anther.pollination.learning import ObservedShake, feel, refine
 from anther.pollination.response import Response, measure_response, stem_near
 from anther.pollination.response.thresholds import FEWEST_FRAMES
 from anther.pollination.shake import Pads, ShakePlan
-from anther.robot.cell import ActuatorName, Cell, MotionPlanner
+from anther.robot.cell import Cell, MotionPlanner
 from anther.robot.safety import shake_amplitude
 
 TRY_THE_NEXT: tuple[FailureKind, ...] = (
@@ -60,7 +60,6 @@ class Params:
     """Whether the shake is raised by what the side camera sees, or done as planned."""
 
 
-MaskSource = Literal["colour", "grounded-sam2", "sam3"]
 FindMasks = Callable[[Capture, Box | None, Advance], Masks]
 """Another way to masks than `masks.segment`: (capture, workspace, progress) -> Masks."""
 

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Protocol
 
+from anther.core.choices import ActuatorName  # noqa: F401 - the room gives it too
 from anther.core.geometry import Array, Box
 from anther.core.runs import Advance
 from anther.perception.capture import Capture
 from anther.perception.cloud import Cloud
 from anther.robot.devices import JointTrajectory, Robot, SafetyLimits
 from anther.robot.swing import Swing
-
-ActuatorName = Literal["arm", "gripper"]
 
 
 class TrajectoryPlanner(Protocol):

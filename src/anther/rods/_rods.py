@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from anther.core.checks import check_array
+from anther.core.choices import Discretisation
 from anther.core.errors import bad_input
 
 Array = NDArray[np.float64]
-Discretisation = Literal["consistent", "paper"]
 
 GRAVITY = (0.0, 0.0, -9.81)
 """Acceleration of free fall [m/s^2], rounded as in the paper's simulations."""

@@ -294,11 +294,18 @@ def _timing(results: RunResults) -> str:
     bar = "".join(f"<i style='width:{100 * s / total:.2f}%;background:{colour[k]}'></i>" for k, s in seconds.items())
     rows = "".join(
         f"<tr><td><span class=key style='background:{colour[k]}'></span>{escape(k)}</td>"
-        f"<td class=n>{s:.1f} s</td><td class=n>{100 * s / total:.0f} %</td></tr>"
+        f"<td class=n>{s:.1f} s</td><td class=n>{100 * s / total:.0f} %</td>"
+        f"<td class=n>{_number(results.cpu_seconds.get(k), 1)}</td>"
+        f"<td class=n>{_number(results.peak_mb.get(k), 0)}</td></tr>"
         for k, s in seconds.items()
     )
+    head = "<tr><th>stage</th><th>time</th><th></th><th>CPU [s]</th><th>peak memory [MB]</th></tr>"
     last = f"<tr><td>total</td><td class=n>{total:.1f} s</td><td></td></tr>"
-    return f"<div class=bar>{bar}</div><table>{rows}{last}</table>"
+    return f"<div class=bar>{bar}</div><table>{head}{rows}{last}</table>"
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "" if value is None else f"{value:.{digits}f}"
 
 
 def _parameters(results: RunResults) -> str:

@@ -29,7 +29,7 @@ from anther.pollination.response import Response
 from anther.pollination.shake import ShakePlan
 
 PARAMS, TIMING, ARM = "00_params.json", "timing.json", "arm.json"
-"""What the run was asked for; the time each stage took; the arm of a cell file, its gripper, and the keep-out boxes."""
+"""What the run was asked for; time and memory of each stage; the arm of a cell file, its gripper, and the keep-out boxes."""
 EXECUTED, FILM, SUMMARY, VISIT = "09_executed_shake.json", "09_shake.gif", "trial.json", "visit.json"
 """The shake as it was carried out; its end, as the side camera saw it; the trial in numbers; what the history keeps."""
 
@@ -54,7 +54,8 @@ class RunResults:
         folder: the run's folder.
         params: what the run was asked for (00_params.json).
         summary: the verdict (trial.json), or None for an offline reconstruction.
-        seconds: stage -> time it took [s].
+        seconds, cpu_seconds: stage -> time it took, processor time [s].
+        peak_mb: stage -> the most memory the process held [MB].
         shake: as it was planned.
         executed: as it was carried out; other than planned where it was watched.
         trial: the execution's record.
@@ -66,6 +67,8 @@ class RunResults:
     params: dict[str, Any] = field(default_factory=dict)
     summary: dict[str, Any] | None = None
     seconds: dict[str, float] = field(default_factory=dict)
+    cpu_seconds: dict[str, float] = field(default_factory=dict)
+    peak_mb: dict[str, float] = field(default_factory=dict)
     capture: Capture | None = None
     masks: Masks | None = None
     cloud: Cloud | None = None
@@ -235,11 +238,12 @@ def read_run(folder: Path | str) -> RunResults:
     if tree is not None and main is not None and len(main.organ) != len(tree.nodes):
         given, allowed = f"organs of {len(main.organ)} nodes", f"of the {len(tree.nodes)} of {FILES['skeleton']}"
         raise bad_input(str(folder / FILES["stem"]), given=given, allowed=allowed, do="Find the stem again.")
+    timing = there(TIMING, read_object, {})
     return RunResults(
         folder=folder,
         params=read_object(folder / PARAMS),
         summary=there(SUMMARY, read_object),
-        seconds=there(TIMING, read_object, {}),
+        **{name: timing.get(name, {}) for name in ("seconds", "cpu_seconds", "peak_mb")},
         grasps=tuple(there(FILES["grasp"], load_grasps, ())),
         capture=there(FILES["capture"], Capture.load),
         masks=there(FILES["masks"], Masks.load),

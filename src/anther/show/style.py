@@ -1,4 +1,4 @@
-"""How Anther's pages look: the report of a run and what `anther serve` shows are one product."""
+"""How Anther's pages look: the report of a run and what `anther history serve` shows are one product."""
 
 STYLE = """
 :root { --ink:#1d2a22; --soft:#5d6b62; --line:#dfe6e1; --leaf:#2f7d4f; --fair:#b7791f; --bad:#b3402e;

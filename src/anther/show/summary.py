@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from anther.core.geometry import Array
+from anther.core.usage import process_seconds
 from anther.plant.limits import MOVED, moved
 from anther.pollination.execution import Step, Trial, lost_grip
 from anther.robot.devices import GripperState
@@ -225,7 +226,7 @@ def print_summary(results: RunResults) -> None:
         table.add_row("warning", note)
     slowest = sorted(results.seconds.items(), key=lambda item: -item[1])
     times = ", ".join(f"{name} {seconds:.1f}" for name, seconds in slowest if seconds >= 0.05)
-    table.add_row("time per stage [s]", f"{times}; total {sum(results.seconds.values()):.1f}")
+    table.add_row("time per stage [s]", f"{times}; in all, with imports, {process_seconds():.1f}")
     table.add_row("report", str(results.folder / "10_report.html"))
     Console(markup=False).print(table)
 

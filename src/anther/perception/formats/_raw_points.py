@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
+from anther.core.choices import Axis, Units
 from anther.core.geometry import Array
 
-Units = Literal["m", "cm", "mm", "0.01mm"]
-Axis = Literal["x", "y", "z"]
 METRES: dict[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "0.01mm": 1e-5}
 SMALLEST, LARGEST = 0.005, 20.0
 """What is smaller or larger is no plant [m]: a 0.6 m plant in mm, read as metres, measures 600 m."""

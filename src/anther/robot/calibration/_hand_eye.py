@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, norm
 
 from anther.core.checks import check_array, check_transform
+from anther.core.choices import HandEyeMethod as Method
 from anther.core.errors import InputError, bad_input
 from anther.core.files import read_object, understood, write_json
 from anther.core.geometry import Array, Intrinsics, inverse, transform
@@ -188,7 +189,6 @@ def _with_nan(row: dict[str, Any]) -> dict[str, Any]:
     return {name: float("nan") if value is None else value for name, value in row.items()}
 
 
-Method = Literal["tsai", "park", "horaud", "daniilidis"]
 METHODS: dict[Method, int] = {
     "tsai": cv2.CALIB_HAND_EYE_TSAI,
     "park": cv2.CALIB_HAND_EYE_PARK,

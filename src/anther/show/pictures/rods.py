@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import matplotlib as mpl
@@ -13,6 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from anther.core.geometry import Array
+from anther.pollination.shake.grip_map import GripMap
 from anther.rods import Rods, Trajectory
 
 GRIP, FLOWER, REST = "tab:blue", "tab:red", "#23402b"
@@ -81,46 +81,12 @@ def _draw_rods(axes: Any, rods: Rods, flat: Array, colour: Any, width: Any) -> N
     axes.add_collection(LineCollection(edges, colors=colour, linewidths=width, capstyle="round"))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class GripResponse:
-    """Steady motion of F flowers when the plant is shaken at one of G grips with one of Q frequencies.
-
-    Attributes:
-        frequencies: (Q,) [Hz].
-        grips: (G,) nodes, by their distance from the root.
-        distance: (G,) that distance along the plant [m].
-        amplitude: (Q,) grip amplitude [m].
-        direction: (Q, G, 3) shake direction.
-        ratio: (Q, G, F) flower amplitude (semi-major axis of its path) over grip amplitude [-].
-        resonances: (G, K) lowest natural frequencies while the grip is held [Hz].
-    """
-
-    frequencies: Array
-    grips: NDArray[Any]
-    distance: Array
-    amplitude: Array
-    direction: Array
-    ratio: Array
-    resonances: Array
-
-    @property
-    def acceleration(self) -> Array:
-        """(Q, G, F) peak acceleration of each flower [m/s^2]."""
-        return self.ratio * (self.amplitude * (2 * np.pi * self.frequencies) ** 2)[:, None, None]
-
-    @property
-    def best(self) -> tuple[int, int]:
-        """(q, g) of the largest mean acceleration."""
-        mean = self.acceleration.mean(axis=-1)
-        q, g = np.unravel_index(int(np.argmax(mean)), mean.shape)
-        return int(q), int(g)
-
-
-def draw_grip_response(rods: Rods, flowers: NDArray[Any], response: GripResponse, title: str) -> Figure:
+def draw_grip_response(rods: Rods, flowers: NDArray[Any], response: GripMap, title: str) -> Figure:
     """Return a figure: the heat map with the resonances of the held plant, and the plant with its grips.
 
-    White lines: the lowest natural frequencies while the grip is held. Cross: the best cell. In the plant a grip has
-    the colour of its best frequency; magenta: the flowers' nodes (F,); star: root.
+    White lines: the lowest natural frequencies while the grip is held. Hatched: beyond a limit that Anther keeps.
+    Cross: the best of the other cells. In the plant a grip has the colour of its best frequency;
+    magenta: the flowers' nodes (F,); star: root.
     """
     figure = Figure(figsize=(12.5, 5.8), layout="constrained")
     varies = np.ptp(response.amplitude) > 0
@@ -145,15 +111,22 @@ def draw_grip_response(rods: Rods, flowers: NDArray[Any], response: GripResponse
     return figure
 
 
-def _draw_map(chart: Any, response: GripResponse, mean: Any, norm: LogNorm) -> Any:
+def _draw_map(chart: Any, response: GripMap, mean: Any, norm: LogNorm) -> Any:
     hertz, height = response.frequencies, 100 * response.distance
     mesh = chart.pcolormesh(np.exp(_borders(np.log(hertz))), _borders(height), mean.T, norm=norm, cmap="inferno")
     for k, resonance in enumerate(response.resonances.T):
         inside = np.where((resonance >= hertz[0]) & (resonance <= hertz[-1]), resonance, np.nan)
         label = "natural frequencies, grip held" if k == 0 else None
         chart.plot(inside, height, ".-", color="white", lw=0.9, ms=2.5, label=label)
-    q, g = response.best
-    chart.plot(hertz[q], height[g], "x", color=BEST, ms=11, mew=2.5, label="best")
+    beyond = ~response.allowed.T
+    if beyond.any():
+        edges = np.exp(_borders(np.log(hertz))), _borders(height)
+        grey = np.ma.masked_array(np.ones(beyond.shape), ~beyond)
+        chart.pcolor(*edges, grey, cmap="gray", vmin=0, vmax=2, alpha=0.45, hatch="//", edgecolor="#333333", lw=0)
+        chart.fill_between([], [], facecolor="#808080", hatch="//", edgecolor="#333333", label="beyond a limit")
+    if response.best is not None:
+        q, g = response.best
+        chart.plot(hertz[q], height[g], "x", color=BEST, ms=11, mew=2.5, label="best within the limits")
     ticks = [f for f in (0.1, 0.2, 0.5, 1, 2, 3, 5, 10, 20, 30, 50, 100, 200) if hertz[0] <= f <= hertz[-1]]
     chart.set(xscale="log", xlabel="frequency [Hz]", ylabel="grip: distance from the root along the plant [cm]")
     chart.set_xticks(ticks, [f"{f:g}" for f in ticks])
@@ -170,16 +143,15 @@ def _borders(centres: Array) -> Array:
     return np.concatenate([[2 * centres[0] - middle[0]], middle, [2 * centres[-1] - middle[-1]]])
 
 
-def _draw_grips(
-    plot: Any, seen: list[int], rods: Rods, flowers: NDArray[Any], response: GripResponse, colours: Any
-) -> None:
+def _draw_grips(plot: Any, seen: list[int], rods: Rods, flowers: NDArray[Any], response: GripMap, colours: Any) -> None:
     flat = rods.nodes[:, seen]
     radius = np.asarray(rods.edge_radius)[1:]
     _draw_rods(plot, rods, flat, PALE, 0.8 + 3 * radius / radius.max())
     plot.scatter(*flat[flowers].T, s=24, c=MAGENTA, marker="D", edgecolors="white", lw=0.4, zorder=4, label="observed")
     plot.scatter(*flat[response.grips].T, s=26, c=colours, edgecolors="black", lw=0.3, zorder=5, label="grips")
-    best = flat[response.grips[response.best[1]]]
-    plot.plot(*best, "x", color=BEST, ms=11, mew=2.5, zorder=6, label="best grip")
+    if response.best is not None:
+        best = flat[response.grips[response.best[1]]]
+        plot.plot(*best, "x", color=BEST, ms=11, mew=2.5, zorder=6, label="best grip")
     plot.plot(*flat[0], "*", ms=11, color="black", zorder=6)
     plot.set(xlabel=f"{'xy'[seen[0]]} [m]", ylabel="z [m]", aspect="equal")
     plot.locator_params(axis="x", nbins=4)

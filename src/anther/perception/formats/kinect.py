@@ -1,14 +1,12 @@
-"""Kinect depth frames with known poses (millimetres) -> a capture folder (metres)."""
+"""Kinect depth frames with known poses (millimetres) as a capture (metres)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import cv2
 import numpy as np
-import tyro
 
 from anther.core.checks import check_array
 from anther.core.errors import bad_input
@@ -20,26 +18,15 @@ from anther.perception.images import read_image
 _MM = 1e-3  # [m]
 
 
-@dataclass(frozen=True)
-class Args:
-    """Attributes: what to convert, and where to."""
-
-    source: Annotated[Path, tyro.conf.Positional]
-    """Folder with poses.json (intrinsics, depth_scale_mm, frames with file and T_world_cam [mm]) and 16-bit PNGs."""
-    out: Annotated[Path, tyro.conf.Positional]
-    """Capture folder to write."""
-
-
-def run(args: Args) -> None:
-    """Convert, in metres; the world's z axis stays the turntable's, which is the plant's up axis."""
-    capture = read_kinect(args.source)
-    capture.save(args.out)
-    size = f"{capture.intrinsics.width} x {capture.intrinsics.height} px"
-    print(f"{args.out}: {capture.views} views of {size}, depth only")
-
-
 def read_kinect(folder: Path) -> Capture:
-    """Return the capture in a Kinect folder; see `Args`."""
+    """Return the capture in a folder of 16-bit depth images and a poses.json, in metres.
+
+    poses.json holds intrinsics, depth_scale_mm, and frames with file and T_world_cam [mm]. The world's z axis stays the
+    turntable's, which is the plant's up axis.
+
+    Raises:
+        InputError: something is missing or misread.
+    """
     meta = read_object(existing(folder) / "poses.json")
     wanted = "intrinsics {width, height, fx, fy, cx, cy} and frames [{file, T_world_cam}]"
     with understood(folder / "poses.json", wanted, "Compare with docs/capture.md."):

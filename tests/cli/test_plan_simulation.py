@@ -1,15 +1,17 @@
-"""`anther shake`: the flower's motion from a skeleton file, and its refusals."""
+"""`anther plan --simulate`: the flower's motion from a skeleton file, and its refusals."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from anther.cli import shake
+from anther.cli import plan, plan_simulation
+from anther.cli.args.plan import Args, Rods, Simulation
 from anther.core.errors import InputError, StageFailure
 from anther.perception.formats.skeletons import write_skeleton
 from anther.perception.skeleton import Skeleton
@@ -26,18 +28,24 @@ def file(tmp_path: Path) -> Path:
     return tmp_path / "plant.swc"
 
 
+def shake(file: Path, **change: Any) -> None:
+    """Simulate a shake of the edges alone, with the options of all groups in one."""
+    change = {"youngs": 1e8, "bare": True, "bend_over_twist": 1.5, "density": 1100.0} | change
+    groups = {name: kind(**{f.name: change.pop(f.name) for f in fields(kind) if f.name in change})
+              for name, kind in (("rods", Rods), ("simulation", Simulation))}  # fmt: skip
+    plan.run(Args(file, simulate=True, **groups, **change))
+
+
 def test_vibration_measures_a_sine():
     t = np.arange(0, 5, 0.001)
-    amplitude, frequency = shake.vibration(3e-3 * np.sin(2 * np.pi * 1.3 * t) + 0.1 * t + 2, 0.001)
+    amplitude, frequency = plan_simulation.vibration(3e-3 * np.sin(2 * np.pi * 1.3 * t) + 0.1 * t + 2, 0.001)
     assert amplitude == pytest.approx(3e-3, rel=0.05)
     assert frequency == pytest.approx(1.3, rel=0.02)
 
 
 def test_shake_prints_and_writes(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    args = shake.Args(
-        file, grip=5, flower=14, amplitude=2e-3, frequency=4.0, duration=1.5, out=tmp_path / "o", json=True
-    )
-    shake.run(args)
+    args: dict[str, Any] = {"grip": 5, "flower": (14,), "amplitude": 2e-3, "frequency": 4.0, "duration": 1.5}
+    shake(file, **args, out=tmp_path / "o", json=True)
     motion = json.loads(capsys.readouterr().out)
     assert motion["flower_frequency_hz"] == pytest.approx(4.0, rel=0.05)
     assert motion["grip_amplitude_m"] == pytest.approx(2e-3, rel=0.1)
@@ -46,12 +54,12 @@ def test_shake_prints_and_writes(file: Path, tmp_path: Path, capsys: pytest.Capt
     run = Trajectory.load(tmp_path / "o" / "trajectory.npz")
     assert run.positions.shape == (1501, 14, 3)
     assert np.ptp(run.positions[:, 4, 0]) == pytest.approx(4e-3, rel=0.01)
-    shake.run(replace(args, json=False, out=None))
-    assert "flower node 14" in capsys.readouterr().out
+    shake(file, **args)
+    assert "flower at node 14" in capsys.readouterr().out
 
 
 def shaken(file: Path, capsys: pytest.CaptureFixture[str], **change) -> dict[str, float]:
-    shake.run(shake.Args(file, grip=5, flower=14, duration=1.5, dt=0.002, json=True, **change))
+    shake(file, grip=5, flower=(14,), duration=1.5, dt=0.002, json=True, **change)
     return json.loads(capsys.readouterr().out)
 
 
@@ -93,14 +101,13 @@ def test_twist_can_be_left_out(file: Path, capsys):
 
 
 def test_the_papers_tomato_buckles_with_the_papers_numbers(data: Path):
-    args = shake.Args(data / "skeletons" / "tomato2.txt", grip=27, flower=73, radius=3e-3, youngs=21.6e6)
     with pytest.raises(StageFailure, match="would stand from E"):
-        shake.run(args)
+        shake(data / "skeletons" / "tomato2.txt", grip=27, flower=(73,), radius=3e-3, youngs=21.6e6)
 
 
 def test_the_papers_tomato_shakes_when_it_can_stand(data: Path, capsys: pytest.CaptureFixture[str]):
     file = data / "skeletons" / "tomato2.txt"
-    shake.run(shake.Args(file, grip=27, flower=73, radius=5e-3, youngs=300e6, duration=2.0, dt=0.005, json=True))
+    shake(file, grip=27, flower=(73,), radius=5e-3, youngs=300e6, duration=2.0, dt=0.005, json=True)
     motion = json.loads(capsys.readouterr().out)
     assert motion["flower_frequency_hz"] == pytest.approx(1.3, abs=0.15)
     assert 1e-3 < motion["flower_amplitude_m"] < 2e-2
@@ -125,4 +132,4 @@ def test_the_papers_tomato_shakes_when_it_can_stand(data: Path, capsys: pytest.C
 )
 def test_bad_options_are_refused(file: Path, change: dict, message: str):
     with pytest.raises(InputError, match=message):
-        shake.run(replace(shake.Args(file, grip=5, flower=14), **change))
+        shake(file, **({"grip": 5, "flower": (14,)} | change))

@@ -1,0 +1,26 @@
+"""Point cloud of a plant -> one rooted tree, main stem, grasp, and a picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from anther.cli.args.shared import Given, Output, Source, Stage, stage
+
+
+@dataclass(frozen=True)
+class Args(Output, Source):
+    """Attributes: the cloud, and where the results go."""
+
+    cloud: Given
+    """Point cloud: .ply, .pcd, .xyz, .txt, .csv, .asc or .npz."""
+    plant: int | None = None
+    """Which plant of an .npz that holds several, from 0 on."""
+    out: Path | None = None
+    """Folder for skeleton.npz, skeleton.swc, stem.npz, grasp.json and overview.png."""
+    params: Stage = stage("anther.perception.skeleton")
+    """How the cloud becomes a skeleton."""
+    stem: Stage = stage("anther.perception.stem")
+    """How the main stem is found."""
+    grasp: Stage = stage("anther.pollination.grasp")
+    """Gripper and grasp."""
