@@ -18,14 +18,15 @@ from anther.cli.run_folder import VISIT, remember
 from anther.cli.trial import Args, _belief
 from anther.core.errors import InputError
 from anther.core.files import write_json
-from anther.history import GraspRecord, ShakeRecord, TrialRecord, read_outcomes, read_trials, record_trial
+from anther.history import read_outcomes, read_trials, record_trial
+from anther.plant import GraspRecord, ShakeRecord, Visit
 from anther.plant.model import TOMATO
 
 BEGIN = datetime(2026, 5, 1, 23, 30, tzinfo=UTC)
 
 
-def trial(plant: str, days: float = 0, species: str = "tomato") -> TrialRecord:
-    return TrialRecord(
+def trial(plant: str, days: float = 0, species: str = "tomato") -> Visit:
+    return Visit(
         species=species,
         plant=plant,
         held_unharmed=True,
@@ -47,7 +48,7 @@ def history(tmp_path: Path) -> str:
     where = str(tmp_path / "h.sqlite")
     for record in (trial("row 1"), trial("7", 2), trial("row 1", 4), trial("row 1", 5, "pepper")):
         record_trial(record, where)
-    record_trial(TrialRecord("tomato", "row 2", False, "no_stem_found", time=BEGIN + timedelta(days=6)), where)
+    record_trial(Visit("tomato", "row 2", False, "no_stem_found", time=BEGIN + timedelta(days=6)), where)
     return where
 
 

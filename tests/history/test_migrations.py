@@ -15,11 +15,12 @@ from sqlalchemy import create_engine, inspect, text
 
 import anther.history.migrations as versions
 from anther.core.errors import InputError
-from anther.history import TrialRecord, read_trials, record_trial
+from anther.history import read_trials, record_trial
 from anther.history._tables import Base
 from anther.history.migrations import HEAD
+from anther.plant import Visit
 
-VISIT = TrialRecord("tomato", "a", True)
+VISIT = Visit("tomato", "a", True)
 
 
 def engine_of(where: str) -> Any:

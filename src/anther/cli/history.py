@@ -18,8 +18,6 @@ from anther.cli.run_folder import add_run
 from anther.core.errors import FailureKind, bad_input
 from anther.history import (
     Outcome,
-    Result,
-    TrialRecord,
     count_trials,
     each_trial,
     export,
@@ -29,6 +27,7 @@ from anther.history import (
     shown,
     starting_material,
 )  # fmt: skip
+from anther.plant.visit import Result, Visit
 
 
 @dataclass(frozen=True)
@@ -102,20 +101,20 @@ def _list(args: Args, which: dict[str, Any], outcomes: Sequence[Outcome]) -> Non
     return None
 
 
-def _trials(trials: Sequence[TrialRecord]) -> Table:
+def _trials(trials: Sequence[Visit]) -> Table:
     names = ("visit", "time (UTC)", "crop", "plant", "result", "grasp [cm]", "shake", "flowers [mm]", "E after [MPa]")
     table = Table(*names, "run", title="trials", title_justify="left")
     for t in trials:
         grasp, shake = t.grasp, t.shake
         held = "" if grasp is None or grasp.arc_length is None else f"{100 * grasp.arc_length:.1f}"
         shaken = "" if shake is None else f"{1000 * shake.amplitude:.2f} mm, {shake.frequency:.1f} Hz"
-        stiff = "" if t.material is None or not t.measured else f"{t.material.youngs / 1e6:.0f}"
+        stiff = "" if t.material is None or not t.flowers_measured else f"{t.material.youngs / 1e6:.0f}"
         first = (str(t.id), f"{t.time:%Y-%m-%d %H:%M}", t.species, t.plant, t.result_words)
         table.add_row(*first, held, shaken, _motion(t), stiff, t.run or "")
     return table
 
 
-def _motion(trial: TrialRecord) -> str:
+def _motion(trial: Visit) -> str:
     """Return predicted -> measured medians over the measured flowers."""
     motions = {name: np.array(values, dtype=float) for name, values in trial.motions().items()}
     seen = np.isfinite(motions["measured_amplitude"])

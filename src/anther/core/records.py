@@ -102,6 +102,18 @@ class Field:
     shape: Shape | None
     range: Range | None
     saved: bool
+    flat: Flat | None
+
+    @property
+    def key(self) -> str:
+        """Its name in a flat table, which ends in its unit."""
+        return _key_of(self.name, self.range.unit if self.range else "")
+
+    @property
+    def rows(self) -> bool:
+        """Whether it holds any number of records."""
+        inner = get_args(self.kind) if get_origin(self.kind) is tuple else ()
+        return inner[1:] == (...,) and is_dataclass(inner[0])
 
     @property
     def dtype(self) -> np.dtype[Any]:
@@ -115,8 +127,10 @@ class Field:
             return value
         if self.shape is not None:
             value = self.shape.checked(name, value, self.dtype, lengths)
-        elif get_origin(self.kind) is tuple and isinstance(value, list):
-            value = tuple(value)
+        elif get_origin(self.kind) is tuple:
+            if not isinstance(value, list | tuple):
+                raise bad_input(name, given=repr(value)[:40], allowed="a list", do="Correct it.")
+            value = tuple(value) if isinstance(value, list) else value
         else:
             _check_kind(name, value, self.kind)
         if self.range is not None:
@@ -142,9 +156,8 @@ def _field(name: str, hint: Any) -> Field:
             kind = Union[tuple(part for part in get_args(kind) if part is not type(None))]  # noqa: UP007
         else:
             break
-    shape = next((mark for mark in marks if isinstance(mark, Shape)), None)
-    bounds = next((mark for mark in marks if isinstance(mark, Range)), None)
-    return Field(name, kind, optional, shape, bounds, UNSAVED not in marks)
+    shape, bounds, held = (next((m for m in marks if isinstance(m, mark)), None) for mark in (Shape, Range, Flat))
+    return Field(name, kind, optional, shape, bounds, UNSAVED not in marks, held)
 
 
 def _is_union(kind: Any) -> bool:
@@ -349,3 +362,72 @@ def _decoded_scalar(value: Any, kind: Any, name: str) -> Any:
         return float(value)
     _check_kind(name, value, kind)
     return float(value) if kind is float else value
+
+
+@dataclass(frozen=True, slots=True)
+class Flat:
+    """Mark of a field that holds a record whose values stand beside its own in a flat table, with a prefix."""
+
+    prefix: str = ""
+
+
+def flat(record: Any) -> dict[str, Any]:
+    """Return a record as one flat object: units in the names, what a `Flat` record lacks left out, NaN null.
+
+    What the class lists as `DERIVED`, property -> unit, follows its fields.
+    """
+    kind, values = type(record), {}
+    for field in fields_of(kind):
+        value = getattr(record, field.name)
+        if field.flat is None:
+            values[field.key] = [flat(part) for part in value] if field.rows else encode(value)
+        elif value is not None:
+            values |= {f"{field.flat.prefix}{key}": part for key, part in flat(value).items()}
+    return values | {_key_of(name, unit): encode(getattr(record, name)) for name, unit in _derived(kind).items()}
+
+
+def unflat(values: dict[str, Any], kind: type[Any]) -> Any:
+    """Return the record of which `flat` made `values`; fields that are missing have their default.
+
+    Raises:
+        InputError, ValueError, TypeError, KeyError: a name is unknown, or a value is of another kind.
+    """
+    if unlike := sorted(set(values) - set(flat_columns(kind))):
+        raise bad_input(kind.__name__.lower(), given=f"'{unlike[0]}'", allowed="what `flat` writes", do="Correct it.")
+    hints, made = get_type_hints(kind, include_extras=True), {}
+    for field in fields_of(kind):
+        if field.flat is not None:
+            prefix = field.flat.prefix
+            inner = {prefix + key: key for key in flat_columns(field.kind)}
+            part = {inner[key]: value for key, value in values.items() if key in inner}
+            made[field.name] = unflat(part, field.kind) if part else None
+        elif field.rows and field.key in values:
+            made[field.name] = tuple(unflat(dict(row), get_args(field.kind)[0]) for row in values[field.key])
+        elif field.key in values:
+            made[field.name] = decode(values[field.key], hints[field.name], field.name)
+    return kind(**made)
+
+
+@cache
+def flat_columns(kind: type[Any], only: tuple[str, ...] | None = None) -> dict[str, Any]:
+    """Return name -> type of what `flat` gives of a record; with `only`, of these fields and properties."""
+    columns: dict[str, Any] = {}
+    for field in fields_of(kind):
+        if only is not None and field.name not in only:
+            continue
+        inner = {field.key: field.kind} if field.flat is None else flat_columns(field.kind)
+        columns |= {f"{field.flat.prefix if field.flat else ''}{key}": of for key, of in inner.items()}
+    for name, unit in _derived(kind).items():
+        if only is None or name in only:
+            columns[_key_of(name, unit)] = _field(name, get_type_hints(getattr(kind, name).fget)["return"]).kind
+    return columns
+
+
+def _derived(kind: type[Any]) -> dict[str, str]:
+    return getattr(kind, "DERIVED", {})
+
+
+def _key_of(name: str, unit: str) -> str:
+    """Return a name with its unit: length_m, frequency_hz, acceleration_ms2, stiffness_n_m."""
+    short = unit.replace("m/s2", "ms2").replace(" ", "").replace("/", "_").lower()
+    return f"{name}_{short}" if short else name

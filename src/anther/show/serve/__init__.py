@@ -36,12 +36,11 @@ from anther.history import (
     read_outcomes,
     reading,
     record_note,
-    result_of,
-    result_words,
     shown,
 )
 from anther.history import starting_material as believed
 from anther.history.overview import Tally
+from anther.plant.visit import result_of, result_words
 from anther.show.style import STYLE
 
 __all__ = ["make_app"]
