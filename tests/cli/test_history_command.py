@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from anther.cli.main import main
-from anther.cli.run_folder import VISIT, remember
+from anther.cli.run_folder import SUMMARY, remember
 from anther.cli.trial import Args, _belief
 from anther.core.errors import InputError
 from anther.core.files import write_json
@@ -219,10 +219,10 @@ def test_a_history_out_of_reach_loses_no_trial(tmp_path: Path, say) -> None:
     (read,) = read_trials(where)
     assert (read.material, read.time) == (trial("a").material, BEGIN)
     assert np.isnan(read.measured_amplitude[1])
-    (run / VISIT).unlink()
+    (run / SUMMARY).unlink()
     assert say("history", where, "--add", run)[0] == 2
-    write_json(run / VISIT, {"plant": 3})
-    assert "what a trial wrote" in say("history", where, "--add", run)[1]
+    write_json(run / SUMMARY, {"plant": 3})
+    assert "kind 'visit'" in say("history", where, "--add", run)[1]
 
 
 def test_a_trial_begins_with_what_was_learned(tmp_path: Path) -> None:

@@ -184,7 +184,8 @@ class Record:
     """Base of frozen dataclasses that check what their fields state; arrays become read-only.
 
     Attributes:
-        CALLED: what the record is called in error messages, before the name of the field; "": the name alone.
+        CALLED: what stands in error messages before the name of the field, as "stem" in "stem arc length"; where it is
+            empty or ends in a dot, the name follows as it is written.
     """
 
     __slots__ = ()
@@ -194,8 +195,9 @@ class Record:
         lengths: dict[str, int] = {}
         for field in fields_of(type(self)):
             value = getattr(self, field.name)
-            name = f"{self.CALLED} {field.name.replace('_', ' ')}" if self.CALLED else field.name
-            checked = field.checked(name, value, lengths)
+            dotted = self.CALLED == "" or self.CALLED.endswith(".")
+            name = field.name if dotted else f" {field.name.replace('_', ' ')}"
+            checked = field.checked(f"{self.CALLED}{name}", value, lengths)
             if checked is not value:
                 object.__setattr__(self, field.name, checked)
         self._check()
