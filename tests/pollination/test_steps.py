@@ -107,7 +107,7 @@ def test_the_plan_alone_is_said_with_its_reason(steps: tuple[Step, ...], alone: 
 
 def test_a_trial_that_never_shook_says_nothing_of_steps() -> None:
     never = told(trial_of(shaken=False))
-    assert (never.shaken, never.shake_steps, never.shake_ended_by, never.steps) == (False, None, None, ())
+    assert (never.shaken, never.flat()["shake_steps"], never.ended_by, never.steps) == (False, None, None, ())
 
 
 def test_the_flags_change_what_is_watched_and_kept() -> None:

@@ -22,9 +22,10 @@ import types
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, is_dataclass
 from datetime import date, datetime
-from functools import cache
+from functools import cache, reduce
+from operator import or_
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self, Union, cast, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -145,19 +146,26 @@ def fields_of(record: type) -> tuple[Field, ...]:
     return tuple(_field(f.name, hints[f.name]) for f in fields(record) if f.init)
 
 
+Mark = TypeVar("Mark")
+
+
 def _field(name: str, hint: Any) -> Field:
-    kind, marks, optional = hint, [], False
+    kind, optional = hint, False
+    marks: list[Any] = []
     while True:
         if get_origin(kind) is Annotated:
             kind, *more = get_args(kind)
             marks += more
         elif _is_union(kind) and type(None) in get_args(kind):
             optional = True
-            kind = Union[tuple(part for part in get_args(kind) if part is not type(None))]  # noqa: UP007
+            kind = reduce(or_, [part for part in get_args(kind) if part is not type(None)])
         else:
             break
-    shape, bounds, held = (next((m for m in marks if isinstance(m, mark)), None) for mark in (Shape, Range, Flat))
-    return Field(name, kind, optional, shape, bounds, UNSAVED not in marks, held)
+
+    def first(mark: type[Mark]) -> Mark | None:
+        return next((m for m in marks if isinstance(m, mark)), None)
+
+    return Field(name, kind, optional, first(Shape), first(Range), UNSAVED not in marks, first(Flat))
 
 
 def _is_union(kind: Any) -> bool:
@@ -376,7 +384,7 @@ class Flat:
 def flat(record: Any) -> dict[str, Any]:
     """Return a record as one flat object: units in the names, what a `Flat` record lacks left out, NaN null.
 
-    What the class lists as `DERIVED`, property -> unit, follows its fields.
+    What the class lists as `DERIVED`, name -> (type, function of the record), follows its fields.
     """
     kind, values = type(record), {}
     for field in fields_of(kind):
@@ -385,7 +393,7 @@ def flat(record: Any) -> dict[str, Any]:
             values[field.key] = [flat(part) for part in value] if field.rows else encode(value)
         elif value is not None:
             values |= {f"{field.flat.prefix}{key}": part for key, part in flat(value).items()}
-    return values | {_key_of(name, unit): encode(getattr(record, name)) for name, unit in _derived(kind).items()}
+    return values | {name: encode(of(record)) for name, (_, of) in getattr(kind, "DERIVED", {}).items()}
 
 
 def unflat(values: dict[str, Any], kind: type[Any]) -> Any:
@@ -412,21 +420,15 @@ def unflat(values: dict[str, Any], kind: type[Any]) -> Any:
 
 @cache
 def flat_columns(kind: type[Any], only: tuple[str, ...] | None = None) -> dict[str, Any]:
-    """Return name -> type of what `flat` gives of a record; with `only`, of these fields and properties."""
+    """Return name -> type of what `flat` gives of a record; with `only`, of these fields and derived values."""
     columns: dict[str, Any] = {}
     for field in fields_of(kind):
         if only is not None and field.name not in only:
             continue
         inner = {field.key: field.kind} if field.flat is None else flat_columns(field.kind)
         columns |= {f"{field.flat.prefix if field.flat else ''}{key}": of for key, of in inner.items()}
-    for name, unit in _derived(kind).items():
-        if only is None or name in only:
-            columns[_key_of(name, unit)] = _field(name, get_type_hints(getattr(kind, name).fget)["return"]).kind
-    return columns
-
-
-def _derived(kind: type[Any]) -> dict[str, str]:
-    return getattr(kind, "DERIVED", {})
+    derived = getattr(kind, "DERIVED", {}).items()
+    return columns | {name: of for name, (of, _) in derived if only is None or name in only}
 
 
 def _key_of(name: str, unit: str) -> str:

@@ -19,9 +19,9 @@ from anther.plant.visit import MOTIONS, Visit
 
 _NAME = ("time", "species", "plant")
 _HISTORY = (
-    *_NAME, "result", "held_unharmed", "flowers_moved", "failure", "run", "robot", "acceleration_mean", "grasp",
-    "shake", "flowers", "flowers_measured", "predicted_amplitude_median", "measured_amplitude_median",
-    "predicted_acceleration_median", "measured_acceleration_median", "believed", "material",
+    *_NAME, "result", "held_unharmed", "flowers_moved", "failure", "run", "robot", "acceleration_mean_ms2", "grasp",
+    "shake", "flowers", "flowers_measured", "predicted_amplitude_median_m", "measured_amplitude_median_m",
+    "predicted_acceleration_median_ms2", "measured_acceleration_median_ms2", "believed", "material",
 )  # fmt: skip
 """Fields and properties of a visit that every history knows."""
 _MOTIONS = dict(zip(flat_columns(Visit, MOTIONS), MOTIONS, strict=True))

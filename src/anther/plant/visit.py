@@ -109,7 +109,13 @@ class StepRecord(Record):
         deciding_seconds: that measuring and deciding took.
     """
 
-    DERIVED: ClassVar = {"flower_acceleration_median": "m/s2", "flower_acceleration_most": "m/s2"}
+    DERIVED: ClassVar = {
+        "flower_acceleration_median_ms2": (float, lambda s: median(s.flower_acceleration)),
+        "flower_acceleration_most_ms2": (
+            float,
+            lambda s: max(filter(np.isfinite, s.flower_acceleration), default=None),
+        ),
+    }
     begin: Annotated[float, Range(unit="s")]
     end: Annotated[float, Range(unit="s")]
     frequencies: Annotated[tuple[float, ...], Range(unit="Hz")]
@@ -120,14 +126,9 @@ class StepRecord(Record):
     deciding_seconds: float
 
     @property
-    def flower_acceleration_median(self) -> float | None:
-        """Of the flowers that were measured [m/s2]."""
-        return median(self.flower_acceleration)
-
-    @property
-    def flower_acceleration_most(self) -> float | None:
-        """Of the flowers that were measured [m/s2]."""
-        return max((a for a in self.flower_acceleration if np.isfinite(a)), default=None)
+    def share_of_limit(self) -> float:
+        """Largest share of a limit that was reached."""
+        return max(self.share_of_limits.values(), default=0.0)
 
     @property
     def closest_limit(self) -> str:
@@ -228,11 +229,21 @@ class Visit(Record):
     """
 
     DERIVED: ClassVar = {
-        "success": "", "result": "", "acceleration_mean": "m/s2", "flowers": "", "flowers_measured": "",
-        "predicted_amplitude_median": "m", "measured_amplitude_median": "m", "predicted_acceleration_median": "m/s2",
-        "measured_acceleration_median": "m/s2", "shake_steps": "", "step_flower_acceleration_median": "m/s2",
-        "step_share_of_limit": "", "step_closest_limit": "", "shake_ended_by": "",
-    }  # fmt: skip
+        "success": (bool, lambda v: v.success),
+        "result": (str, lambda v: v.result),
+        "acceleration_mean_ms2": (float, lambda v: v.acceleration_mean),
+        "flowers": (int, lambda v: v.flowers),
+        "flowers_measured": (int, lambda v: v.flowers_measured),
+        "predicted_amplitude_median_m": (float, lambda v: median(v.predicted_amplitude)),
+        "measured_amplitude_median_m": (float, lambda v: median(v.measured_amplitude)),
+        "predicted_acceleration_median_ms2": (float, lambda v: median(v.predicted_acceleration)),
+        "measured_acceleration_median_ms2": (float, lambda v: median(v.measured_acceleration)),
+        "shake_steps": (int, lambda v: len(v.steps) if v.shaken else None),
+        "step_flower_acceleration_median_ms2": (float, lambda v: v.last and median(v.last.flower_acceleration)),
+        "step_share_of_limit": (float, lambda v: v.last and v.last.share_of_limit),
+        "step_closest_limit": (str, lambda v: v.last and v.last.closest_limit),
+        "shake_ended_by": (str, lambda v: v.ended_by),
+    }
     species: str
     plant: str
     held_unharmed: bool
@@ -328,47 +339,12 @@ class Visit(Record):
         return None if known is None else float(known.mean())
 
     @property
-    def predicted_amplitude_median(self) -> float | None:
-        """[m]."""
-        return median(self.predicted_amplitude)
+    def last(self) -> StepRecord | None:
+        """The last step of a watched shake."""
+        return self.steps[-1] if self.steps else None
 
     @property
-    def measured_amplitude_median(self) -> float | None:
-        """[m]."""
-        return median(self.measured_amplitude)
-
-    @property
-    def predicted_acceleration_median(self) -> float | None:
-        """[m/s2]."""
-        return median(self.predicted_acceleration)
-
-    @property
-    def measured_acceleration_median(self) -> float | None:
-        """[m/s2]."""
-        return median(self.measured_acceleration)
-
-    @property
-    def shake_steps(self) -> int | None:
-        """How many steps the shake had; None if it never began."""
-        return len(self.steps) if self.shaken else None
-
-    @property
-    def step_flower_acceleration_median(self) -> float | None:
-        """Of the last step [m/s2]."""
-        return self.steps[-1].flower_acceleration_median if self.steps else None
-
-    @property
-    def step_share_of_limit(self) -> float | None:
-        """Of the limit that the last step came closest to."""
-        return max(self.steps[-1].share_of_limits.values(), default=0.0) if self.steps else None
-
-    @property
-    def step_closest_limit(self) -> str | None:
-        """The limit that the last step came closest to."""
-        return self.steps[-1].closest_limit if self.steps else None
-
-    @property
-    def shake_ended_by(self) -> str | None:
+    def ended_by(self) -> str | None:
         """What the last two steps decided."""
         return " ".join(step.decided for step in self.steps[-2:]) if self.steps else None
 

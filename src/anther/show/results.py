@@ -22,7 +22,7 @@ from anther.perception.stem import Stem
 from anther.perception.stem.confidence import doubt
 from anther.plant.limits import Crop
 from anther.plant.model import PlantModel
-from anther.plant.visit import Result, TruthRecord, Visit
+from anther.plant.visit import Result, TruthRecord, Visit, median
 from anther.pollination.execution import Trial
 from anther.pollination.grasp import Grasp, load_grasps
 from anther.pollination.response import Response
@@ -156,8 +156,8 @@ class RunResults:
         if self.shaken is not None:
             facts.append(("shake", f"{1000 * self.shaken.amplitude:.2g} mm at {self.shaken.frequency:.1f} Hz"))
         if self.visit is not None:
-            medians = {"predicted": self.visit.predicted_amplitude_median}
-            medians["measured"] = self.visit.measured_amplitude_median
+            motions = {"predicted": self.visit.predicted_amplitude, "measured": self.visit.measured_amplitude}
+            medians = {how: median(amplitude) for how, amplitude in motions.items()}
             known = {how: value for how, value in medians.items() if value is not None}
             facts += [(f"{how} flower amplitude", f"{1000 * value:.2f} mm") for how, value in known.items()]
         return facts
@@ -202,11 +202,13 @@ def watched_words(visit: Visit) -> str:
     """Return in a line how the shake was raised, or why the plan alone was carried out."""
     if visit.plan_alone_because is not None:
         return f"no, the plan alone was carried out: {visit.plan_alone_because}"
-    felt, duration = visit.step_flower_acceleration_median, (visit.shake and visit.shake.duration) or 0.0
+    duration, last = (visit.shake and visit.shake.duration) or 0.0, visit.last
+    assert last is not None, "a shake is watched step by step"
+    felt = median(last.flower_acceleration)
     seen = "no flower was measured" if felt is None else f"flowers measured {felt:.1f} m/s² (median)"
     return (
-        f"{visit.shake_steps} steps in {duration:.1f} s; at the end {seen}, {visit.step_share_of_limit:.0%} "
-        f"of the closest limit ({visit.step_closest_limit}). {visit.shake_ended_by}"
+        f"{len(visit.steps)} steps in {duration:.1f} s; at the end {seen}, {last.share_of_limit:.0%} "
+        f"of the closest limit ({last.closest_limit}). {visit.ended_by}"
     )
 
 

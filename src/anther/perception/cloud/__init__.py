@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,7 +116,7 @@ class Cloud(Stored):
         Stored.save(self, path.with_suffix(".npz"))
 
     @classmethod
-    def load(cls, path: Path | str) -> Cloud:
+    def load(cls, path: Path | str) -> Self:
         """Read what `save` wrote. A PLY without its .npz is read as well: no obstacles, poses or notes then.
 
         Raises:
