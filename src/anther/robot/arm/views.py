@@ -66,6 +66,7 @@ class Params(Record):
         focal: length [px] (D455 at 1280 x 720; facts: perception).
     """
 
+    CALLED = "views'"
     count: Annotated[int, Range(1, 500)] = 30
     distances: tuple[float, ...] = (0.65, 0.58, 0.52)
     azimuth_step: Annotated[float, Range(1, 90, "degrees")] = 7.5
