@@ -19,10 +19,10 @@ from anther.cli.sample_data import write_samples
 from anther.core import Intrinsics
 from anther.core.files import read_json, write_json
 from anther.core.runs import FILES
-from anther.history import TrialRecord, record_trial
+from anther.history import record_trial
 from anther.perception import Capture, Cloud, Skeleton, find_stem, write_skeleton
 from anther.perception.flowers import supposed_flowers
-from anther.plant import TOMATO, build_plant
+from anther.plant import TOMATO, Visit, build_plant
 from anther.pollination import plan_grasps, save_grasps
 
 SKELETONS = ("swc", "npz", "txt", "ply", "graphml", "mtg")
@@ -74,7 +74,7 @@ def write_inputs(folder: Path) -> None:
     rows = (folder / "board" / "poses.csv").read_text().splitlines()
     (folder / "board" / "poses.csv").write_text("\n".join(rows[:6]) + "\n")
     for k in range(3):
-        record_trial(TrialRecord("tomato", "abc"[k], held_unharmed=True, failure=None), folder / "history.sqlite")
+        record_trial(Visit("tomato", "abc"[k], held_unharmed=True, failure=None), folder / "history.sqlite")
     (folder / "options.json").write_text(json.dumps({name: _options(name) for name in COMMANDS}))
 
 
@@ -100,7 +100,7 @@ def _write_run(run: Path, tree: Skeleton, cloud: Cloud) -> None:
     save_grasps(run / FILES["grasp"], plan_grasps(stem, tree, cloud))
     build_plant(tree, stem, flowers, cloud, TOMATO).save(run / FILES["plant model"])
     write_json(run / "00_params.json", {"command": "trial", "plant": "tomato"})
-    write_json(run / "visit.json", TrialRecord("tomato", "z", held_unharmed=True, failure=None).plain())
+    Visit("tomato", "z", held_unharmed=True, failure=None).save(run / "trial.json")
 
 
 def _thin_captures(folder: Path) -> None:

@@ -24,7 +24,7 @@ from anther.pollination import ShakePlan, Trial
 
 TESTS = Path(__file__).parents[2] / "tests" / "support"
 LONGEST = 1800.0  # s of a trial
-KEPT = ("failure", "message", "shaking_seconds", "shake_ended_by", "plan_alone_because", "seconds", "log_error")
+KEPT = ("failure", "message", "shake_duration_s", "shake_ended_by", "plan_alone_because", "seconds", "log_error")
 
 
 @contextmanager

@@ -34,8 +34,8 @@ import numpy as np
 from sqlalchemy import create_engine, text
 
 from anther.core import AntherError, Array
-from anther.history import GraspRecord, ShakeRecord, TrialRecord, earlier_shake, record_trial, starting_material
-from anther.plant import TOMATO
+from anther.history import earlier_shake, record_trial, starting_material
+from anther.plant import TOMATO, GraspRecord, ShakeRecord, Visit
 
 sys.path.append(str(Path(__file__).parents[2] / "tests" / "support"))
 from postgresql_server import Server, start
@@ -72,12 +72,12 @@ COLUMNS = {
 }
 
 
-def record(plant: str, robot: str, seed: int, when: datetime) -> TrialRecord:
+def record(plant: str, robot: str, seed: int, when: datetime) -> Visit:
     """Return a visit that taught something."""
     rng = np.random.default_rng(seed)
     after = TOMATO.changed(scanned_youngs=1e8 * float(np.exp(rng.normal(0, 0.4))), youngs_spread=0.3)
     felt = tuple(rng.uniform(2, 12, FLOWERS).tolist())
-    return TrialRecord(
+    return Visit(
         "tomato", plant, True, None, GraspRecord(0.3, 0.009, 0.94, "main stem"),
         ShakeRecord(8.0, 1e-3, 3.0, "sine", (0.0, 1.0, 0.0)), measured_amplitude=(1e-3,) * FLOWERS,
         measured_acceleration=felt, predicted_acceleration=felt, believed=TOMATO, material=after, robot=robot,

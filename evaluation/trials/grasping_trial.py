@@ -9,11 +9,9 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from anther.core import Advance, Run, StageFailure
 from anther.perception import Cloud
-from anther.plant import PEPPER, TOMATO, Crop, Material
+from anther.plant import PEPPER, TOMATO, Crop, Material, Visit
 from anther.pollination import Done, Params, Seen, ShakePlan, arm_shaker, execute, model_plant, plan_shake, pollinate
 from anther.pollination.execution import EARLY
 from anther.robot import MotionPlanner, Planner
@@ -32,7 +30,8 @@ LISTED = (
     "grasp_pose7",
     "true_held_beside",
     "true_flower_acceleration_peak_ms2",
-)  # of a trial's summary; other lists, one number a flower, are left out
+)  # of a visit; other lists, one number a flower, are left out
+NAMED = ("species", "plant", "robot", "run", "time", "id", "flowers")  # of a visit; the case says them
 LEAST_SHAKE = 1e-6  # m, of the paper's grasp: it is never refused because the plant bears no useful shake there
 
 
@@ -189,10 +188,11 @@ def performed(cell: SimulatedCell, perform: Callable[[], Done]) -> tuple[dict[st
         verdict = judge(cell.world, shaken, done.shake.frequency, done.trial.steady)
     except StageFailure as stopped:
         failure, shaken = stopped, None
-    summary = as_counted(summarise(cell, done, verdict, failure))
-    row = {k: v for k, v in summary.items() if np.ndim(v) == 0 or k in LISTED}
-    row["stem_held"] = shaken is not None and row["organ_grasped"] == "stem"
-    row["axis_held"] = shaken is not None and row["organ_grasped"] in ("stem", "branch")
+    visit = summarise(Visit("simulated", "plant", held_unharmed=False), cell, done, verdict, failure)
+    summary = {k: v for k, v in as_counted(visit.flat()).items() if k not in NAMED}
+    row = {k: v for k, v in summary.items() if k in LISTED or not isinstance(v, dict | list)}
+    row["stem_held"] = shaken is not None and row.get("grasp_organ") == "stem"
+    row["axis_held"] = shaken is not None and row.get("grasp_organ") in ("stem", "branch")
     if shaken is not None:
         end = cell.world.time
         assert done is not None

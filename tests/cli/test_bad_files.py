@@ -27,7 +27,7 @@ from anther.core.files import existing, made_folder, read_json, read_npz, replac
 from anther.core.geometry import Box, Intrinsics, look_at
 from anther.core.libraries import MOST_PIXELS, compiled_code
 from anther.core.runs import FILES
-from anther.history import TrialRecord, read_outcomes, read_trials, record_trial
+from anther.history import read_outcomes, read_trials, record_trial
 from anther.perception.capture import Capture, check_views, viewed_box
 from anther.perception.cloud import ply
 from anther.perception.formats.clouds import read_cloud
@@ -35,6 +35,7 @@ from anther.perception.formats.skeletons import read_skeleton, write_skeleton
 from anther.perception.images import read_image
 from anther.perception.skeleton import Skeleton
 from anther.perception.stem import Stem
+from anther.plant import Visit
 from anther.rods import Clamp, frequency_response, observed_response
 from anther.rods._simulation import new_output
 
@@ -342,20 +343,22 @@ def test_an_outcome_edited_by_hand(tmp_path: Path) -> None:
 VISITS = [
     ("species", 5), ("species", ["t"]), ("plant", None), ("plant", {}), ("held_unharmed", "yes"),
     ("held_unharmed", None), ("failure", 3), ("run", ["a"]), ("time", 5), ("time", "noon"), ("grasp", 5),
-    ("grasp", {"nose": 1}),
-    ("grasp", {"organ": 5}), ("shake", []), ("shake", {"frequency": "fast", "amplitude": 1}), ("material", "soft"),
-    ("material", {"youngs": "soft"}), ("material", [1]), ("measured_amplitude", 5), ("measured_amplitude", ["a", "b"]),
-    ("measured_amplitude", [[1], [2]]), ("predicted_amplitude", {"a": 1}),
+    ("grasp_nose", 1), ("grasp_organ", 5), ("grasp_pose7", [1, 2]), ("shake", []), ("shake_frequency_hz", "fast"),
+    ("shake_amplitude_m", None), ("material_after_youngs_pa", "soft"), ("material_after_youngs_pa", -1),
+    ("material_before_density_kg_m3", [1]), ("measured_amplitude_m", 5), ("measured_amplitude_m", ["a", "b"]),
+    ("measured_amplitude_m", [[1], [2]]), ("predicted_amplitude_m", {"a": 1}), ("steps", 5),
+    ("steps", [{"begin_s": 1}]),
+    ("true_slip_m", "far"), ("seconds", [1]), ("predicted_acceleration_ms2", [1.0] * 9),
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize(("name", "value"), VISITS)
 def test_a_visit_of_wrong_types(tmp_path: Path, capsys, name: str, value: object) -> None:
-    (tmp_path / "visit.json").write_text(json.dumps({**full().plain(), name: value}))
-    with pytest.raises(InputError, match="record of a trial"):
-        TrialRecord.of({**full().plain(), name: value})
+    (tmp_path / "trial.json").write_text(json.dumps({"kind": "visit", "schema": 1, **full().flat(), name: value}))
+    with pytest.raises(InputError, match="record of a visit"):
+        Visit.of({**full().flat(), name: value})
     assert cli.main(["history", str(tmp_path / "h.sqlite"), "--add", str(tmp_path)]) == 2
-    assert "visit.json" in capsys.readouterr().err
+    assert "trial.json" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -382,7 +385,7 @@ def test_a_run_whose_stem_is_of_another_skeleton(tmp_path: Path, capsys) -> None
 
 
 def test_a_visit_that_is_no_object(tmp_path: Path, capsys) -> None:
-    (tmp_path / "visit.json").write_text("[1, 2]")
+    (tmp_path / "trial.json").write_text("[1, 2]")
     assert cli.main(["history", str(tmp_path / "h.sqlite"), "--add", str(tmp_path)]) == 2
     assert "allowed: a JSON object" in capsys.readouterr().err
 

@@ -24,12 +24,13 @@ from anther.cli.main import ACTIONS, COMMANDS, main
 from anther.cli.run_folder import WRITTEN, open_run
 from anther.core.errors import InputError, StageFailure
 from anther.core.geometry import Intrinsics, look_at
-from anther.history import TrialRecord, record_trial
+from anther.history import record_trial
 from anther.perception.capture import Capture
 from anther.perception.cloud import Cloud
 from anther.perception.formats.skeletons import read_skeleton
 from anther.perception.skeleton import Skeleton
 from anther.perception.stem import Stem
+from anther.plant import Visit
 from anther.pollination.execution import Trial
 
 
@@ -62,7 +63,7 @@ def test_no_label_commands_a_terminal_and_no_sign_is_too_strange(encoding, tmp_p
     """A label can clear the screen, name the window, or fill the clipboard; a locale can lack its letters."""
     label = "row \x1b]52;c;ZXZpbA==\x07\x1b[2J\x9b2J\ründer µ"
     history = str(tmp_path / "h.sqlite")
-    record_trial(TrialRecord("tomato", label, held_unharmed=True, failure=None), history)
+    record_trial(Visit("tomato", label, held_unharmed=True, failure=None), history)
     environment = {**os.environ, "PYTHONIOENCODING": encoding, "COLUMNS": "300", "FORCE_COLOR": "1"}
     said = b""
     for words in (["history", history, "--plant", label], ["skeletonize", label, "--out", "x"]):

@@ -15,18 +15,19 @@ import pytest
 
 from anther.cli.args.trial import Args
 from anther.cli.main import main
-from anther.cli.run_folder import VISIT, remember
+from anther.cli.run_folder import SUMMARY, remember
 from anther.cli.trial import _belief
 from anther.core.errors import InputError
 from anther.core.files import write_json
-from anther.history import GraspRecord, ShakeRecord, TrialRecord, read_outcomes, read_trials, record_trial
+from anther.history import read_outcomes, read_trials, record_trial
+from anther.plant import GraspRecord, ShakeRecord, Visit
 from anther.plant.model import TOMATO
 
 BEGIN = datetime(2026, 5, 1, 23, 30, tzinfo=UTC)
 
 
-def trial(plant: str, days: float = 0, species: str = "tomato") -> TrialRecord:
-    return TrialRecord(
+def trial(plant: str, days: float = 0, species: str = "tomato") -> Visit:
+    return Visit(
         species=species,
         plant=plant,
         held_unharmed=True,
@@ -48,7 +49,7 @@ def history(tmp_path: Path) -> str:
     where = str(tmp_path / "h.sqlite")
     for record in (trial("row 1"), trial("7", 2), trial("row 1", 4), trial("row 1", 5, "pepper")):
         record_trial(record, where)
-    record_trial(TrialRecord("tomato", "row 2", False, "no_stem_found", time=BEGIN + timedelta(days=6)), where)
+    record_trial(Visit("tomato", "row 2", False, "no_stem_found", time=BEGIN + timedelta(days=6)), where)
     return where
 
 
@@ -253,10 +254,10 @@ def test_a_history_out_of_reach_loses_no_trial(tmp_path: Path, say) -> None:
     (read,) = read_trials(where)
     assert (read.material, read.time) == (trial("a").material, BEGIN)
     assert np.isnan(read.measured_amplitude[1])
-    (run / VISIT).unlink()
+    (run / SUMMARY).unlink()
     assert say("history", where, "--add", run)[0] == 2
-    write_json(run / VISIT, {"plant": 3})
-    assert "what a trial wrote" in say("history", where, "--add", run)[1]
+    write_json(run / SUMMARY, {"plant": 3})
+    assert "kind 'visit'" in say("history", where, "--add", run)[1]
 
 
 def test_a_trial_begins_with_what_was_learned(tmp_path: Path) -> None:

@@ -182,4 +182,4 @@ def test_trial_json_names_the_fault_rather_than_what_the_judge_found(execution: 
     assert summary["message"] == ("it slipped" if told == "slipped" else "the cable")
     held: Any = SimpleNamespace(success=True, held=True, failure=None, reason="", **parts)
     summary = _verdict(done, held, None)
-    assert summary["success"] == summary["held"] == (told == "slipped")
+    assert summary["held_unharmed"] == summary["held"] == (told == "slipped")

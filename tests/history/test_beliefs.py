@@ -9,14 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from anther.history import GraspRecord, ShakeRecord, TrialRecord, earlier_shake, record_trial, starting_material
+from anther.history import earlier_shake, record_trial, starting_material
 from anther.history._records import material_of
+from anther.plant import GraspRecord, ShakeRecord, Visit
 from anther.plant.model import PEPPER, TOMATO, Material
 
 
-def trial(plant: str, before: Material, after: Material, *, hours: float = 0, species: str = "tomato") -> TrialRecord:
+def trial(plant: str, before: Material, after: Material, *, hours: float = 0, species: str = "tomato") -> Visit:
     begin = datetime(2026, 5, 1, tzinfo=UTC) + timedelta(hours=hours)
-    return TrialRecord(species, plant, True, measured_amplitude=(1e-3,), believed=before, material=after, time=begin)
+    return Visit(species, plant, True, measured_amplitude=(1e-3,), believed=before, material=after, time=begin)
 
 
 def told(before: Material, log_youngs: float, error: float) -> Material:

@@ -21,8 +21,6 @@ from anther.cli.main import main
 from anther.core.errors import AntherError, InputError
 from anther.history import (
     Outcome,
-    ShakeRecord,
-    TrialRecord,
     count_trials,
     each_trial,
     merge,
@@ -34,16 +32,17 @@ from anther.history import (
     record_trial,
     starting_material,
 )
-from anther.history._tables import Note, Plant, Visit
+from anther.history._tables import Note, Plant, VisitRow
+from anther.plant import ShakeRecord, Visit
 from anther.plant.model import TOMATO
 
 NOON = datetime(2026, 5, 1, 12, tzinfo=UTC)
 
 
-def visit(plant: str, robot: str, minutes: float, *, clock: float = 0.0, youngs: float = 1.5e8) -> TrialRecord:
+def visit(plant: str, robot: str, minutes: float, *, clock: float = 0.0, youngs: float = 1.5e8) -> Visit:
     """A visit that teaches; `clock` is by how many minutes the robot's own clock is fast."""
     after = TOMATO.changed(scanned_youngs=youngs, youngs_spread=0.3)
-    return TrialRecord(
+    return Visit(
         "tomato", plant, True, shake=ShakeRecord(8.0, 1e-3, 3.0, "sine", (0, 1, 0)), measured_amplitude=(1e-3, 2e-3),
         believed=TOMATO, material=after, robot=robot, time=NOON + timedelta(minutes=minutes + clock),
     )  # fmt: skip
@@ -122,7 +121,7 @@ def test_a_merge_that_was_cut_off_is_done_again(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(module, "BATCH", 2)
     add = module.add
 
-    def cut_off(session: object, record: TrialRecord) -> tuple[int, bool]:
+    def cut_off(session: object, record: Visit) -> tuple[int, bool]:
         calls.append(record)
         if len(calls) == 4:
             raise KeyboardInterrupt
@@ -147,7 +146,9 @@ def test_notes_go_over_once_each_with_its_visit_though_written_at_once(tmp_path:
     assert merge(offline, where) == (0, 4)
     with reading(where) as session:
         assert session is not None
-        rows = session.execute(select(Visit.time, Note.text).join(Note, Note.visit_id == Visit.id).order_by(Visit.time))
+        rows = session.execute(
+            select(VisitRow.time, Note.text).join(Note, Note.visit_id == VisitRow.id).order_by(VisitRow.time)
+        )
         assert [tuple(row) for row in rows] == [(NOON + timedelta(minutes=m), f"after {m}") for m in (0, 5)]
 
 
@@ -218,9 +219,9 @@ def test_a_server_is_backed_up_and_restored(server: Server) -> None:
     assert record_trial(visit("b", "r", 9), restored) == 4
 
 
-def test_visit_json_of_a_program_that_knew_no_robots_is_read() -> None:
-    plain = json.loads(json.dumps(visit("a", "r", 0).plain()))
+def test_a_visit_without_a_robot_is_read() -> None:
+    plain = json.loads(json.dumps(visit("a", "r", 0).flat()))
     del plain["robot"]
-    assert TrialRecord.of(plain).robot == ""
+    assert Visit.of(plain).robot == ""
     with pytest.raises(InputError, match="robot"):
         replace(visit("a", "r", 0), robot="x" * 201)

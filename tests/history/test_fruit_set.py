@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from scipy.special import expit
 
 from anther.core.errors import InputError
-from anther.history import Outcome, ShakeRecord, TrialRecord
+from anther.history import Outcome
 from anther.history.fruit_set import GRID, NAMES, PRIORS, Count, _quantiles, counts_of, fit, pollen_dose, worth
+from anther.plant import ShakeRecord, Visit
 from anther.show.pictures.estimates import draw_fruit_set
 
 DAY = datetime(2026, 5, 1, 10, tzinfo=UTC)
@@ -133,8 +134,8 @@ def test_what_is_not_known_is_said() -> None:
     assert "extrapolated" in with_controls
 
 
-def visit(number: int, days: float, **more: object) -> TrialRecord:
-    made = TrialRecord("tomato", "a", True, shake=ShakeRecord(10.0, 1e-3), time=DAY + timedelta(days=days), id=number)
+def visit(number: int, days: float, **more: object) -> Visit:
+    made = Visit("tomato", "a", True, shake=ShakeRecord(10.0, 1e-3), time=DAY + timedelta(days=days), id=number)
     return replace(made, **more)  # type: ignore[arg-type]
 
 

@@ -24,10 +24,7 @@ from sqlalchemy import text
 
 from anther.core.errors import InputError, MissingExtra
 from anther.history import (
-    GraspRecord,
     Outcome,
-    ShakeRecord,
-    TrialRecord,
     add_missing,
     find_plants,
     find_visit,
@@ -41,14 +38,15 @@ from anther.history import (
 )
 from anther.history._database import _engine, writing
 from anther.history._jobs import Job, add_jobs, note_jobs, read_jobs
+from anther.plant import GraspRecord, ShakeRecord, Visit
 from anther.plant.model import Material
 
 KILLS = int(os.environ.get("ANTHER_KILLS", "4"))
 NOON = datetime(2026, 5, 1, 12, tzinfo=UTC)
 
 
-def full(plant: str = "seed 3", minutes: int = 0) -> TrialRecord:
-    return TrialRecord(
+def full(plant: str = "seed 3", minutes: int = 0) -> Visit:
+    return Visit(
         species="tomato",
         plant=plant,
         held_unharmed=False,
@@ -80,7 +78,7 @@ def test_round_trip(where: str) -> None:
 
 
 def test_little_is_needed(where: str) -> None:
-    record_trial(TrialRecord("pepper", "row 3, 14", True), where)
+    record_trial(Visit("pepper", "row 3, 14", True), where)
     (read,) = read_trials(where)
     assert (read.material, read.failure, read.grasp, read.shake, read.measured_amplitude) == (None,) * 4 + ((),)
     assert find_plants("row 3, 14", where) == [("pepper", "row 3, 14")]
@@ -89,7 +87,7 @@ def test_little_is_needed(where: str) -> None:
 def test_oldest_first_and_filtered(where: str) -> None:
     for plant, minutes in (("b", 5), ("a", 1), ("b", 3)):
         record_trial(full(plant, minutes), where)
-    record_trial(TrialRecord("pepper", "b", True, time=NOON + timedelta(days=2, hours=11)), where)
+    record_trial(Visit("pepper", "b", True, time=NOON + timedelta(days=2, hours=11)), where)
 
     def minutes_of(**which: object) -> list[int]:
         return [r.time.minute for r in read_trials(where, **which)]  # type: ignore[arg-type]
@@ -118,10 +116,11 @@ def test_a_history_on_a_disk_that_is_only_read_is_read(tmp_path: Path) -> None:
         pytest.skip("this machine lets nobody mount: unshare --user --mount")
     code = """if True:
         import sys
-        from anther.history import TrialRecord, read_trials, record_trial
+        from anther.history import read_trials, record_trial
+        from anther.plant import Visit
         print([trial.plant for trial in read_trials(sys.argv[1])])
         try:
-            record_trial(TrialRecord("tomato", "row 1", held_unharmed=True, failure=None), sys.argv[1])
+            record_trial(Visit("tomato", "row 1", held_unharmed=True, failure=None), sys.argv[1])
         except Exception as error:
             print(error)"""
     command = [*alone, f'{mount} && exec "$2" -c "$3" "$4"', "sh", path.parent, sys.executable, code, path]
@@ -158,8 +157,8 @@ def test_outcomes(where: str) -> None:
 
 
 def test_a_record_survives_as_json_and_is_added_once(where: str) -> None:
-    again = TrialRecord.of(full().plain())
-    assert json.dumps(again.plain()) == json.dumps(full().plain())
+    again = Visit.of(full().flat())
+    assert json.dumps(again.flat()) == json.dumps(full().flat())
     assert (again.grasp, again.shake, again.material, again.time) == (
         full().grasp, full().shake, full().material, full().time,
     )  # fmt: skip
@@ -167,14 +166,14 @@ def test_a_record_survives_as_json_and_is_added_once(where: str) -> None:
     assert add_missing(again, where) is None
     assert len(read_trials(where)) == 1
     assert add_missing(full("seed 4"), where) is not None  # at the same time, but another plant
-    with pytest.raises(InputError, match="record of a trial"):
-        TrialRecord.of({"species": "tomato"})
+    with pytest.raises(InputError, match="record of a visit"):
+        Visit.of({"species": "tomato"})
 
 
 def write_on(where: str, name: str, count: int, pipe: int) -> None:
     """Record trials of three plants; report each one's number once it is recorded."""
     for k in range(count):
-        record = TrialRecord("tomato", f"{name} {k % 3}", True, shake=ShakeRecord(8.0, 1e-3), robot=f"{os.getpid()}")
+        record = Visit("tomato", f"{name} {k % 3}", True, shake=ShakeRecord(8.0, 1e-3), robot=f"{os.getpid()}")
         number = record_trial(replace(record, predicted_amplitude=(1e-3, 2e-3, 3e-3, 4e-3, 5e-3)), where)
         os.write(pipe, f"{number}\n".encode())
 
@@ -343,7 +342,7 @@ def test_passwords_are_not_shown() -> None:
 @given(st.sampled_from(["species", "plant"]), st.sampled_from(["", "x" * 201]))
 def test_labels_are_brief(name: str, value: str) -> None:
     with pytest.raises(InputError, match=name):
-        TrialRecord(**({"species": "tomato", "plant": "1", "held_unharmed": True} | {name: value}))  # type: ignore[arg-type]
+        Visit(**({"species": "tomato", "plant": "1", "held_unharmed": True} | {name: value}))  # type: ignore[arg-type]
     with pytest.raises(InputError, match=name):
         Outcome(**({"species": "t", "plant": "1", "flowers": 2, "fruit": 1, "date": date.today()} | {name: value}))  # type: ignore[arg-type]
 
@@ -365,8 +364,8 @@ def test_what_is_not_a_number_is_refused(value: float) -> None:
         lambda: ShakeRecord(1.0, 1e-3, direction=(0, 0, value)),
         lambda: GraspRecord(arc_length=value),
         lambda: GraspRecord(pose7=(0, 0, 1)),
-        lambda: TrialRecord("t", "1", True, time=datetime(2026, 1, 1)),
-        lambda: TrialRecord("t", "1", True, predicted_amplitude=(1e-3,), measured_amplitude=(1e-3, 1e-3)),
+        lambda: Visit("t", "1", True, time=datetime(2026, 1, 1)),
+        lambda: Visit("t", "1", True, predicted_amplitude=(1e-3,), measured_amplitude=(1e-3, 1e-3)),
     ):
         with pytest.raises(InputError):
             make()

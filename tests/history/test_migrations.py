@@ -15,11 +15,14 @@ from sqlalchemy import create_engine, inspect, text
 
 import anther.history.migrations as versions
 from anther.core.errors import InputError
-from anther.history import TrialRecord, read_trials, record_trial
-from anther.history._tables import Base
+from anther.core.records import flat_columns
+from anther.history import read_trials, record_trial
+from anther.history._tables import Base, GraspRow, ResponseRow, ShakeRow
 from anther.history.migrations import HEAD
+from anther.plant import GraspRecord, ShakeRecord, Visit
+from anther.plant.visit import MOTIONS
 
-VISIT = TrialRecord("tomato", "a", True)
+VISIT = Visit("tomato", "a", True)
 
 
 def engine_of(where: str) -> Any:
@@ -83,3 +86,13 @@ def test_a_history_of_another_version_is_refused(where: str) -> None:
         connection.execute(text("UPDATE alembic_version SET version_num = '9999'"))
     with pytest.raises(InputError, match="another Anther"):
         read_trials(where)
+
+
+def test_columns_are_called_as_in_trial_json() -> None:
+    """A row's attribute is the field of a visit, its column the field's name with the unit."""
+    flat = {GraspRow: GraspRecord, ShakeRow: ShakeRecord}
+    for row, record in flat.items():
+        names = {column.name for column in row.__table__.columns} - {"id", "visit_id"}
+        assert names == set(flat_columns(record))
+    names = {column.name for column in ResponseRow.__table__.columns} - {"id", "visit_id", "flower"}
+    assert names == set(flat_columns(Visit, MOTIONS))

@@ -12,7 +12,7 @@ import pytest
 from sample_plants import branched, grasps_on
 from test_beliefs import trial
 
-from anther.cli.run_folder import VISIT, remember
+from anther.cli.run_folder import SUMMARY, remember
 from anther.core.errors import InputError, StageFailure
 from anther.core.files import replacing, write_json
 from anther.history import starting_material
@@ -84,7 +84,7 @@ def test_a_locked_history_keeps_the_trial_in_its_folder(tmp_path: Path, monkeypa
     other.close()
     assert told is not None
     assert "locked" in told
-    assert (tmp_path / "second" / VISIT).exists()
+    assert (tmp_path / "second" / SUMMARY).exists()
 
 
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EDQUOT, errno.EROFS])

@@ -15,7 +15,7 @@ import pytest
 from anther.cli.args.trial import Args
 from anther.cli.trial import _params
 from anther.core.errors import InputError
-from anther.core.files import write_json
+from anther.plant import ShakeRecord, Visit
 from anther.pollination.execution import Step, Trial
 from anther.pollination.pipeline import Params
 from anther.show.pictures.report import draw_steps
@@ -57,14 +57,19 @@ def trial_of(*steps: Step, shaken: bool = True) -> Trial:
     return Trial((), none, times, joints, joints, np.zeros((0, 3)), np.zeros(0), "finished", steps=steps)
 
 
-def told(trial: Trial, alone: str | None = None) -> dict[str, Any]:
-    return _watched(cast(Any, SimpleNamespace(trial=trial, alone=alone)))
+def told(trial: Trial, alone: str | None = None) -> Visit:
+    """A visit of which only the shake is known."""
+    watched = _watched(cast(Any, SimpleNamespace(trial=trial, alone=alone)))
+    times = trial.shake_times
+    return Visit(
+        "tomato", "1", True, shake=ShakeRecord(8.0, 1e-3, float(np.ptp(times)) if len(times) else 0.0), **watched
+    )
 
 
 def test_trial_json_has_every_step_and_what_was_reached(tmp_path: Path) -> None:
-    write_json(tmp_path / "trial.json", told(trial_of(*STEPS)))
+    told(trial_of(*STEPS)).save(tmp_path / "trial.json")
     said = json.loads((tmp_path / "trial.json").read_text())
-    assert (said["shake_steps"], said["shaking_seconds"], said["plan_alone_because"]) == (3, 6.5, None)
+    assert (said["shake_steps"], said["shake_duration_s"], said["plan_alone_because"]) == (3, 6.5, None)
     assert (said["step_share_of_limit"], said["step_closest_limit"]) == (0.8, "slip")
     assert said["step_flower_acceleration_median_ms2"] == 8.0, "of the flowers that were measured in the last step"
     assert said["shake_ended_by"] == "Held: slip. Held long enough."
@@ -81,8 +86,7 @@ def test_the_line_says_steps_flowers_limit_and_end() -> None:
     for part in ("3 steps in 6.5 s", "8.0 m/s² (median)", "80% of the closest limit (slip)", "Held: slip."):
         assert part in words
     unseen = replace(LAST, flowers=(NAN, NAN, NAN))
-    said = told(trial_of(PROBE, unseen))
-    assert "no flower was measured" in watched_words(json.loads(json.dumps(said).replace("NaN", "null")))
+    assert "no flower was measured" in watched_words(Visit.of(told(trial_of(PROBE, unseen)).flat()))
 
 
 NOTHING = replace(PROBE, flowers=(NAN,) * 3, decided="Nothing is in sight: the plan alone is carried out.")
@@ -98,12 +102,13 @@ NOTHING = replace(PROBE, flowers=(NAN,) * 3, decided="Nothing is in sight: the p
 )
 def test_the_plan_alone_is_said_with_its_reason(steps: tuple[Step, ...], alone: str | None, why: str) -> None:
     said = told(trial_of(*steps), alone)
-    assert why in said["plan_alone_because"]
+    assert why in (said.plan_alone_because or "")
     assert "the plan alone was carried out" in watched_words(said)
 
 
 def test_a_trial_that_never_shook_says_nothing_of_steps() -> None:
-    assert told(trial_of(shaken=False)) == {}
+    never = told(trial_of(shaken=False))
+    assert (never.shaken, never.flat()["shake_steps"], never.ended_by, never.steps) == (False, None, None, ())
 
 
 def test_the_flags_change_what_is_watched_and_kept() -> None:
@@ -125,7 +130,7 @@ def test_a_motor_is_always_watched(words: dict[str, Any]) -> None:
 
 def test_the_report_draws_each_step_and_what_was_decided(tmp_path: Path) -> None:
     trial = trial_of(*STEPS)
-    results = RunResults(folder=tmp_path, summary=told(trial) | {"success": True}, trial=trial)
+    results = RunResults(folder=tmp_path, visit=told(trial), trial=trial)
     write_report(tmp_path / "report.html", results)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     section = page[page.index("The shake, step by step") :]
@@ -136,7 +141,7 @@ def test_the_report_draws_each_step_and_what_was_decided(tmp_path: Path) -> None
     assert "0.20 mm at 8 Hz, 0.50 mm at 3 Hz" in section
     assert "2 of 3" in section, "flowers that were measured"
     assert "80% slip" in section
-    alone = RunResults(folder=tmp_path, summary=told(trial_of(), "it was not to be watched") | {"success": True})
+    alone = RunResults(folder=tmp_path, visit=told(trial_of(), "it was not to be watched"))
     write_report(tmp_path / "report.html", alone)
     assert escape("the plan alone was carried out: it was not to be watched") in (tmp_path / "report.html").read_text()
 

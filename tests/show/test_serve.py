@@ -24,8 +24,9 @@ pytest.importorskip("fastapi", reason="FastAPI is not installed: pip install 'an
 from fastapi.testclient import TestClient
 
 from anther.cli.main import main
-from anther.history import GraspRecord, Outcome, ShakeRecord, TrialRecord, overview, record_outcome, record_trial
+from anther.history import Outcome, overview, record_outcome, record_trial
 from anther.history._jobs import Job, State, add_jobs, note_jobs
+from anther.plant import GraspRecord, ShakeRecord, Visit
 from anther.plant.model import TOMATO
 from anther.show.serve import charts, make_app
 
@@ -34,12 +35,10 @@ TOKEN = "a token of the house"
 EVIL = "<script>alert('row')</script>"
 
 
-def visit(
-    plant: str, hours: float = 0, robot: str = "arm 1", failure: str | None = None, **more: object
-) -> TrialRecord:
+def visit(plant: str, hours: float = 0, robot: str = "arm 1", failure: str | None = None, **more: object) -> Visit:
     """A visit some hours ago."""
     shake = None if failure else ShakeRecord(8.0, 1.25e-3, 3.0, "sine", (0, 1, 0))
-    return TrialRecord(
+    return Visit(
         "tomato", plant, failure is None, failure, GraspRecord(0.31, organ="main_stem"), shake,
         predicted_amplitude=(1e-3, 2e-3), measured_amplitude=(1.5e-3, float("nan")), measured_acceleration=(4.0, 6.0),
         believed=TOMATO, material=TOMATO.changed(scanned_youngs=1.6e8, youngs_spread=0.3), robot=robot,

@@ -209,8 +209,8 @@ def test_a_trial_of_a_cell_file_end_to_end(tmp_path: Path, capsys: pytest.Captur
     assert main(["trial", *words, "--out", str(out), "--history", str(tmp_path / "h.sqlite")]) in (0, 1)
     assert "no machine is contacted" in capsys.readouterr().out
     results = read_run(out)
-    assert results.summary is not None
-    assert results.summary["simulated_as"][0].startswith("no machine")
+    assert results.visit is not None
+    assert results.visit.simulated_as[0].startswith("no machine")
     motion = motion_of(results)
     assert motion is not None
     assert (motion.arm.name, motion.arm.tool.stroke) == ("ur5e", 0.06)

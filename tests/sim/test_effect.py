@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple, fields
-from datetime import UTC, datetime
+from dataclasses import astuple, fields, replace
 from html import escape
 from types import SimpleNamespace
 from typing import Any, cast
@@ -11,20 +10,21 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from anther.cli.args.trial import Args
-from anther.cli.trial import _record
 from anther.core.errors import StageFailure
 from anther.core.geometry import Array
+from anther.history import read_trials, record_trial
+from anther.plant import GraspRecord, Visit
 from anther.plant.limits import PRESETS
 from anther.pollination.response import Response
 from anther.show.report import write_report
 from anther.show.results import RunResults
-from anther.show.summary import _true, _verdict, summarise
+from anther.show.summary import _truth, _verdict, summarise
 from anther.sim.judge import Harm, Verdict, pollen_freed
 from anther.sim.truth import HALF_DOSE, TOLERANCE, tolerances
 
 GENTLE = {"stem": 0.005, "pedicel": 0.001, "base": 0.001, "leaf": 1.0}
 BREEZE = (4.0, 6.0, 12.0)
+BEGUN = Visit("tomato", "1", held_unharmed=False)
 FINISHED: Any = SimpleNamespace(trial=SimpleNamespace(failure=None, stop_reason="finished"))
 
 
@@ -36,9 +36,11 @@ def verdict_of(held: bool = True, felt: tuple[float, ...] = BREEZE, **loads: flo
     return Verdict(held, failure, "so it was", "stem", 0.2, 1e-4, 0.0, harm, *flowers, 0.5)  # type: ignore[arg-type]
 
 
-def told(verdict: Verdict | None, failure: StageFailure | None = None) -> dict[str, Any]:
-    """The parts of trial.json that come from the verdict."""
-    return _verdict(None if verdict is None else FINISHED, verdict, failure) | _true(verdict)
+def told(verdict: Verdict | None, failure: StageFailure | None = None) -> Visit:
+    """A visit of which only the verdict is known."""
+    values = _verdict(None if verdict is None else FINISHED, verdict, failure)
+    grasp = None if verdict is None else GraspRecord(organ=verdict.organ_grasped)
+    return replace(BEGUN, **values, truth=_truth(verdict), grasp=grasp)
 
 
 @pytest.mark.parametrize("kind", TOLERANCE)
@@ -100,15 +102,16 @@ def test_pollen_freed_spans_what_is_not_known_of_the_dose() -> None:
     ],
 )
 def test_success_is_all_three_parts_and_each_can_fail_alone(verdict: Verdict, parts: tuple[bool, ...]) -> None:
-    summary = told(verdict)
+    visit = told(verdict)
     assert (verdict.held, verdict.unharmed, verdict.flowers_moved) == parts
-    assert (summary["held"], summary["unharmed"], summary["flowers_moved"]) == parts
-    assert summary["success"] == verdict.success == all(parts)
-    assert (summary["failure"] is None) == (verdict.held and verdict.unharmed)
+    assert (visit.held, visit.unharmed, visit.flowers_moved) == parts
+    assert visit.held_unharmed == (parts[0] and parts[1])
+    assert visit.success == verdict.success == all(parts)
+    assert (visit.failure is None) == (verdict.held and verdict.unharmed)
 
 
 def test_trial_json_says_what_the_flowers_felt() -> None:
-    summary = told(verdict_of(felt=(1.0, 4.0, 6.0, 12.0, np.nan)))
+    summary = told(verdict_of(felt=(1.0, 4.0, 6.0, 12.0, np.nan))).flat()
     felt = (summary["true_flower_acceleration_median_ms2"], summary["true_flower_acceleration_least_ms2"])
     assert (*felt, summary["share_above_5_ms2"], summary["share_above_10_ms2"]) == (5.0, 1.0, 0.5, 0.25)
     assert summary["flowers_moved"], "half of them felt as much or more"
@@ -117,7 +120,7 @@ def test_trial_json_says_what_the_flowers_felt() -> None:
 
 
 @pytest.mark.parametrize(
-    ("summary", "kept"),
+    ("visit", "kept"),
     [
         (told(verdict_of()), (True, None)),
         (told(verdict_of(felt=(0.1,))), (True, None)),
@@ -127,33 +130,33 @@ def test_trial_json_says_what_the_flowers_felt() -> None:
     ],
 )
 def test_the_history_keeps_the_result_that_the_report_shows(
-    summary: dict[str, Any], kept: tuple[bool, str | None], tmp_path
+    visit: Visit, kept: tuple[bool, str | None], tmp_path
 ) -> None:
-    record = _record(Args(), tmp_path, datetime.now(UTC), summary, None)
+    record_trial(visit, tmp_path / "history.sqlite")
+    (record,) = read_trials(tmp_path / "history.sqlite")
     assert (record.held_unharmed, record.failure) == kept
-    results = RunResults(folder=tmp_path, summary=summary)
+    visit.save(tmp_path / "trial.json")
+    results = RunResults(folder=tmp_path, visit=Visit.load(tmp_path / "trial.json"))
     assert (record.result, record.result_words) == (results.result, results.headline)
-    assert (record.result == "pollinated") == summary["success"]
+    assert (record.result == "pollinated") == visit.success
 
 
 @pytest.mark.parametrize(
-    ("summary", "said", "headline"),
+    ("visit", "said", "headline"),
     [
         (told(verdict_of()), ["yes", "no", "yes"], "pollinated"),
         (told(verdict_of(felt=(2.7,))), ["yes", "no", "hardly"], "held, flowers hardly moved"),
         (told(verdict_of(pedicel=0.05)), ["yes", "yes: pedicel", "yes"], "failed: damaged"),
         (told(verdict_of(held=False)), ["no", "no", "yes"], "failed: slipped"),
         (
-            summarise(None, None, None, StageFailure("no_stem_found", "two trees")),
+            summarise(BEGUN, None, None, None, StageFailure("no_stem_found", "two trees")),
             ["no", "not known", "not known"],
             "failed: no stem found",
         ),
     ],
 )
-def test_the_report_begins_with_the_three_answers(
-    summary: dict[str, Any], said: list[str], headline: str, tmp_path
-) -> None:
-    results = RunResults(folder=tmp_path, summary=summary)
+def test_the_report_begins_with_the_three_answers(visit: Visit, said: list[str], headline: str, tmp_path) -> None:
+    results = RunResults(folder=tmp_path, visit=visit)
     assert [answer.said for answer in results.answers()] == said
     assert results.headline == headline
     write_report(tmp_path / "report.html", results)
@@ -162,8 +165,9 @@ def test_the_report_begins_with_the_three_answers(
     places = [first.index(f"{answer.question}</span><b class=") for answer in results.answers()]
     assert places == sorted(places)
     assert all(f">{escape(answer.said)}</b><span>{escape(answer.why)}</span>" in first for answer in results.answers())
-    assert summary["message"] in first
-    assert ("simulated" in first) == (summary["unharmed"] is not None), "whose truth it is"
+    assert visit.message
+    assert visit.message in first
+    assert ("simulated" in first) == (visit.unharmed is not None), "whose truth it is"
 
 
 def response_of(after: tuple[float, ...], at_most: tuple[float, ...]) -> Response:
@@ -200,12 +204,12 @@ def test_of_a_real_plant_the_side_camera_tells_whether_flowers_moved(after, step
     gripped = np.array([[0.004, 20.0, 1.0], [0.004, 20.0, 1.0]])
     steps = [] if step is None else [SimpleNamespace(flowers=step)]
     trial = SimpleNamespace(finished=True, failure=None, stop_reason="finished", gripper=gripped, steps=steps)
-    summary = _verdict(cast(Any, SimpleNamespace(trial=trial, response=response_of(after, at_most))), None, None)
-    felt = (summary["flowers_moved"], summary["felt_flower_acceleration_median_ms2"], summary["felt_flowers"])
-    assert felt == moved
-    assert summary["success"] == (moved[0] is not False), "it was held, and whether it was harmed nobody knows"
+    parts = _verdict(cast(Any, SimpleNamespace(trial=trial, response=response_of(after, at_most))), None, None)
+    visit = replace(BEGUN, **parts)
+    assert (visit.flowers_moved, visit.felt_flower_acceleration_median, visit.felt_flowers) == moved
+    assert visit.success == (moved[0] is not False), "it was held, and whether it was harmed nobody knows"
     said = {True: "yes", False: "hardly", None: "not known"}[moved[0]]
-    results = RunResults(folder=tmp_path, summary=summary)
+    results = RunResults(folder=tmp_path, visit=visit)
     assert [answer.said for answer in results.answers()] == ["yes", "not known", said]
     words = {True: "pollinated", False: "held, flowers hardly moved", None: "held, flowers not measured"}
     assert results.headline == words[moved[0]]
@@ -220,11 +224,11 @@ def test_of_a_real_plant_the_side_camera_tells_whether_flowers_moved(after, step
 def test_of_a_real_plant_pads_that_close_further_lost_the_stem(openings, gripping, held) -> None:
     gripper = np.array([(1e-3 * opening, 20.0, grips) for opening, grips in zip(openings, gripping, strict=True)])
     trial = SimpleNamespace(finished=True, failure=None, stop_reason="finished", gripper=gripper, steps=[])
-    summary = _verdict(cast(Any, SimpleNamespace(trial=trial, response=None)), None, None)
-    assert (summary["held"], summary["success"]) == (held, held)
-    assert summary["failure"] == (None if held else "slipped")
+    visit = replace(BEGUN, **_verdict(cast(Any, SimpleNamespace(trial=trial, response=None)), None, None))
+    assert (visit.held, visit.success) == (held, held)
+    assert visit.failure == (None if held else "slipped")
 
 
-def test_a_report_of_an_older_run_has_no_answers(tmp_path) -> None:
-    older = RunResults(folder=tmp_path, summary={"success": False, "failure": "slipped", "message": "6 mm"})
-    assert (older.answers(), older.headline) == ((), "failed: slipped")
+def test_a_visit_of_which_only_the_result_is_known_has_no_answers(tmp_path) -> None:
+    known = RunResults(folder=tmp_path, visit=replace(BEGUN, failure="slipped", message="6 mm"))
+    assert (known.answers(), known.headline) == ((), "failed: slipped")

@@ -18,8 +18,6 @@ from anther.cli.run_folder import add_run
 from anther.core.errors import FailureKind, bad_input
 from anther.history import (
     Outcome,
-    Result,
-    TrialRecord,
     count_trials,
     each_trial,
     export,
@@ -29,6 +27,7 @@ from anther.history import (
     shown,
     starting_material,
 )  # fmt: skip
+from anther.plant.visit import Result, Visit
 
 
 def run(args: Args) -> None:
@@ -75,7 +74,7 @@ def _list(args: Args, which: dict[str, Any], outcomes: Sequence[Outcome]) -> Non
     return None
 
 
-def _trials(trials: Sequence[TrialRecord], width: int) -> Table:
+def _trials(trials: Sequence[Visit], width: int) -> Table:
     """Return the table of trials; in a narrow terminal with the columns that tell how each went."""
     columns = COLUMNS if width >= WIDE else {name: COLUMNS[name] for name in NARROW}
     more = (
@@ -90,19 +89,19 @@ def _trials(trials: Sequence[TrialRecord], width: int) -> Table:
     return table
 
 
-def _held(trial: TrialRecord) -> str:
+def _held(trial: Visit) -> str:
     return "" if trial.grasp is None or trial.grasp.arc_length is None else f"{100 * trial.grasp.arc_length:.1f}"
 
 
-def _shaken(trial: TrialRecord) -> str:
+def _shaken(trial: Visit) -> str:
     return "" if trial.shake is None else f"{1000 * trial.shake.amplitude:.2f} mm, {trial.shake.frequency:.1f} Hz"
 
 
-def _stiff(trial: TrialRecord) -> str:
-    return "" if trial.material is None or not trial.measured else f"{trial.material.youngs / 1e6:.0f}"
+def _stiff(trial: Visit) -> str:
+    return "" if trial.material is None or not trial.flowers_measured else f"{trial.material.youngs / 1e6:.0f}"
 
 
-def _motion(trial: TrialRecord) -> str:
+def _motion(trial: Visit) -> str:
     """Return predicted -> measured medians over the measured flowers."""
     motions = {name: np.array(values, dtype=float) for name, values in trial.motions().items()}
     seen = np.isfinite(motions["measured_amplitude"])
@@ -112,7 +111,7 @@ def _motion(trial: TrialRecord) -> str:
     return f"{predicted:.2f} -> {measured:.2f} ({seen.sum()} of {trial.flowers})"
 
 
-COLUMNS: dict[str, Callable[[TrialRecord], str]] = {
+COLUMNS: dict[str, Callable[[Visit], str]] = {
     "visit": lambda trial: str(trial.id),
     "time (UTC)": lambda trial: f"{trial.time:%Y-%m-%d %H:%M}",
     "crop": lambda trial: trial.species,

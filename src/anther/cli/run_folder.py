@@ -18,9 +18,10 @@ from anther.cli.doctor import installed_version
 from anther.core.errors import AntherError, bad_input, missing_extra
 from anther.core.files import existing, made_folder, read_object, write_json
 from anther.core.runs import FILES, PROGRESS, Run
-from anther.history import TrialRecord, add_missing, read_record, record_trial, shown
+from anther.history import add_missing, record_trial, shown
+from anther.plant.visit import Visit
 from anther.robot.devices import Tap, untapped
-from anther.show.results import ARM, EXECUTED, FILM, PARAMS, SUMMARY, TIMING, VISIT, RunResults, read_run
+from anther.show.results import ARM, EXECUTED, FILM, PARAMS, SUMMARY, TIMING, RunResults, read_run
 
 LOG, EARLIER = "log.mcap", "log_before.mcap"
 """The log, and that of the process which a run was gone on from."""
@@ -71,7 +72,7 @@ class TrialLog:
         return {"log_messages": kept.messages, "log_dropped": kept.dropped, "log_error": kept.error}
 
 
-OTHERS = (PARAMS, TIMING, ARM, PROGRESS, EXECUTED, SUMMARY, VISIT, FILM, LOG, EARLIER)
+OTHERS = (PARAMS, TIMING, ARM, PROGRESS, EXECUTED, SUMMARY, FILM, LOG, EARLIER)
 WRITTEN = {*OTHERS, *FILES.values(), FILES["cloud"].replace(".ply", ".npz")}
 """What a run writes into its folder; a cloud's other arrays lie beside its .ply."""
 LIBRARIES = ("numpy", "scipy", "numba", "mujoco", "pin", "coal", "roboplan", "embreex", "small_gicp", "scikit-image")
@@ -169,17 +170,17 @@ def finish(run: Run) -> RunResults:
     return results
 
 
-def remember(record: TrialRecord, folder: Path, history: str) -> str | None:
-    """Keep the record in the run folder, then in the history; return None, or why the history did not take it.
+def remember(visit: Visit, folder: Path, history: str) -> str | None:
+    """Keep the visit in the run folder, then in the history; return None, or why the history did not take it.
 
     The trial is done by then, so that a history out of reach ends nothing: the message says how to add it later.
     """
-    write_json(folder / VISIT, record.plain())
+    visit.save(folder / SUMMARY)
     try:
-        record_trial(record, history)
+        record_trial(visit, history)
     except AntherError as error:
         how = f"anther history {shown(history)} --add {folder}"
-        return f"the trial is not in the history yet. {error} It is kept in {folder / VISIT}; add it with: {how}"
+        return f"the trial is not in the history yet. {error} It is kept in {folder / SUMMARY}; add it with: {how}"
     return None
 
 
@@ -189,8 +190,8 @@ def add_run(folder: Path, history: str) -> int | None:
     Raises:
         InputError: no run with a trial, or the history cannot be written.
     """
-    if not (existing(folder) / VISIT).exists():
-        do = "Trials of earlier versions are in their history already."
+    if not (existing(folder) / SUMMARY).exists():
+        do = "A run that ended before its verdict has none; go on with --restart-from where-it-stopped."
         allowed = "a run folder of `anther trial`"
-        raise bad_input(str(folder), given=f"a folder without {VISIT}", allowed=allowed, do=do)
-    return add_missing(read_record(folder / VISIT), history)
+        raise bad_input(str(folder), given=f"a folder without {SUMMARY}", allowed=allowed, do=do)
+    return add_missing(Visit.load(folder / SUMMARY), history)

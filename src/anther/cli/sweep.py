@@ -21,8 +21,8 @@ from anther.cli.args import trial as trial_args
 from anther.cli.args.shared import tuned
 from anther.cli.args.sweep import Args
 from anther.core.errors import InputError, StageFailure, bad_input
-from anther.core.files import read_object
-from anther.show.results import read_run
+from anther.plant.visit import Visit
+from anther.show.results import SUMMARY, read_run
 
 LOG = "log.txt"
 Kind = Literal["trial", "reconstruct"]
@@ -71,7 +71,7 @@ def trial(row: dict[str, Any], folder: Path) -> dict[str, Any]:
     args = _arguments(tuned(trial_args.Args)(out=folder, history=str(folder / "history.sqlite")), row)
     with _kept_log(folder):
         code = trial_command.run(args)
-    summary = read_object(folder / "trial.json")
+    summary = Visit.load(folder / SUMMARY).flat()
     return {"exit_code": code} | {k: v for k, v in summary.items() if not isinstance(v, dict | list)}
 
 

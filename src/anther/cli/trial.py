@@ -14,25 +14,16 @@ from anther.cli.args.trial import Args
 from anther.cli.run_folder import ARM, TrialLog, finish, open_run, parameters, remember
 from anther.core.checks import check_range
 from anther.core.errors import StageFailure, bad_input
-from anther.core.files import write_json
 from anther.core.runs import WHERE_IT_STOPPED, stage_under_way
-from anther.history import (
-    Belief,
-    GraspRecord,
-    ShakeRecord,
-    TrialRecord,
-    earlier_shake,
-    facts_prior,
-    shown,
-    starting_material,
-)
+from anther.history import Belief, earlier_shake, facts_prior, shown, starting_material
+from anther.plant.visit import Visit
 from anther.pollination.pipeline import Done, Params, mask_finder, pollinate
 from anther.pollination.shake import with_preset
 from anther.robot.arm.gripper_shape import GripperShape
 from anther.robot.arm.saved import save_arm
 from anther.robot.cells import read_cell
 from anther.robot.devices import Tap, untapped
-from anther.show.results import EXECUTED, FILM, SUMMARY, held_unharmed
+from anther.show.results import EXECUTED, FILM
 from anther.show.summary import print_summary, summarise
 
 if TYPE_CHECKING:
@@ -89,11 +80,17 @@ def run(args: Args) -> int:
             verdict = None if cell.world is None else run.timed("judge", lambda _: _judge(cell, done))
         except StageFailure as stopped:
             failure = stopped
-        summary = summarise(cell, done, verdict, failure)
-        summary |= {"seconds": dict(run.seconds), "parameters": parameters(args), **log.close(failure, verdict)}
-        summary |= {"simulated_as": notes, "material_source": belief.source, "material_reason": belief.reason}
-        write_json(run.folder / SUMMARY, summary)
-        lost = remember(_record(args, out, began, summary, done), out, history)
+        begun = Visit(args.plant, _label(args), held_unharmed=False, run=str(out), robot=args.robot, time=began)
+        visit = replace(
+            summarise(begun, cell, done, verdict, failure),
+            material_source=belief.source,
+            material_reason=belief.reason,
+            simulated_as=notes,
+            seconds=dict(run.seconds),
+            parameters=parameters(args),
+            **log.close(failure, verdict),
+        )
+        lost = remember(visit, out, history)
     print_summary(finish(run))
     print(f"material to begin with: {belief.reason}")
     for said in (lost, failure):
@@ -101,7 +98,7 @@ def run(args: Args) -> int:
             print(f"anther trial: {said}", file=sys.stderr)
     if failure is not None or lost is not None:
         return 2
-    return int(not held_unharmed(summary))
+    return int(not visit.held_unharmed)
 
 
 def _file(args: Args) -> CellFile | None:
@@ -230,37 +227,3 @@ def _label(args: Args) -> str:
         return args.label or Path(args.cell).stem
     where = f" in {Path(args.cell).stem}" if args.simulate else ""
     return f"simulated {args.seed}{where}" + (", wide truth" if args.truth == "wide" else "")  # not the same plant
-
-
-def _record(args: Args, out: Path, began: datetime, summary: dict[str, Any], done: Done | None) -> TrialRecord:
-    """Return what the history keeps of the trial: what was held and not harmed teaches.
-
-    That the flowers hardly moved is no failure there: what they felt is kept, and doses are reckoned from that. A shake
-    that was planned but never begun is not recorded: it gave the flowers nothing.
-    """
-    held, failure, moved = held_unharmed(summary), summary["failure"], summary["flowers_moved"]
-    crop, label, robot = args.plant, _label(args), args.robot
-    record = TrialRecord(crop, label, held, failure, flowers_moved=moved, run=str(out), robot=robot, time=began)
-    if done is None:
-        return record
-    plan, answer, times, grasp = done.shake, done.response, done.trial.shake_times, done.shake.grasp
-    shake = ShakeRecord(
-        frequency=plan.frequency,
-        amplitude=plan.amplitude,
-        duration=float(times[-1] - times[0]) if len(times) else 0.0,
-        waveform="sine",
-        direction=tuple(plan.direction.tolist()),
-    )
-    organ, pose = summary["organ_grasped"], tuple(grasp.pose7)
-    return replace(
-        record,
-        grasp=GraspRecord(grasp.arc_length, grasp.stem_diameter, grasp.confidence, organ, pose),
-        shake=shake if len(times) else None,
-        predicted_amplitude=tuple(plan.predicted_amplitude.tolist()),
-        predicted_acceleration=tuple(plan.predicted_acceleration.tolist()),
-        measured_amplitude=() if answer is None else tuple(answer.amplitude.tolist()),
-        measured_amplitude_std=() if answer is None else tuple(answer.amplitude_std.tolist()),
-        measured_acceleration=() if answer is None else tuple(answer.acceleration_peak.tolist()),
-        believed=done.believed,
-        material=done.material,
-    )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -96,19 +95,6 @@ def check_room(what: str, size: float, do: str) -> None:
     """
     if size > MOST_BYTES:
         raise bad_input(what, given=f"{size / 1e9:.1f} GB", allowed=f"at most {MOST_BYTES / 1e9:g} GB", do=do)
-
-
-def check_parameters(params: Any, *, places: tuple[str, ...] = ()) -> None:
-    """Check every number of a dataclass, and of tuples in it: none is NaN, infinite, or, but in `places`, less than 0.
-
-    Raises:
-        InputError: one is.
-    """
-    for field in fields(params):
-        value = getattr(params, field.name)
-        for number in value if isinstance(value, tuple) else (value,):
-            if isinstance(number, (int, float)):
-                check_range(field.name, number, -1e9 if field.name in places else 0, 1e9)
 
 
 _EYE, _LAST_ROW = np.eye(3), np.array([0.0, 0.0, 0.0, 1.0])

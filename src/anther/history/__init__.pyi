@@ -3,7 +3,7 @@
 from ._beliefs import Belief, earlier_shake, facts_prior, starting_material
 from ._database import reading, shown
 from ._export import export
-from ._records import GraspRecord, Outcome, Result, ShakeRecord, TrialRecord, read_record, result_of, result_words
+from ._records import Outcome
 from ._trials import (
     add_missing,
     count_trials,
@@ -23,11 +23,7 @@ __all__ = [
     "Belief",
     "Count",
     "FruitSet",
-    "GraspRecord",
     "Outcome",
-    "Result",
-    "ShakeRecord",
-    "TrialRecord",
     "add_missing",
     "count_trials",
     "each_trial",
@@ -39,14 +35,11 @@ __all__ = [
     "fit",
     "merge",
     "read_outcomes",
-    "read_record",
     "read_trials",
     "reading",
     "record_note",
     "record_outcome",
     "record_trial",
-    "result_of",
-    "result_words",
     "shown",
     "starting_material",
 ]

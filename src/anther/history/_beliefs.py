@@ -12,7 +12,7 @@ from sqlalchemy.orm import Session
 from anther.core.checks import check_array
 from anther.history._database import DEFAULT, reading
 from anther.history._records import material_of
-from anther.history._tables import GraspRow, Plant, ResponseRow, ShakeRow, Visit
+from anther.history._tables import GraspRow, Plant, ResponseRow, ShakeRow, VisitRow
 from anther.plant.belief import EarlierShake
 from anther.plant.model import PEPPER, TOMATO, Material
 
@@ -65,12 +65,12 @@ def starting_material(species: str, plant: str, where: Path | str = DEFAULT) -> 
 def earlier_shake(species: str, plant: str, where: Path | str = DEFAULT) -> EarlierShake | None:
     """Return the last shake of a plant that succeeded and whose flowers were measured; None if there is none."""
     query = _visits_of(select(GraspRow.arc_length, ShakeRow), species, plant)
-    query = query.join(GraspRow, GraspRow.visit_id == Visit.id).join(ShakeRow, ShakeRow.visit_id == Visit.id)
+    query = query.join(GraspRow, GraspRow.visit_id == VisitRow.id).join(ShakeRow, ShakeRow.visit_id == VisitRow.id)
     query = query.where(
         GraspRow.arc_length.is_not(None),
         ShakeRow.direction.is_not(None),
         ShakeRow.waveform == "sine",
-        exists().where(ResponseRow.visit_id == Visit.id, ResponseRow.measured_amplitude.is_not(None)),
+        exists().where(ResponseRow.visit_id == VisitRow.id, ResponseRow.measured_amplitude.is_not(None)),
     )
     with reading(where) as session:
         found: Any = None if session is None else session.execute(query.limit(1)).first()
@@ -84,14 +84,16 @@ def earlier_shake(species: str, plant: str, where: Path | str = DEFAULT) -> Earl
 def _visits_of(query: Any, species: str, plant: str) -> Any:
     """Ask a query of the visits that held a plant and did not harm it, the last one first."""
     number = select(Plant.id).where(Plant.species == species, Plant.label == plant).scalar_subquery()
-    query = query.select_from(Visit).where(Visit.plant_id == number, Visit.held_unharmed)
-    return query.order_by(Visit.time.desc(), Visit.id.desc())
+    query = query.select_from(VisitRow).where(VisitRow.plant_id == number, VisitRow.held_unharmed)
+    return query.order_by(VisitRow.time.desc(), VisitRow.id.desc())
 
 
 def _own(session: Session, species: str, plant: str) -> tuple[Any, int]:
     """Return the last visit that taught something of the plant itself, or None, and how many did."""
     number = func.count().over()
-    query = _visits_of(select(Visit.id, Visit.time, Visit.material, number), species, plant).where(Visit.taught)
+    query = _visits_of(select(VisitRow.id, VisitRow.time, VisitRow.material, number), species, plant).where(
+        VisitRow.taught
+    )
     found: Any = session.execute(query.limit(1)).first()
     return (None, 0) if found is None else (found, found[3])
 

@@ -3,59 +3,40 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict
-from datetime import date, datetime
+from datetime import date
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_origin
 
 import numpy as np
 
 from anther.core.errors import bad_input
-from anther.core.geometry import Array
+from anther.core.records import flat_columns
 from anther.core.tables import write_table
-from anther.history._records import MOTIONS, Outcome, TrialRecord
+from anther.history._records import Outcome
+from anther.plant.visit import MOTIONS, Visit
 
-Column = tuple[type, Callable[[Any], Any]]
-"""Its type, and what it holds of a line's source."""
+_NAME = ("time", "species", "plant")
+_HISTORY = (
+    *_NAME, "result", "held_unharmed", "flowers_moved", "failure", "run", "robot", "acceleration_mean_ms2", "grasp",
+    "shake", "flowers", "flowers_measured", "predicted_amplitude_median_m", "measured_amplitude_median_m",
+    "predicted_acceleration_median_ms2", "measured_acceleration_median_ms2", "believed", "material",
+)  # fmt: skip
+"""Fields and properties of a visit that every history knows."""
+_MOTIONS = dict(zip(flat_columns(Visit, MOTIONS), MOTIONS, strict=True))
 
-_OF_TRIAL: dict[str, Column] = {
-    "visit": (int, lambda t: t.id),
-    "time": (datetime, lambda t: t.time),
-    "species": (str, lambda t: t.species),
-    "plant": (str, lambda t: t.plant),
-}
-_VISITS: dict[str, Column] = {
-    **_OF_TRIAL,
-    "result": (str, lambda t: t.result),
-    "held_unharmed": (bool, lambda t: t.held_unharmed),
-    "flowers_moved": (bool, lambda t: t.flowers_moved),
-    "failure": (str, lambda t: t.failure),
-    "run": (str, lambda t: t.run),
-    "robot": (str, lambda t: t.robot),
-    "acceleration_mean_ms2": (float, lambda t: _mean(t.accelerations())),
-    "grasp_arc_length_m": (float, lambda t: t.grasp and t.grasp.arc_length),
-    "grasp_stem_diameter_m": (float, lambda t: t.grasp and t.grasp.stem_diameter),
-    "grasp_confidence": (float, lambda t: t.grasp and t.grasp.confidence),
-    "organ_grasped": (str, lambda t: t.grasp and t.grasp.organ),
-    "shake_frequency_hz": (float, lambda t: t.shake and t.shake.frequency),
-    "shake_amplitude_m": (float, lambda t: t.shake and t.shake.amplitude),
-    "shake_duration_s": (float, lambda t: t.shake and t.shake.duration),
-    "flowers": (int, lambda t: t.flowers),
-    "flowers_measured": (int, lambda t: int(np.isfinite(t.measured_amplitude).sum())),
-    "predicted_amplitude_median_m": (float, lambda t: _median(t.predicted_amplitude)),
-    "measured_amplitude_median_m": (float, lambda t: _median(t.measured_amplitude)),
-    "youngs_before_pa": (float, lambda t: t.believed and t.believed.youngs),
-    "youngs_after_pa": (float, lambda t: t.material and t.material.youngs),
-    "youngs_spread_after": (float, lambda t: t.material and t.material.youngs_spread),
-    "damping_ratio_after": (float, lambda t: t.material and t.material.damping_ratio),
-    "damping_spread_after": (float, lambda t: t.material and t.material.damping_spread),
-}
-_FLOWERS: dict[str, type] = {
-    **{name: kind for name, (kind, _) in _OF_TRIAL.items()},
-    "flower": int,
-    **dict.fromkeys(MOTIONS.values(), float),
-}
+
+def _columns(*names: str) -> dict[str, type]:
+    """Return the columns of fields of a visit: the number of the visit, and what is no list."""
+    found = flat_columns(Visit, names).items()
+    return {"visit": int} | {name: str if get_origin(of) is Literal else of for name, of in found if not _is_list(of)}
+
+
+def _is_list(kind: Any) -> bool:
+    return get_origin(kind) is tuple
+
+
 _OUTCOMES: dict[str, type] = {
     "outcome": int,
     "date": date,
@@ -67,14 +48,14 @@ _OUTCOMES: dict[str, type] = {
     "note": str,
 }
 TABLES: dict[str, dict[str, type]] = {
-    "visits": {name: kind for name, (kind, _) in _VISITS.items()},
-    "flowers": _FLOWERS,
+    "visits": _columns(*_HISTORY),
+    "flowers": {**_columns(*_NAME), "flower": int, **dict.fromkeys(_MOTIONS, float)},
     "outcomes": _OUTCOMES,
 }
 """Table -> column -> type. "visits": one line a visit; "flowers": one a flower and visit; "outcomes": one a count."""
 
 
-def export(path: Path, table: str, trials: Iterable[TrialRecord], outcomes: Iterable[Outcome]) -> int:
+def export(path: Path, table: str, trials: Iterable[Visit], outcomes: Iterable[Outcome]) -> int:
     """Write one of `TABLES` to a .csv or .parquet, whole or not at all, and return how many lines it has.
 
     The trials are taken one after another, so that an iterator of more than the memory holds is written as well.
@@ -90,7 +71,7 @@ def export(path: Path, table: str, trials: Iterable[TrialRecord], outcomes: Iter
     elif table == "flowers":
         lines = (line for trial in trials for line in _flowers(trial))
     else:
-        lines = (_line(trial, _VISITS) for trial in trials)
+        lines = (_line(visit) for visit in trials)
     columns = TABLES[table]
     count = itertools.count()
     lines = ({name: _plain(line.get(name)) for name in columns} for line, _ in zip(lines, count, strict=False))
@@ -98,23 +79,14 @@ def export(path: Path, table: str, trials: Iterable[TrialRecord], outcomes: Iter
     return next(count)
 
 
-def _line(trial: TrialRecord, columns: dict[str, Column]) -> dict[str, Any]:
-    return {name: value(trial) for name, (_, value) in columns.items()}
+def _line(visit: Visit) -> dict[str, Any]:
+    return visit.flat() | {"visit": visit.id, "time": visit.time}
 
 
-def _flowers(trial: TrialRecord) -> Iterator[dict[str, Any]]:
-    visit, motions = _line(trial, _OF_TRIAL), trial.motions()
-    for k in range(trial.flowers):
-        yield {**visit, "flower": k, **{MOTIONS[name]: values[k] for name, values in motions.items()}}
-
-
-def _mean(values: Array | None) -> float | None:
-    return None if values is None else float(values.mean())
-
-
-def _median(values: Sequence[float]) -> float | None:
-    finite = np.array(values)[np.isfinite(values)]
-    return float(np.median(finite)) if len(finite) else None
+def _flowers(visit: Visit) -> Iterator[dict[str, Any]]:
+    line, motions = _line(visit), visit.motions()
+    for k in range(visit.flowers):
+        yield {**line, "flower": k, **{column: motions[name][k] for column, name in _MOTIONS.items()}}
 
 
 def _plain(value: Any) -> Any:

@@ -2,8 +2,8 @@
 
 One plant has many visits; a visit has at most one grasp and one shake, a response of every flower, and links to its run
 folder; outcomes belong to a plant, and to one of its visits where the grower says so. A sweep has many jobs, which
-have no visits. Visits, responses, outcomes and notes are never changed. What a record has too (`_records`) is called
-here as there; its column has the unit in its name.
+have no visits. Visits, responses, outcomes and notes are never changed. What a `Visit` or `Outcome` has too is called
+here as there; its column is called as in trial.json, with the unit in its name.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class Plant(Base):
     label: Mapped[str]
 
 
-class Visit(Base):
+class VisitRow(Base):
     """One trial at a plant. The materials are `plant.Material` as JSON, so that a new property needs no new column.
 
     Plant, time (by the robot's own clock) and robot name a visit in every history it is in.
@@ -98,7 +98,7 @@ class Visit(Base):
 
 def pollinated() -> ColumnElement[bool]:
     """Return the condition that a visit held the plant, did not harm it, and moved its flowers."""
-    return and_(Visit.held_unharmed, func.coalesce(Visit.flowers_moved, false()))
+    return and_(VisitRow.held_unharmed, func.coalesce(VisitRow.flowers_moved, false()))
 
 
 def with_result(result: str) -> ColumnElement[bool]:
@@ -107,11 +107,11 @@ def with_result(result: str) -> ColumnElement[bool]:
         case "pollinated":
             return pollinated()
         case "held":
-            return and_(Visit.held_unharmed, not_(pollinated()))
+            return and_(VisitRow.held_unharmed, not_(pollinated()))
         case "failed":
-            return not_(Visit.held_unharmed)
+            return not_(VisitRow.held_unharmed)
         case _:
-            return Visit.failure == result
+            return VisitRow.failure == result
 
 
 class GraspRow(Base):

@@ -19,14 +19,15 @@ from sqlalchemy.orm import Session
 
 from anther.core.errors import bad_input
 from anther.history._database import DEFAULT, insert, reading, shown, writing
-from anther.history._records import MOTIONS, GraspRecord, Outcome, ShakeRecord, TrialRecord, material_of, numbers
-from anther.history._tables import FruitSetRow, GraspRow, Note, Plant, ResponseRow, ShakeRow, Visit, with_result
+from anther.history._records import Outcome, material_of, numbers
+from anther.history._tables import FruitSetRow, GraspRow, Note, Plant, ResponseRow, ShakeRow, VisitRow, with_result
+from anther.plant.visit import MOTIONS, GraspRecord, ShakeRecord, Visit
 
 BATCH = 500
 """Visits that are read or written at a time."""
 
 
-def record_trial(record: TrialRecord, where: Path | str = DEFAULT) -> int:
+def record_trial(record: Visit, where: Path | str = DEFAULT) -> int:
     """Add one trial to the history and return the number of its visit. A SQLite file is made when it is missing.
 
     The write is one transaction: after a crash all of it is there or nothing. Writers wait for each other. A trial
@@ -34,35 +35,37 @@ def record_trial(record: TrialRecord, where: Path | str = DEFAULT) -> int:
     may record it again.
 
     Args:
-        record: the trial.
+        record: the visit.
         where: a SQLite file, or postgresql://USER:PASSWORD@HOST/DATABASE.
     """
     with writing(where) as session:
         return add(session, record)[0]
 
 
-def add_missing(record: TrialRecord, where: Path | str = DEFAULT) -> int | None:
+def add_missing(record: Visit, where: Path | str = DEFAULT) -> int | None:
     """Add a trial that could not be recorded when it ended; None if the history has it already."""
     with writing(where) as session:
         number, new = add(session, record)
         return number if new else None
 
 
-def add(session: Session, record: TrialRecord) -> tuple[int, bool]:
+def add(session: Session, record: Visit) -> tuple[int, bool]:
     """Add a trial within a transaction; return the number of its visit and whether it is new."""
     plant = _plant_of(session, record.species, record.plant)
     number = _number_of(session, plant.id, record.robot, record.time)
     if number is not None:
         return number, False
-    visit = _visit(record, plant.id)
-    session.add(visit)
+    row = _row_of(record, plant.id)
+    session.add(row)
     session.flush()
-    return visit.id, True
+    return row.id, True
 
 
 def _number_of(session: Session, plant: int, robot: str, time: datetime) -> int | None:
     """Return the number of a robot's visit to a plant, or None."""
-    return session.scalar(select(Visit.id).where(Visit.plant_id == plant, Visit.robot == robot, Visit.time == time))
+    return session.scalar(
+        select(VisitRow.id).where(VisitRow.plant_id == plant, VisitRow.robot == robot, VisitRow.time == time)
+    )
 
 
 class Which(TypedDict, total=False):
@@ -81,7 +84,7 @@ class Which(TypedDict, total=False):
     result: str | None
 
 
-def read_trials(where: Path | str = DEFAULT, *, last: int | None = None, **which: Unpack[Which]) -> list[TrialRecord]:
+def read_trials(where: Path | str = DEFAULT, *, last: int | None = None, **which: Unpack[Which]) -> list[Visit]:
     """Return the recorded trials, oldest first; none when the file does not exist.
 
     Args:
@@ -89,21 +92,21 @@ def read_trials(where: Path | str = DEFAULT, *, last: int | None = None, **which
         last: only so many, the last ones.
         which: see `Which`.
     """
-    query = _chosen(select(Visit), which).order_by(Visit.time.desc(), Visit.id.desc()).limit(last)
+    query = _chosen(select(VisitRow), which).order_by(VisitRow.time.desc(), VisitRow.id.desc()).limit(last)
     with reading(where) as session:
-        return [] if session is None else [_trial_of(visit) for visit in session.scalars(query)][::-1]
+        return [] if session is None else [_visit_of(visit) for visit in session.scalars(query)][::-1]
 
 
-def each_trial(where: Path | str = DEFAULT, **which: Unpack[Which]) -> Iterator[TrialRecord]:
+def each_trial(where: Path | str = DEFAULT, **which: Unpack[Which]) -> Iterator[Visit]:
     """Yield the trials as `read_trials` returns them, however many there are, `BATCH` at a time.
 
     Every batch is read by itself: nothing is held while whoever asked is busy with the last one.
     """
-    query, place = _chosen(select(Visit), which).order_by(Visit.time, Visit.id).limit(BATCH), None
+    query, place = _chosen(select(VisitRow), which).order_by(VisitRow.time, VisitRow.id).limit(BATCH), None
     while True:
-        further = query if place is None else query.where(tuple_(Visit.time, Visit.id) > place)
+        further = query if place is None else query.where(tuple_(VisitRow.time, VisitRow.id) > place)
         with reading(where) as session:
-            batch = [] if session is None else [_trial_of(visit) for visit in session.scalars(further)]
+            batch = [] if session is None else [_visit_of(visit) for visit in session.scalars(further)]
         yield from batch
         if len(batch) < BATCH:
             return
@@ -112,19 +115,19 @@ def each_trial(where: Path | str = DEFAULT, **which: Unpack[Which]) -> Iterator[
 
 def count_trials(where: Path | str = DEFAULT, **which: Unpack[Which]) -> int:
     """Return how many trials `read_trials` would."""
-    query = _chosen(select(func.count(Visit.id)), which)
+    query = _chosen(select(func.count(VisitRow.id)), which)
     with reading(where) as session:
         return 0 if session is None else session.scalar(query) or 0
 
 
 def _chosen(query: Any, which: Which) -> Any:
     """Ask a query of visits only of some."""
-    query = _of_plant(query.join(Visit.plant), which.get("species"), which.get("plant"))
+    query = _of_plant(query.join(VisitRow.plant), which.get("species"), which.get("plant"))
     since, until, result = (which.get(name) for name in ("since", "until", "result"))
     if since is not None:
-        query = query.where(Visit.time >= datetime.combine(since, time(), UTC))
+        query = query.where(VisitRow.time >= datetime.combine(since, time(), UTC))
     if until is not None:
-        query = query.where(Visit.time < datetime.combine(until + timedelta(days=1), time(), UTC))
+        query = query.where(VisitRow.time < datetime.combine(until + timedelta(days=1), time(), UTC))
     return query if result is None else query.where(with_result(result))
 
 
@@ -140,7 +143,7 @@ def record_outcome(outcome: Outcome, where: Path | str = DEFAULT) -> int:
     with writing(where) as session:
         plant = _plant_of(session, outcome.species, outcome.plant).id
         if outcome.visit is not None:
-            visit = session.get(Visit, outcome.visit)
+            visit = session.get(VisitRow, outcome.visit)
             if visit is None or visit.plant_id != plant:
                 allowed, do = f"a visit to {outcome.species} '{outcome.plant}'", "`anther history` lists them."
                 raise bad_input("visit", given=f"{outcome.visit}", allowed=allowed, do=do)
@@ -159,7 +162,7 @@ def record_note(visit: int, words: str, where: Path | str = DEFAULT) -> int:
     if not 0 < len(words.strip()) <= 2000:
         raise bad_input("note", given=f"{len(words)} characters", allowed="a text of 1 to 2000", do="Say it briefly.")
     with writing(where) as session:
-        if session.get(Visit, visit) is None:
+        if session.get(VisitRow, visit) is None:
             do = "`anther history` lists them."
             raise bad_input("visit", given=f"{visit}", allowed="a visit of the history", do=do)
         note = Note(visit_id=visit, recorded=datetime.now(UTC), text=words.strip())
@@ -190,11 +193,11 @@ def find_plants(label: str, where: Path | str = DEFAULT, *, species: str | None 
         return [] if session is None else [(p.species, p.label) for p in session.scalars(query)]
 
 
-def find_visit(number: int, where: Path | str = DEFAULT) -> TrialRecord | None:
+def find_visit(number: int, where: Path | str = DEFAULT) -> Visit | None:
     """Return one visit, or None."""
     with reading(where) as session:
-        visit = None if session is None else session.get(Visit, number)
-        return None if visit is None else _trial_of(visit)
+        visit = None if session is None else session.get(VisitRow, number)
+        return None if visit is None else _visit_of(visit)
 
 
 def _of_plant(query: Any, species: str | None, plant: str | None) -> Any:
@@ -223,35 +226,35 @@ def _values(thing: Any, names: Sequence[str]) -> dict[str, Any]:
     return {name: getattr(thing, name) for name in names}
 
 
-def _visit(record: TrialRecord, plant: int) -> Visit:
-    felt, motions = record.accelerations(), record.motions()
-    return Visit(
+def _row_of(visit: Visit, plant: int) -> VisitRow:
+    motions = visit.motions()
+    return VisitRow(
         plant_id=plant,
-        taught=record.taught,
-        acceleration_ms2=None if felt is None else float(felt.mean()),
-        believed=record.believed and asdict(record.believed),
-        material=record.material and asdict(record.material),
-        grasp=record.grasp and GraspRow(**asdict(record.grasp)),
-        shake=record.shake and ShakeRow(**asdict(record.shake)),
+        taught=visit.taught,
+        acceleration_ms2=visit.acceleration_mean,
+        believed=visit.believed and asdict(visit.believed),
+        material=visit.material and asdict(visit.material),
+        grasp=visit.grasp and GraspRow(**asdict(visit.grasp)),
+        shake=ShakeRow(**asdict(visit.shake)) if visit.shake and visit.shaken else None,
         responses=[
             ResponseRow(flower=k, **{name: float(v[k]) if np.isfinite(v[k]) else None for name, v in motions.items()})
-            for k in range(record.flowers)
+            for k in range(visit.flowers)
         ],
-        **_values(record, _OF_VISIT),
+        **_values(visit, _OF_VISIT),
     )
 
 
-def _trial_of(visit: Visit) -> TrialRecord:
-    grasp, shake = visit.grasp, visit.shake
-    return TrialRecord(
-        species=visit.plant.species,
-        plant=visit.plant.label,
+def _visit_of(row: VisitRow) -> Visit:
+    grasp, shake = row.grasp, row.shake
+    return Visit(
+        species=row.plant.species,
+        plant=row.plant.label,
         grasp=grasp and GraspRecord(**_values(grasp, [f.name for f in fields(GraspRecord)])),
         shake=shake and ShakeRecord(**_values(shake, [f.name for f in fields(ShakeRecord)])),
-        believed=material_of(visit.believed),
-        material=material_of(visit.material),
-        **{name: numbers([getattr(r, name) for r in visit.responses]) for name in MOTIONS},
-        **_values(visit, ("id", *_OF_VISIT)),
+        believed=material_of(row.believed),
+        material=material_of(row.material),
+        **{name: numbers([getattr(r, name) for r in row.responses]) for name in MOTIONS},
+        **_values(row, ("id", *_OF_VISIT)),
     )
 
 
@@ -290,12 +293,12 @@ def merge(source: Path | str, where: Path | str = DEFAULT) -> Merged:
     return Merged(new, total - new)
 
 
-def _batches(source: Path | str) -> Iterator[Sequence[TrialRecord]]:
+def _batches(source: Path | str) -> Iterator[Sequence[Visit]]:
     last = 0
     while True:
         with reading(source) as session:
-            rows = session.scalars(select(Visit).where(Visit.id > last).order_by(Visit.id).limit(BATCH)).all()  # type: ignore[union-attr]
-            batch = [_trial_of(row) for row in rows]
+            rows = session.scalars(select(VisitRow).where(VisitRow.id > last).order_by(VisitRow.id).limit(BATCH)).all()  # type: ignore[union-attr]
+            batch = [_visit_of(row) for row in rows]
         if not batch:
             return
         yield batch
@@ -327,6 +330,6 @@ def _notes(here: Session, there: Session) -> Iterator[bool]:
 
 def _number(here: Session, there: Session, visit_id: int) -> int | None:
     """Return the number that a visit has in the other history."""
-    visit = here.get_one(Visit, visit_id)
+    visit = here.get_one(VisitRow, visit_id)
     plant = there.scalar(select(Plant.id).where(Plant.species == visit.plant.species, Plant.label == visit.plant.label))
     return None if plant is None else _number_of(there, plant, visit.robot, visit.time)

@@ -21,7 +21,8 @@ from anther.core.checks import check_array, check_range
 from anther.core.geometry import Array
 
 if TYPE_CHECKING:  # the database's library takes half a second
-    from anther.history import Outcome, TrialRecord
+    from anther.history import Outcome
+    from anther.plant.visit import Visit
 
 NAMES = ("unshaken", "gain", "half_dose", "likeness", "exponent")
 GRID = (17, 17, 23, 13)
@@ -217,7 +218,7 @@ def worth(felt: Array, crop: str) -> str:
     )
 
 
-def counts_of(trials: Sequence[TrialRecord], outcomes: Sequence[Outcome]) -> tuple[list[Count], list[str]]:
+def counts_of(trials: Sequence[Visit], outcomes: Sequence[Outcome]) -> tuple[list[Count], list[str]]:
     """Return the counts of one crop with the shakes before them, and what had to be left out, in sentences.
 
     A flower's acceleration is the measured one, else the predicted. A visit whose shake never began gave nothing; one
@@ -234,7 +235,7 @@ def counts_of(trials: Sequence[TrialRecord], outcomes: Sequence[Outcome]) -> tup
     return counts, [f"{lost} of {len(outcomes)} counts {why}."] if lost else []
 
 
-def _visits_of(outcome: Outcome, trials: Sequence[TrialRecord], outcomes: Sequence[Outcome]) -> list[TrialRecord]:
+def _visits_of(outcome: Outcome, trials: Sequence[Visit], outcomes: Sequence[Outcome]) -> list[Visit]:
     if outcome.visit is not None:
         return [t for t in trials if t.id == outcome.visit]
     others = [o for o in outcomes if (o.species, o.plant, o.visit) == (outcome.species, outcome.plant, None)]

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 from sqlalchemy import Integer, cast, func, select, tuple_
 from sqlalchemy.orm import Session
 
-from anther.history._records import Result
 from anther.history._tables import (
     FruitSetRow,
     Note,
@@ -21,10 +20,11 @@ from anther.history._tables import (
     ShakeRow,
     Sweep,
     SweepJob,
-    Visit,
+    VisitRow,
     pollinated,
     with_result,
 )
+from anther.plant.visit import Result
 
 PAGE = 50
 """Visits of a page."""
@@ -62,10 +62,10 @@ class SweepTally:
 
 _TALLY = (
     func.count(),
-    func.sum(cast(Visit.held_unharmed, Integer)),
+    func.sum(cast(VisitRow.held_unharmed, Integer)),
     func.sum(cast(pollinated(), Integer)),
-    func.avg(Visit.acceleration_ms2),
-    func.max(Visit.time),
+    func.avg(VisitRow.acceleration_ms2),
+    func.max(VisitRow.time),
 )
 
 
@@ -85,20 +85,20 @@ def days(session: Session, since: date, until: date) -> list[Tally]:
 
 def robots(session: Session, since: date, until: date) -> list[Tally]:
     """Return the visits of each robot on some days, by the robots' names."""
-    query = _between(select(Visit.robot, *_TALLY), since, until).group_by(Visit.robot).order_by(Visit.robot)
+    query = _between(select(VisitRow.robot, *_TALLY), since, until).group_by(VisitRow.robot).order_by(VisitRow.robot)
     return [Tally(*row) for row in session.execute(query)]
 
 
 def failures(session: Session, since: date, until: date) -> list[Tally]:
     """Return the visits that failed on some days by the kind of failure, "" where none was named, most first."""
-    kind = func.coalesce(Visit.failure, "")
-    query = _between(select(kind, *_TALLY), since, until).where(Visit.held_unharmed.is_(False)).group_by(kind)
+    kind = func.coalesce(VisitRow.failure, "")
+    query = _between(select(kind, *_TALLY), since, until).where(VisitRow.held_unharmed.is_(False)).group_by(kind)
     return [Tally(*row) for row in session.execute(query.order_by(func.count().desc(), kind))]
 
 
 def _between(query: Any, since: date, until: date) -> Any:
     begin, end = (datetime.combine(day, time(), UTC) for day in (since, until + timedelta(days=1)))
-    return query.where(Visit.time >= begin, Visit.time < end)
+    return query.where(VisitRow.time >= begin, VisitRow.time < end)
 
 
 def visits(
@@ -120,25 +120,32 @@ def visits(
         result: only with this result.
         before: only those before the visit with this number.
     """
-    of_visit = Visit.id, Visit.time, Visit.robot, Visit.held_unharmed, Visit.flowers_moved, Visit.failure
+    of_visit = (
+        VisitRow.id,
+        VisitRow.time,
+        VisitRow.robot,
+        VisitRow.held_unharmed,
+        VisitRow.flowers_moved,
+        VisitRow.failure,
+    )
     shake = ShakeRow.amplitude, ShakeRow.frequency, ShakeRow.duration
-    query = select(*of_visit, Visit.acceleration_ms2, Visit.plant_id, Plant.species, Plant.label, *shake)
-    query = query.join(Plant, Plant.id == Visit.plant_id).outerjoin(ShakeRow, ShakeRow.visit_id == Visit.id)
+    query = select(*of_visit, VisitRow.acceleration_ms2, VisitRow.plant_id, Plant.species, Plant.label, *shake)
+    query = query.join(Plant, Plant.id == VisitRow.plant_id).outerjoin(ShakeRow, ShakeRow.visit_id == VisitRow.id)
     if day is not None:
         query = _between(query, day, day)
     if plant is not None:
-        query = query.where(Visit.plant_id == plant)
+        query = query.where(VisitRow.plant_id == plant)
     if result is not None:
         query = query.where(with_result(result))
     if before is not None:
-        moment = session.scalar(select(Visit.time).where(Visit.id == before))
-        query = query.where(tuple_(Visit.time, Visit.id) < (moment, before))
-    return session.execute(query.order_by(Visit.time.desc(), Visit.id.desc()).limit(PAGE + 1)).all()
+        moment = session.scalar(select(VisitRow.time).where(VisitRow.id == before))
+        query = query.where(tuple_(VisitRow.time, VisitRow.id) < (moment, before))
+    return session.execute(query.order_by(VisitRow.time.desc(), VisitRow.id.desc()).limit(PAGE + 1)).all()
 
 
 def last_day(session: Session, before: date) -> date | None:
     """Return the last day up to `before` with a visit, or None."""
-    query = _between(select(Visit.time), date(1970, 1, 1), before).order_by(Visit.time.desc()).limit(1)
+    query = _between(select(VisitRow.time), date(1970, 1, 1), before).order_by(VisitRow.time.desc()).limit(1)
     moment = session.scalar(query)
     return None if moment is None else moment.date()
 
@@ -163,13 +170,15 @@ def counts(session: Session, number: int) -> Sequence[FruitSetRow]:
 
 def last_run(session: Session, number: int) -> Any:
     """Return id and run of the last visit to a plant that has a run folder, or None."""
-    query = select(Visit.id, Visit.run, Visit.time).where(Visit.plant_id == number, Visit.run.is_not(None))
-    return session.execute(query.order_by(Visit.time.desc()).limit(1)).first()
+    query = select(VisitRow.id, VisitRow.run, VisitRow.time).where(
+        VisitRow.plant_id == number, VisitRow.run.is_not(None)
+    )
+    return session.execute(query.order_by(VisitRow.time.desc()).limit(1)).first()
 
 
-def visit(session: Session, number: int) -> Visit:
+def visit(session: Session, number: int) -> VisitRow:
     """Return the visit with this number, which is there."""
-    return session.get_one(Visit, number)
+    return session.get_one(VisitRow, number)
 
 
 def notes(session: Session, visit: int) -> Sequence[Note]:

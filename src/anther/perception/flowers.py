@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from anther.core.checks import check_array
-from anther.core.files import read_npz, understood, write_npz
 from anther.core.geometry import Array
+from anther.core.records import Range, Shape, Stored
 from anther.perception.cloud import Cloud
 from anther.perception.masks import FLOWER
 from anther.perception.skeleton import Skeleton
@@ -21,7 +19,6 @@ from anther.perception.skeleton.voxel_solid import components
 from anther.perception.stem import BRANCH, LEAF, TRUSS, Stem
 
 SUPPOSED = 0.015  # m, of a flower nobody saw from the end that carries it: a pedicel (9 to 22 mm; facts: pollination)
-_KIND, _SCHEMA = "flowers", 1
 GAP = 0.005
 """Points nearer than this belong to one cluster [m]."""
 APART = 0.012
@@ -48,7 +45,7 @@ PEDICEL = 0.025
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Flowers:
+class Flowers(Stored):
     """The detected flowers; there may be none (F = 0).
 
     Attributes:
@@ -57,30 +54,10 @@ class Flowers:
         notes: what the stage wants the user to know.
     """
 
-    positions: Array
-    attachment: NDArray[Any]
+    KIND, SCHEMA, CALLED = "flowers", 2, "flower"
+    positions: Annotated[Array, Shape("F", 3), Range(unit="m")]
+    attachment: Annotated[NDArray[np.int64], Shape("F")]
     notes: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        n = len(self.positions)
-        object.__setattr__(self, "positions", check_array("flower positions", self.positions, (n, 3)))
-        object.__setattr__(self, "attachment", check_array("flower attachment", self.attachment, (n,), dtype="int64"))
-
-    def save(self, path: Path | str) -> None:
-        """Write an .npz (schema 1)."""
-        notes = np.array(self.notes, dtype=np.str_)
-        write_npz(path, _KIND, _SCHEMA, positions=self.positions, attachment=self.attachment, notes=notes)
-
-    @classmethod
-    def load(cls, path: Path | str) -> Flowers:
-        """Read what `save` wrote.
-
-        Raises:
-            InputError: missing, truncated, or of another kind or schema.
-        """
-        with understood(path):
-            a = read_npz(path, _KIND, _SCHEMA)
-            return cls(a["positions"], a["attachment"], tuple(str(note) for note in a["notes"]))
 
 
 def find_flowers(cloud: Cloud, skeleton: Skeleton, stem: Stem, *, centres: Array | None = None) -> Flowers:

@@ -5,6 +5,7 @@ from .bench import ClampedStem, MaterialTest, fit_free_vibration, identify, read
 from .imported import main_stem, read_source
 from .limits import Crop, PlantLimits, moved
 from .model import PEPPER, TOMATO, Material, PlantModel, build_plant
+from .visit import GraspRecord, ShakeRecord, Visit
 
 __all__ = [
     "PEPPER",
@@ -12,10 +13,13 @@ __all__ = [
     "ClampedStem",
     "Crop",
     "EarlierShake",
+    "GraspRecord",
     "Material",
     "MaterialTest",
     "PlantLimits",
     "PlantModel",
+    "ShakeRecord",
+    "Visit",
     "build_plant",
     "fit_free_vibration",
     "identify",

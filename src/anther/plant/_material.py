@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
-from anther.core.checks import check_range
+from anther.core.records import Range, Record, Spread
 
 
 @dataclass(frozen=True, slots=True)
-class Material:
+class Material(Record):
     """What a plant is made of: best guess and spread. A spread is the standard deviation of the natural logarithm.
 
     The spread of E holds at the radius believed: it is that of the bending stiffness E r^4. The spread of the radius
@@ -29,30 +30,18 @@ class Material:
             3-10 Hz has 0.3-0.7 between plants, of which the spreads above explain 0.4-0.5.
     """
 
-    youngs: float = 100e6
-    density: float = 1050.0
-    damping_ratio: float = 0.05
-    bend_over_twist: float = 12.0
-    youngs_spread: float = 0.66
-    density_spread: float = 0.05
-    damping_spread: float = 0.35
-    twist_spread: float = 0.5
-    radius_scale: float = 1.0
-    radius_spread: float = 0.05
-    response_gain: float = 1.0
-    response_spread: float = 0.3
-
-    def __post_init__(self) -> None:
-        check_range("youngs", self.youngs, 1e4, 1e12, "Pa")
-        check_range("density", self.density, 10, 5000, "kg/m3")
-        check_range("damping_ratio", self.damping_ratio, 1e-4, 1)
-        check_range("bend_over_twist", self.bend_over_twist, 0.1, 1000)
-        check_range("radius_scale", self.radius_scale, 0.2, 5)
-        check_range("response_gain", self.response_gain, 1e-3, 1e3)
-        for name in (
-            "youngs_spread", "density_spread", "damping_spread", "twist_spread", "radius_spread", "response_spread",
-        ):  # fmt: skip
-            check_range(name, getattr(self, name), 0, 3)
+    youngs: Annotated[float, Range(1e4, 1e12, "Pa")] = 100e6
+    density: Annotated[float, Range(10, 5000, "kg/m3")] = 1050.0
+    damping_ratio: Annotated[float, Range(1e-4, 1)] = 0.05
+    bend_over_twist: Annotated[float, Range(0.1, 1000)] = 12.0
+    youngs_spread: Spread = 0.66
+    density_spread: Spread = 0.05
+    damping_spread: Spread = 0.35
+    twist_spread: Spread = 0.5
+    radius_scale: Annotated[float, Range(0.2, 5)] = 1.0
+    radius_spread: Spread = 0.05
+    response_gain: Annotated[float, Range(1e-3, 1e3)] = 1.0
+    response_spread: Spread = 0.3
 
     @property
     def scanned_youngs(self) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,6 +11,7 @@ from numpy.typing import ArrayLike
 from anther.core.checks import check_range
 from anther.core.choices import Crop, Preset  # noqa: F401 - the room gives them too
 from anther.core.geometry import Array
+from anther.core.records import Range, Record
 
 GRAVITY = 9.81
 GUSTS = 5.0
@@ -27,7 +29,7 @@ PEAKS = {
 
 
 @dataclass(frozen=True, slots=True)
-class PlantLimits:
+class PlantLimits(Record):
     """What a plant may be loaded with by a shake.
 
     No elastic limit of a tomato or pepper organ was ever measured (facts: pollination 6). A breeze of 4 m/s gives the
@@ -42,15 +44,10 @@ class PlantLimits:
             [m/s2].
     """
 
-    stem_strain: float = 0.01
-    pedicel_strain: float = 0.01
-    base_strain: float = 0.01
-    leaf_load: float = 2.0 * GRAVITY
-
-    def __post_init__(self) -> None:
-        for name in ("stem_strain", "pedicel_strain", "base_strain"):
-            check_range(name, getattr(self, name), 1e-9, 1.0)
-        check_range("leaf_load", self.leaf_load, 1e-9, 1e4, "m/s2")
+    stem_strain: Annotated[float, Range(1e-9, 1)] = 0.01
+    pedicel_strain: Annotated[float, Range(1e-9, 1)] = 0.01
+    base_strain: Annotated[float, Range(1e-9, 1)] = 0.01
+    leaf_load: Annotated[float, Range(1e-9, 1e4, "m/s2")] = 2.0 * GRAVITY
 
     def at(self, frequencies: ArrayLike) -> dict[str, float | Array]:
         """Return by kind (`PEAKS`) the limit at frequencies [Hz]; leaves' have their shape, infinite above `GUSTS`."""

@@ -7,29 +7,27 @@ F flowers, S stem nodes, B branches.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.core.checks import check_array, check_parameters, check_range
+from anther.core.checks import check_range
 from anther.core.errors import StageFailure, bad_input
-from anther.core.files import read_npz, understood, write_npz
 from anther.core.geometry import Array
+from anther.core.records import Range, Record, Shape, Stored
 from anther.perception.cloud import Cloud
 from anther.perception.flowers import Flowers, supposed_flowers
 from anther.perception.skeleton import Skeleton
 from anther.perception.stem import Stem
 from anther.plant._material import LEARNED, PEPPER, TOMATO, Material
 from anther.plant._shape import branch_stiffening, edge_radii, hang_flowers, in_blade, leaf_mass, least_youngs
-from anther.rods import Clamp, NaturalShape, Rods, standing, with_gravity_equilibrium
+from anther.rods import Clamp, Rods, standing, with_gravity_equilibrium
 
 __all__ = [
     "LEARNED", "MARGIN", "PEPPER", "TOMATO", "Material", "Params", "PlantModel", "build_plant", "plant_with_flowers",
 ]  # fmt: skip
 
-SCHEMA = 3
 PEDICEL_PIECES = 3  # edges per pedicel
 BLADE_STIFFNESS = 10.0
 """Bending stiffness of a blade with its rib over that of the rib alone [-]. An estimate: a strip 60 mm wide, 0.25 mm
@@ -43,7 +41,7 @@ MARGIN = 1.5
 
 
 @dataclass(frozen=True, slots=True)
-class Params:
+class Params(Record):
     """What the scan does not show.
 
     Attributes:
@@ -54,24 +52,16 @@ class Params:
         stiffen: raise Young's modulus to `MARGIN`, with a note, since the plant evidently stands; False refuses.
     """
 
-    areal_density: float = 0.25
-    flower_mass: float = 1e-4
-    pedicel_length: float = 0.015
-    pedicel_radius: float = 0.5e-3
-    pedicel_youngs: float = 70e6
+    areal_density: Annotated[float, Range(0, 5, "kg/m2")] = 0.25
+    flower_mass: Annotated[float, Range(1e-6, 0.1, "kg")] = 1e-4
+    pedicel_length: Annotated[float, Range(1e-3, 0.2, "m")] = 0.015
+    pedicel_radius: Annotated[float, Range(1e-5, 0.02, "m")] = 0.5e-3
+    pedicel_youngs: Annotated[float, Range(1e5, 1e11, "Pa")] = 70e6
     stiffen: bool = True
-
-    def __post_init__(self) -> None:
-        check_parameters(self)
-        check_range("areal_density", self.areal_density, 0, 5, "kg/m2")
-        check_range("flower_mass", self.flower_mass, 1e-6, 0.1, "kg")
-        check_range("pedicel_length", self.pedicel_length, 1e-3, 0.2, "m")
-        check_range("pedicel_radius", self.pedicel_radius, 1e-5, 0.02, "m")
-        check_range("pedicel_youngs", self.pedicel_youngs, 1e5, 1e11, "Pa")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PlantModel:
+class PlantModel(Stored):
     """A plant ready to be shaken in simulation: it stands still under gravity in the scanned shape.
 
     Attributes:
@@ -87,28 +77,29 @@ class PlantModel:
         notes: what the stage wants the user to know.
     """
 
+    KIND, SCHEMA = "plant model", 4
     rods: Rods
-    stem_nodes: NDArray[Any]
-    arc_length: Array
-    flower_nodes: NDArray[Any]
-    branch_bases: NDArray[Any]
-    is_pedicel: NDArray[np.bool_]
+    stem_nodes: Annotated[NDArray[np.int64], Shape("S")]
+    arc_length: Annotated[Array, Shape("S"), Range(unit="m")]
+    flower_nodes: Annotated[NDArray[np.int64], Shape("F")]
+    branch_bases: Annotated[NDArray[np.int64], Shape("B")]
+    is_pedicel: Annotated[NDArray[np.bool_], Shape("N")]
     material: Material
     pedicel_spread: float
-    least_youngs: float
+    least_youngs: Annotated[float, Range(unit="Pa")]
     notes: tuple[str, ...] = ()
 
-    def __post_init__(self) -> None:
-        n, s = len(self.rods.nodes), len(self.stem_nodes)
+    def _check(self) -> None:
+        n = len(self.rods.nodes)
         if self.rods.natural is None:
             raise bad_input("rods", given="no natural shape", allowed="rods at rest", do="Use build_plant.")
+        if len(self.is_pedicel) != n:
+            given = f"shape {self.is_pedicel.shape}"
+            raise bad_input("is_pedicel", given=given, allowed=f"shape ({n},)", do="Check the array's axes.")
         for name in ("stem_nodes", "flower_nodes", "branch_bases"):
-            nodes = check_array(name, getattr(self, name), (None,), dtype="int64")
-            object.__setattr__(self, name, nodes)
+            nodes = getattr(self, name)
             if np.any((nodes < 0) | (nodes >= n)):
                 raise bad_input(name, given=f"{nodes}", allowed=f"0 <= node < {n}", do="Use rod node numbers.")
-        object.__setattr__(self, "arc_length", check_array("arc_length", self.arc_length, (s,)))
-        object.__setattr__(self, "is_pedicel", check_array("is_pedicel", self.is_pedicel, (n,), dtype="bool"))
 
     @property
     def clamp(self) -> Clamp:
@@ -154,35 +145,6 @@ class PlantModel:
             material=material,
             least_youngs=self.least_youngs / thicker**4,
         )
-
-    def save(self, path: Path | str) -> None:
-        """Write an .npz (kind 'plant model')."""
-        rods, natural = self.rods, self.rods.natural
-        assert natural is not None
-        arrays = {name: getattr(rods, name) for name in _ROD_ARRAYS} | {n: getattr(self, n) for n in _PLANT_ARRAYS}
-        arrays |= {f"natural_{name}": getattr(natural, name) for name in _NATURAL_ARRAYS}
-        numbers = {"pedicel_spread": self.pedicel_spread, "least_youngs": self.least_youngs}
-        material = [getattr(self.material, name) for name in _MATERIAL]
-        write_npz(path, "plant model", SCHEMA, **arrays, **numbers, material=material, notes=np.array(self.notes, "U"))
-
-    @classmethod
-    def load(cls, path: Path | str) -> PlantModel:
-        """Read what `save` wrote.
-
-        Raises:
-            InputError: missing, truncated, or not a plant model of this schema.
-        """
-        with understood(path):
-            stored: dict[str, Any] = read_npz(path, "plant model", SCHEMA)
-            natural = NaturalShape(**{name: stored[f"natural_{name}"] for name in _NATURAL_ARRAYS})
-            return cls(
-                rods=Rods(**{name: stored[name] for name in _ROD_ARRAYS}, natural=natural),
-                **{name: stored[name] for name in _PLANT_ARRAYS},
-                material=Material(**dict(zip(_MATERIAL, stored["material"].tolist(), strict=True))),
-                pedicel_spread=float(stored["pedicel_spread"]),
-                least_youngs=float(stored["least_youngs"]),
-                notes=tuple(stored["notes"].tolist()),
-            )
 
 
 def build_plant(
@@ -330,12 +292,3 @@ def _check(skeleton: Skeleton, stem: Stem, flowers: Flowers) -> None:
     for name, nodes in (("stem nodes", stem.node_ids), ("flower attachment", flowers.attachment)):
         if len(nodes) and not (nodes.min() >= 0 and nodes.max() < count):
             raise bad_input(name, given=f"node {nodes.max()}", allowed=f"0 <= node < {count}", do="Same skeleton?")
-
-
-_ROD_ARRAYS = (
-    "nodes", "parent", "edge_radius", "youngs", "density", "bend_over_twist", "joint_compliance", "lumped_mass",
-    "lumped_inertia", "node_drag",
-)  # fmt: skip
-_NATURAL_ARRAYS = ("length", "curvature", "twist")
-_PLANT_ARRAYS = ("stem_nodes", "arc_length", "flower_nodes", "branch_bases", "is_pedicel")
-_MATERIAL = tuple(Material.__dataclass_fields__)

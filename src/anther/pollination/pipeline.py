@@ -104,6 +104,7 @@ class Done:
         believed: what the shake was planned with; None if unknown.
         pads: what is believed of the gripper's pads afterwards; None if unknown.
         alone: why the plan alone was to be carried out; None where the shake was to be raised.
+        planned: the shake before it was raised or lowered; None if unknown.
     """
 
     shake: ShakePlan
@@ -113,6 +114,7 @@ class Done:
     believed: Material | None = None
     pads: Pads | None = None
     alone: str | None = None
+    planned: ShakePlan | None = None
 
 
 def perceive(
@@ -200,14 +202,14 @@ def pollinate(
         modelled = beside.submit(model_plant, seen, material, params)
         with early_reach(planner, grasps[0], cell.robot, cell.limits) as arrive:
             rods = run.stage("plant model", PlantModel.load, lambda _: modelled.result())
-            shake, trial, alone = _shaken(cell, planner, rods, grasps, seen, run, arrive, params, earlier)
+            shake, trial, alone, planned = _shaken(cell, planner, rods, grasps, seen, run, arrive, params, earlier)
     answer = _watched(cell, trial, shake, seen, run)
     if answer is None:
-        return Done(shake, trial, answer, rods.material, rods.material, params.shake.pads, alone)
+        return Done(shake, trial, answer, rods.material, rods.material, params.shake.pads, alone, planned)
     felt = feel(trial, shake, cell.limits.forward)
     told = [ObservedShake.of(shake, answer, felt)]
     learned = run.timed("learning", lambda _: refine(rods, told, pads=params.shake.pads))
-    return Done(shake, trial, answer, learned.material, rods.material, learned.pads, alone)
+    return Done(shake, trial, answer, learned.material, rods.material, learned.pads, alone, planned)
 
 
 def _watched(cell: Cell, trial: Trial, plan: ShakePlan, seen: Seen, run: Run) -> Response | None:
@@ -239,10 +241,11 @@ def _shaken(
     arrive: Arrive | None,
     params: Params,
     earlier: EarlierShake | None,
-) -> tuple[ShakePlan, Trial, str | None]:
+) -> tuple[ShakePlan, Trial, str | None, ShakePlan]:
     """Shake at one of the best grasps; where that fails and leaves the plant unharmed, at one of the others.
 
-    `arrive` waits for the arm that has gone before the best. Return also why the plan alone was to be carried out.
+    `arrive` waits for the arm that has gone before the best. Return the shake as carried out, its record, why the
+    plan alone was to be carried out, and the shake as planned.
     """
 
     def arm_limit(at: Grasp, direction: Array, hertz: Array) -> Array:
@@ -287,12 +290,12 @@ def _shaken(
                 planner, plan, robot, cell.limits, progress=told(advance), arrive=arrive, watched=watched
             ),
         )
-        arrive, planned = None, plan.grasp_index
+        arrive, planned = None, plan
         if watched is not None:
             plan = watched.executed(trial.steps)
-        grasps = [g for i, g in enumerate(grasps) if i != planned]
+        grasps = [g for i, g in enumerate(grasps) if i != planned.grasp_index]
         if trial.failure not in TRY_THE_NEXT or len(trial.shake_times) or not grasps:
-            return plan, trial, alone
+            return plan, trial, alone, planned
 
 
 def _watching(cell: Cell, rods: PlantModel, plan: ShakePlan, seen: Seen, params: Params) -> Escalation | str:

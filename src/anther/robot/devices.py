@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.core.checks import check_array, check_range
 from anther.core.errors import StageFailure, bad_input
 from anther.core.geometry import Array, Box, Intrinsics
+from anther.core.records import Range, Record, Shape
 from anther.robot.pressing import PRESSING, Pressing
 from anther.robot.swing import Swing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class JointTrajectory:
+class JointTrajectory(Record):
     """A timed joint path, densely sampled. T samples of J joints.
 
     Attributes:
@@ -26,16 +26,13 @@ class JointTrajectory:
         velocities: (T, J) [rad/s].
     """
 
-    times: Array
-    positions: Array
-    velocities: Array
+    CALLED = "trajectory"
+    times: Annotated[Array, Shape("T"), Range(unit="s")]
+    positions: Annotated[Array, Shape("T", "J"), Range(unit="rad")]
+    velocities: Annotated[Array, Shape("T", "J"), Range(unit="rad/s")]
 
-    def __post_init__(self) -> None:
+    def _check(self) -> None:
         n = len(self.times)
-        object.__setattr__(self, "times", check_array("trajectory times", self.times, (n,)))
-        object.__setattr__(self, "positions", check_array("trajectory positions", self.positions, (n, None)))
-        shape = self.positions.shape
-        object.__setattr__(self, "velocities", check_array("trajectory velocities", self.velocities, shape))
         if n < 2 or self.times[0] != 0 or np.any(np.diff(self.times) <= 0):
             raise bad_input(
                 "trajectory times", given=f"{n} samples", allowed="two or more, from 0, increasing", do="Resample."
@@ -85,7 +82,7 @@ MoreSwing = Callable[[], Swing | None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ArmRecord:
+class ArmRecord(Record):
     """What the arm did while following a trajectory: T samples of J joints.
 
     Attributes:
@@ -93,16 +90,10 @@ class ArmRecord:
         commanded, measured: (T, J) joint angles [rad].
     """
 
-    times: Array
-    commanded: Array
-    measured: Array
-
-    def __post_init__(self) -> None:
-        n = len(self.times)
-        object.__setattr__(self, "times", check_array("record times", self.times, (n,)))
-        object.__setattr__(self, "commanded", check_array("commanded joints", self.commanded, (n, None)))
-        shape = self.commanded.shape
-        object.__setattr__(self, "measured", check_array("measured joints", self.measured, shape))
+    CALLED = "record"
+    times: Annotated[Array, Shape("T"), Range(unit="s")]
+    commanded: Annotated[Array, Shape("T", "J"), Range(unit="rad")]
+    measured: Annotated[Array, Shape("T", "J"), Range(unit="rad")]
 
     @classmethod
     def of(cls, samples: Sequence[ArmSample]) -> ArmRecord:
@@ -283,7 +274,7 @@ class Robot:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SafetyLimits:
+class SafetyLimits(Record):
     """What no command may exceed, whoever gives it. `anther.robot.safety` holds every command and reading against them.
 
     T samples, S balls. How many joints J the arm has is told by `joint_lower`.
@@ -319,31 +310,29 @@ class SafetyLimits:
 
     forward: Callable[[Array], Array]
     outline: Callable[[Array], Array]
-    joint_lower: Array
-    joint_upper: Array
-    joint_speed: Array
-    joint_acceleration: Array
+    joint_lower: Annotated[Array, Shape("J"), Range(unit="rad")]
+    joint_upper: Annotated[Array, Shape("J"), Range(unit="rad")]
+    joint_speed: Annotated[Array, Shape("J"), Range(unit="rad/s")]
+    joint_acceleration: Annotated[Array, Shape("J"), Range(unit="rad/s^2")]
     workspace: Box
     keep_out: tuple[Box, ...] = ()
-    joint_margin: float = 0.02
-    start_tolerance: float = 0.05
-    flange_speed: float = 1.5
-    contact_force: float = 10.0
-    tracking: float = 0.2
-    stale_after: float = 0.1
-    shake_speed: float = 0.5
-    shake_acceleration: float = 12.0
-    shake_duration: float = 30.0
-    motor_stroke: float = 1.5e-3
-    motor_acceleration: float = 50.0
-    grip_force: float = 20.0
+    # nobody switches a limit off: the ranges are wide, but not infinite
+    joint_margin: Annotated[float, Range(0.0, 1.0, "rad")] = 0.02
+    start_tolerance: Annotated[float, Range(1e-4, 0.2, "rad")] = 0.05
+    flange_speed: Annotated[float, Range(1e-3, 3.0, "m/s")] = 1.5
+    contact_force: Annotated[float, Range(0.1, 150.0, "N")] = 10.0
+    tracking: Annotated[float, Range(1e-3, 0.5, "rad")] = 0.2
+    stale_after: Annotated[float, Range(0.01, 1.0, "s")] = 0.1
+    shake_speed: Annotated[float, Range(1e-4, 3.0, "m/s")] = 0.5
+    shake_acceleration: Annotated[float, Range(1e-3, 500.0, "m/s^2")] = 12.0
+    shake_duration: Annotated[float, Range(0.01, 60.0, "s")] = 30.0
+    motor_stroke: Annotated[float, Range(1e-5, 0.02, "m")] = 1.5e-3
+    motor_acceleration: Annotated[float, Range(1e-3, 500.0, "m/s^2")] = 50.0
+    grip_force: Annotated[float, Range(0.1, 100.0, "N")] = 20.0
     pressing: Pressing = PRESSING
-    grip_tolerance: float = 0.003
+    grip_tolerance: Annotated[float, Range(1e-4, 0.02, "m")] = 0.003
 
-    def __post_init__(self) -> None:
-        for name in ("joint_lower", "joint_upper", "joint_speed", "joint_acceleration"):
-            shape = (None,) if name == "joint_lower" else self.joint_lower.shape
-            object.__setattr__(self, name, check_array(name, getattr(self, name), shape))
+    def _check(self) -> None:
         empty = np.any(self.joint_lower + 2 * self.joint_margin >= self.joint_upper)
         if empty or np.any(self.joint_speed <= 0) or np.any(self.joint_acceleration <= 0):
             raise bad_input(
@@ -352,8 +341,6 @@ class SafetyLimits:
                 allowed="lower + 2 margin < upper; speed and acceleration > 0",
                 do="Check units.",
             )
-        for name, (lower, upper, unit) in _RANGES.items():
-            check_range(name, getattr(self, name), lower, upper, unit)
 
 
 Tap = Callable[[Robot, SafetyLimits, Array, Callable[[], float]], Robot]
@@ -363,21 +350,3 @@ Tap = Callable[[Robot, SafetyLimits, Array, Callable[[], float]], Robot]
 def untapped(robot: Robot, limits: SafetyLimits, T_flange_cam: Array, clock: Callable[[], float]) -> Robot:
     """Return the machines as they are: a `Tap`."""
     return robot
-
-
-_RANGES = {
-    "joint_margin": (0.0, 1.0, "rad"),
-    "start_tolerance": (1e-4, 0.2, "rad"),
-    "flange_speed": (1e-3, 3.0, "m/s"),
-    "contact_force": (0.1, 150.0, "N"),
-    "tracking": (1e-3, 0.5, "rad"),
-    "stale_after": (0.01, 1.0, "s"),
-    "shake_speed": (1e-4, 3.0, "m/s"),
-    "shake_acceleration": (1e-3, 500.0, "m/s^2"),
-    "shake_duration": (0.01, 60.0, "s"),
-    "motor_stroke": (1e-5, 0.02, "m"),
-    "motor_acceleration": (1e-3, 500.0, "m/s^2"),
-    "grip_force": (0.1, 100.0, "N"),
-    "grip_tolerance": (1e-4, 0.02, "m"),
-}
-"""What a limit itself may be set to. Nobody switches a limit off: these are wide, but not infinite."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from anther.core.checks import check_range
 from anther.core.geometry import Array
+from anther.core.records import Range, Record
 
 OVERSHOOT = 0.7
 """A gripper that closes in steps presses harder than it was asked to: on a stem of 6 N/mm by up to 3 N in a step of
@@ -16,7 +17,7 @@ OVERSHOOT = 0.7
 
 
 @dataclass(frozen=True, slots=True)
-class Pressing:
+class Pressing(Record):
     """What a gripper presses with, and what a stem bears.
 
     Attributes:
@@ -29,17 +30,11 @@ class Pressing:
         pad_modulus: Young's modulus of a pad's silicone [Pa]; about 30 Shore A, our estimate.
     """
 
-    holding: float = 10.0
-    stem_stress: float = 0.8e6
-    pad_width: float = 0.016
-    pad_modulus: float = 1e6
-
-    def __post_init__(self) -> None:
-        # nobody switches a limit off: these are wide, but not infinite
-        check_range("holding force", self.holding, 0.1, 100.0, "N")
-        check_range("stem_stress", self.stem_stress, 1e3, 1e7, "Pa")
-        check_range("pad_width", self.pad_width, 1e-3, 0.1, "m")
-        check_range("pad_modulus", self.pad_modulus, 1e4, 1e11, "Pa")
+    # nobody switches a limit off: the ranges are wide, but not infinite
+    holding: Annotated[float, Range(0.1, 100.0, "N")] = 10.0
+    stem_stress: Annotated[float, Range(1e3, 1e7, "Pa")] = 0.8e6
+    pad_width: Annotated[float, Range(1e-3, 0.1, "m")] = 0.016
+    pad_modulus: Annotated[float, Range(1e4, 1e11, "Pa")] = 1e6
 
     def stress(self, force: ArrayLike, diameter: ArrayLike) -> Array:
         """Return the greatest pressure [Pa] of pads that press with forces (...) [N] on stems of diameters (...) [m].

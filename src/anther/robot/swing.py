@@ -4,20 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from anther.core.checks import check_array, check_range
+from anther.core.checks import check_range
 from anther.core.errors import bad_input
 from anther.core.geometry import Array
+from anther.core.records import Range, Record, Shape
 
 RAMP_PERIODS = 3
 """A whole shake rises and falls smoothly within this many periods; our choice."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Swing:
+class Swing(Record):
     """One piece: the displacement is sum_k a_k(t) sin(2 pi f_k t), t from the begin of the whole shake.
 
     Each a_k goes smoothly from what it was to what it shall be within `ramp` and stays there. Pieces made by `then`
@@ -32,23 +34,20 @@ class Swing:
         begin: on the clock of the whole shake [s].
     """
 
-    frequencies: Array
-    amplitudes: Array
-    seconds: float
-    ramp: float
-    before: Array
-    begin: float = 0.0
+    CALLED = "swing"
+    frequencies: Annotated[Array, Shape("K"), Range(unit="Hz")]
+    amplitudes: Annotated[Array, Shape("K"), Range(unit="m")]
+    seconds: Annotated[float, Range(1e-3, 60, "s")]
+    ramp: Annotated[float, Range(1e-4, 60, "s")]
+    before: Annotated[Array, Shape("K"), Range(unit="m")]
+    begin: Annotated[float, Range(0, 3600, "s")] = 0.0
 
-    def __post_init__(self) -> None:
-        tones = (len(np.atleast_1d(self.frequencies)),)
-        for name in ("frequencies", "amplitudes", "before"):
-            object.__setattr__(self, name, check_array(f"swing {name}", getattr(self, name), tones))
-        if not tones[0] or self.frequencies.min() <= 0 or min(self.amplitudes.min(), self.before.min()) < 0:
+    def _check(self) -> None:
+        some = len(self.frequencies) > 0
+        if not some or self.frequencies.min() <= 0 or min(self.amplitudes.min(), self.before.min()) < 0:
             given = f"{self.frequencies} Hz, {self.before} to {self.amplitudes} m"
             raise bad_input("swing", given=given, allowed="frequencies > 0, amplitudes >= 0", do="Check the signs.")
-        check_range("seconds of a swing", self.seconds, 1e-3, 60, "s")
         check_range("ramp of a swing", self.ramp, 1e-4, self.seconds, "s")
-        check_range("begin of a swing", self.begin, 0, 3600, "s")
 
     @classmethod
     def first(cls, frequencies: ArrayLike, amplitudes: ArrayLike, seconds: float, ramp: float) -> Swing:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from anther.core.checks import check_array
 from anther.core.choices import Discretisation
 from anther.core.errors import bad_input
+from anther.core.records import Range, Record, Shape
 
 Array = NDArray[np.float64]
 
@@ -19,7 +20,7 @@ GRAVITY = (0.0, 0.0, -9.81)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class NaturalShape:
+class NaturalShape(Record):
     """The stress-free shape of every edge and joint. Entry j belongs to edge j and to its joint with its parent edge.
 
     Attributes:
@@ -28,15 +29,10 @@ class NaturalShape:
         twist: (N,) natural integrated twist [rad].
     """
 
-    length: Array
-    curvature: Array
-    twist: Array
-
-    def __post_init__(self) -> None:
-        n = len(self.length)
-        object.__setattr__(self, "length", check_array("natural length", self.length, (n,)))
-        object.__setattr__(self, "curvature", check_array("natural curvature", self.curvature, (n, 2)))
-        object.__setattr__(self, "twist", check_array("natural twist", self.twist, (n,)))
+    CALLED = "natural"
+    length: Annotated[Array, Shape("N"), Range(unit="m")]
+    curvature: Annotated[Array, Shape("N", 2)]
+    twist: Annotated[Array, Shape("N"), Range(unit="rad")]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from pathlib import Path
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from anther.core.checks import check_array, check_range, check_room
+from anther.core.checks import check_range, check_room
 from anther.core.errors import StageFailure, bad_input
-from anther.core.files import read_npz, understood, write_npz
+from anther.core.records import Range, Shape, Stored
 from anther.rods._assembly import move_frames, new_blocks, new_lanes
 from anther.rods._equilibrium import static_state
 from anther.rods._model import Model, build_model
@@ -31,8 +30,6 @@ from anther.rods._stepping import (
     record,
 )
 
-SCHEMA = 3
-
 PREDICTORS = ("inertia", "guess displacement", "none")
 
 NEWTON_LIMIT = 30
@@ -46,7 +43,7 @@ BALANCED = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Trajectory:
+class Trajectory(Stored):
     """Motion of every node.
 
     Attributes:
@@ -63,40 +60,20 @@ class Trajectory:
         split_steps: steps that had to be split to converge.
     """
 
-    times: Array
-    positions: Array
-    directors: Array
-    energy: Array
-    grip_force: Array
-    grip_moment: Array
-    work: Array
+    KIND, SCHEMA, CALLED = "rod trajectory", 4, "trajectory"
+    times: Annotated[Array, Shape("T"), Range(unit="s")]
+    positions: Annotated[Array, Shape("T", "N", 3), Range(unit="m")]
+    directors: Annotated[Array, Shape("T", "N", 3)]
+    energy: Annotated[Array, Shape("T"), Range(unit="J")]
+    grip_force: Annotated[Array, Shape("T", 3), Range(unit="N")]
+    grip_moment: Annotated[Array, Shape("T", 3), Range(unit="N m")]
+    work: Annotated[Array, Shape("T"), Range(unit="J")]
     newton_iterations: int
     split_steps: int
-
-    def __post_init__(self) -> None:
-        t = len(self.times)
-        shapes = {"times": (t,), "positions": (t, None, 3), "directors": np.shape(self.positions), "energy": (t,)}
-        shapes |= {"grip_force": (t, 3), "grip_moment": (t, 3), "work": (t,)}
-        for name, shape in shapes.items():
-            object.__setattr__(self, name, check_array(f"trajectory {name}", getattr(self, name), shape))
 
     def displacement(self, node: int) -> Array:
         """Return (T, 3) displacement of a node from its start [m]."""
         return self.positions[:, node] - self.positions[0, node]
-
-    def save(self, path: Path | str) -> None:
-        """Write an .npz (kind 'rod trajectory', schema 3)."""
-        arrays = {f.name: getattr(self, f.name) for f in fields(self)}
-        counts = [arrays.pop(name) for name in ("newton_iterations", "split_steps")]
-        write_npz(path, "rod trajectory", SCHEMA, **arrays, counts=counts)
-
-    @classmethod
-    def load(cls, path: Path | str) -> Trajectory:
-        """Read what `save` wrote."""
-        with understood(path):
-            stored = read_npz(path, "rod trajectory", SCHEMA)
-            counts = stored.pop("counts")
-            return cls(**stored, newton_iterations=int(counts[0]), split_steps=int(counts[1]))
 
 
 def simulate(

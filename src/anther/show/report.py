@@ -74,10 +74,10 @@ def _table(header: list[str], rows: list[list[str]], text_columns: int = 1, chos
 
 
 def _verdict(results: RunResults) -> str:
-    if results.summary is None:
+    if results.visit is None:
         return ""
     headline = results.headline[:1].upper() + results.headline[1:]
-    why = str(results.summary.get("message") or "")
+    why = results.visit.message or ""
     colour = {True: "yes", False: "no", None: "soft"}
     cells = "".join(
         f"<div class=answer><span>{escape(a.question)}</span><b class={colour[a.good]}>{escape(a.said)}</b>"
@@ -159,10 +159,9 @@ def _shake(results: RunResults) -> str:
 
 def _steps(results: RunResults) -> str:
     """Return how a watched shake was raised, or why the plan alone was carried out."""
-    summary = results.summary or {}
-    if "shake_steps" not in summary:
+    if results.visit is None or not results.visit.shaken:
         return ""
-    text = f"<p>Watched: {escape(watched_words(summary))}</p>"
+    text = f"<p>Watched: {escape(watched_words(results.visit))}</p>"
     if results.trial is None or not results.trial.steps:
         return text
     steps, start = results.trial.steps, float(results.trial.shake_times[0])
@@ -219,16 +218,15 @@ def _motion(results: RunResults) -> str:
 
 def _beside(results: RunResults, measured: Array) -> str:
     """Return the median flower as predicted, measured and, in simulation, as it truly moved."""
-    shake, summary = results.shaken, results.summary or {}
+    shake, truth = results.shaken, results.visit and results.visit.truth
     assert shake is not None
     seen = measured[np.isfinite(measured)]
     cells = {"Predicted": _number(float(np.median(shake.predicted_acceleration)))}
     cells[f"Measured ({len(seen)} of {len(measured)} flowers)"] = (
         _number(float(np.median(seen))) if len(seen) else "nothing"
     )
-    true = summary.get("true_flower_acceleration_median_ms2")
-    if true is not None:
-        cells["True (simulated; all flowers)"] = _number(float(true))
+    if truth and truth.true_flower_acceleration_median is not None:
+        cells["True (simulated; all flowers)"] = _number(truth.true_flower_acceleration_median)
     return _table(["Median flower", *cells], [["peak acceleration", *cells.values()]])
 
 
@@ -261,7 +259,7 @@ def _learned(results: RunResults) -> str:
         [name, *(_belief(m, attribute, factor, unit) for m in (visit.believed, visit.material))]
         for name, attribute, factor, unit in LEARNED_ROWS
     ]
-    why = str((results.summary or {}).get("material_reason") or "")
+    why = visit.material_reason or ""
     text = f"<p>Believed before: {escape(why)}. The next shake of this plant begins with what is believed after.</p>"
     return text + _table(["Quantity", "Before (nine in ten)", "After (nine in ten)"], rows)
 

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from anther.core.errors import bad_input
 from anther.core.files import existing, read_object
 from anther.core.runs import FILES
-from anther.history import Result, TrialRecord, read_record, result_of, result_words
 from anther.perception.capture import Capture
 from anther.perception.cloud import Cloud
 from anther.perception.flowers import Flowers
@@ -23,15 +22,16 @@ from anther.perception.stem import Stem
 from anther.perception.stem.confidence import doubt
 from anther.plant.limits import Crop
 from anther.plant.model import PlantModel
+from anther.plant.visit import Result, TruthRecord, Visit, median
 from anther.pollination.execution import Trial
 from anther.pollination.grasp import Grasp, load_grasps
 from anther.pollination.response import Response
 from anther.pollination.shake import ShakePlan
 
 PARAMS, TIMING, ARM = "00_params.json", "timing.json", "arm.json"
-"""What the run was asked for; time and memory of each stage; the arm of a cell file, its gripper, and the keep-out boxes."""
-EXECUTED, FILM, SUMMARY, VISIT = "09_executed_shake.json", "09_shake.gif", "trial.json", "visit.json"
-"""The shake as it was carried out; its end, as the side camera saw it; the trial in numbers; what the history keeps."""
+"""What the run was asked for; time and memory of each stage; the arm and gripper of a cell file, its keep-out boxes."""
+EXECUTED, FILM, SUMMARY = "09_executed_shake.json", "09_shake.gif", "trial.json"
+"""The shake as it was carried out; its end, as the side camera saw it; the visit in numbers."""
 
 
 class Finding(NamedTuple):
@@ -53,19 +53,17 @@ class RunResults:
     Attributes:
         folder: the run's folder.
         params: what the run was asked for (00_params.json).
-        summary: the verdict (trial.json), or None for an offline reconstruction.
         seconds, cpu_seconds: stage -> time it took, processor time [s].
         peak_mb: stage -> the most memory the process held [MB].
         shake: as it was planned.
         executed: as it was carried out; other than planned where it was watched.
         trial: the execution's record.
-        visit: what the history keeps of the trial (visit.json).
+        visit: what was done and what came of it (trial.json), or None for an offline reconstruction.
         numbers: (J,) what the file of an imported skeleton calls each node; None: they are numbered from 0.
     """
 
     folder: Path
     params: dict[str, Any] = field(default_factory=dict)
-    summary: dict[str, Any] | None = None
     seconds: dict[str, float] = field(default_factory=dict)
     cpu_seconds: dict[str, float] = field(default_factory=dict)
     peak_mb: dict[str, float] = field(default_factory=dict)
@@ -81,13 +79,13 @@ class RunResults:
     executed: ShakePlan | None = None
     trial: Trial | None = None
     response: Response | None = None
-    visit: TrialRecord | None = None
+    visit: Visit | None = None
     numbers: NDArray[Any] | None = None
 
     @property
     def title(self) -> str:
         """What the report is called."""
-        if self.summary is None:
+        if self.visit is None:
             return f"reconstruction of {Path(str(self.params.get('capture', self.folder))).name}"
         label = self.params.get("label")
         return f"{self.params.get('plant', 'plant')}, {label or 'seed ' + str(self.params.get('seed', '?'))}"
@@ -121,50 +119,50 @@ class RunResults:
     @property
     def headline(self) -> str:
         """The result of the trial in a few words."""
-        s = self.summary or {}
-        return result_words(held_unharmed(s), s.get("flowers_moved"), s.get("failure"))
+        return "" if self.visit is None else self.visit.result_words
 
     @property
     def result(self) -> Result:
         """The result of the trial."""
-        s = self.summary or {}
-        return result_of(held_unharmed(s), s.get("flowers_moved"))
+        return "failed" if self.visit is None else self.visit.result
 
     def answers(self) -> tuple[Finding, ...]:
-        """Return whether it was held, harmed, and whether the flowers moved; nothing for older runs.
+        """Return whether it was held, harmed, and whether the flowers moved; nothing where nobody asked.
 
         In simulation the truth says it; of a real plant gripper and side camera do, as far as they can.
         """
-        s = self.summary or {}
-        if "held" not in s:
+        v = self.visit
+        if v is None or v.held is None:
             return ()
-        opening, slip, between = s.get("grip_opening_m"), s.get("true_slip_m"), ""
-        if s["unharmed"] is not None:
-            organ = str(s.get("organ_grasped") or "nothing").replace("_", " ")
-            slipped = "not shaken" if slip is None or not np.isfinite(slip) else f"it slipped {1000 * slip:.1f} mm"
+        between = ""
+        if v.truth is not None:
+            organ = str((v.grasp and v.grasp.organ) or "nothing").replace("_", " ")
+            slip = v.truth.true_slip
+            slipped = f"it slipped {1000 * slip:.1f} mm" if np.isfinite(slip) else "not shaken"
             between = f"simulated: {organ} between the pads, {slipped}"
-        elif opening is not None:
-            between = f"the pads stood {1000 * opening:.1f} mm apart, with {s['grip_force_n']:.0f} N"
+        elif v.grip is not None:
+            between = f"the pads stood {1000 * v.grip.opening:.1f} mm apart, with {v.grip.force:.0f} N"
         return (
-            Finding("Was the main stem held?", s["held"], "yes" if s["held"] else "no", between),
-            Finding("Was the plant harmed?", s["unharmed"], *_harm(s)),
-            Finding("Did the flowers move?", s["flowers_moved"], *_moved(s)),
+            Finding("Was the main stem held?", v.held, "yes" if v.held else "no", between),
+            Finding("Was the plant harmed?", v.unharmed, *_harm(v.truth)),
+            Finding("Did the flowers move?", v.flowers_moved, *_moved(v)),
         )
 
     def headline_facts(self) -> list[tuple[str, str]]:
         """Return (name, value) pairs that sum up the trial."""
         facts: list[tuple[str, str]] = []
-        summary = self.summary or {}
-        if summary.get("organ_grasped"):
-            facts.append(("organ grasped", str(summary["organ_grasped"]).replace("_", " ")))
-        if summary.get("grasp_arc_length_m") is not None:
-            facts.append(("grasp height along the stem", f"{100 * summary['grasp_arc_length_m']:.0f} cm"))
+        grasp = self.visit and self.visit.grasp
+        if grasp and grasp.organ:
+            facts.append(("organ grasped", grasp.organ.replace("_", " ")))
+        if grasp and grasp.arc_length is not None:
+            facts.append(("grasp height along the stem", f"{100 * grasp.arc_length:.0f} cm"))
         if self.shaken is not None:
             facts.append(("shake", f"{1000 * self.shaken.amplitude:.2g} mm at {self.shaken.frequency:.1f} Hz"))
-        for key, name in (("predicted", "predicted flower amplitude"), ("measured", "measured flower amplitude")):
-            value = summary.get(f"{key}_flower_amplitude_median_m")
-            if value is not None:
-                facts.append((name, f"{1000 * value:.2f} mm"))
+        if self.visit is not None:
+            motions = {"predicted": self.visit.predicted_amplitude, "measured": self.visit.measured_amplitude}
+            medians = {how: median(amplitude) for how, amplitude in motions.items()}
+            known = {how: value for how, value in medians.items() if value is not None}
+            facts += [(f"{how} flower amplitude", f"{1000 * value:.2f} mm") for how, value in known.items()]
         return facts
 
     def notes(self) -> list[str]:
@@ -179,44 +177,41 @@ class RunResults:
         return [*stem, *(note for grasp in self.grasps[:1] for note in doubt(grasp.confidence, "best grasp"))]
 
 
-def held_unharmed(summary: dict[str, Any]) -> bool:
-    """Return whether a trial held the plant and, as far as anybody knows, did not harm it, by its trial.json."""
-    return bool(summary.get("held") and summary["unharmed"] is not False)
-
-
-def _harm(s: dict[str, Any]) -> tuple[str, str]:
-    if s["unharmed"] is None:
+def _harm(truth: TruthRecord | None) -> tuple[str, str]:
+    if truth is None:
         return "not known", ""
-    said = "no" if s["unharmed"] else f"yes: {s['harmed']}"
-    strains = ", ".join(f"{s[f'true_{kind}_strain']:.2%} in {kind}s" for kind in ("stem", "pedicel", "base"))
-    loads = f"strain {strains}, leaves {s['true_leaf_acceleration_ms2'] / 9.81:.2f} g"
-    return said, f"simulated: harm has a probability of {s['harm_probability']:.1%}; {loads}"
+    said = f"yes: {truth.harmed}" if truth.harmed else "no"
+    strains = {"stem": truth.true_stem_strain, "pedicel": truth.true_pedicel_strain, "base": truth.true_base_strain}
+    words = ", ".join(f"{strain:.2%} in {kind}s" for kind, strain in strains.items())
+    loads = f"strain {words}, leaves {truth.true_leaf_acceleration / 9.81:.2f} g"
+    return said, f"simulated: harm has a probability of {truth.harm_probability:.1%}; {loads}"
 
 
-def _moved(s: dict[str, Any]) -> tuple[str, str]:
-    measured = s.get("felt_flower_acceleration_median_ms2")
-    if measured is not None:
-        count = s["felt_flowers"]
-        why = f"measured by the side camera: median {measured:.1f} m/s² over {count} flower{'s' * (count != 1)}"
-        return "yes" if s["flowers_moved"] else "hardly", why
-    felt, least = (s.get(f"true_flower_acceleration_{which}_ms2") for which in ("median", "least"))
-    if felt is None or least is None:
-        return "not known" if s["flowers_moved"] is None else "no", ""
-    shares = f"{s['share_above_5_ms2']:.0%} above 5 and {s['share_above_10_ms2']:.0%} above 10 m/s²"
-    freed = f"pollen freed {s['pollen_freed_median']:.1%} ({s['pollen_freed_low']:.1%} to {s['pollen_freed_high']:.1%})"
-    said = "yes" if s["flowers_moved"] else "hardly"
-    return said, f"simulated: median {felt:.1f} m/s², least {least:.1f}; {shares}; {freed}"
+def _moved(v: Visit) -> tuple[str, str]:
+    if v.felt_flower_acceleration_median is not None:
+        flowers = f"{v.felt_flowers} flower{'s' * (v.felt_flowers != 1)}"
+        why = f"measured by the side camera: median {v.felt_flower_acceleration_median:.1f} m/s² over {flowers}"
+        return "yes" if v.flowers_moved else "hardly", why
+    t = v.truth
+    if t is None or t.true_flower_acceleration_median is None:
+        return "not known" if v.flowers_moved is None else "no", ""
+    shares = f"{t.share_above_5_ms2:.0%} above 5 and {t.share_above_10_ms2:.0%} above 10 m/s²"
+    freed = f"pollen freed {t.pollen_freed_median:.1%} ({t.pollen_freed_low:.1%} to {t.pollen_freed_high:.1%})"
+    least = f"median {t.true_flower_acceleration_median:.1f} m/s², least {t.true_flower_acceleration_least:.1f}"
+    return "yes" if v.flowers_moved else "hardly", f"simulated: {least}; {shares}; {freed}"
 
 
-def watched_words(s: dict[str, Any]) -> str:
+def watched_words(visit: Visit) -> str:
     """Return in a line how the shake was raised, or why the plan alone was carried out."""
-    if s["plan_alone_because"] is not None:
-        return f"no, the plan alone was carried out: {s['plan_alone_because']}"
-    felt = s["step_flower_acceleration_median_ms2"]
+    if visit.plan_alone_because is not None:
+        return f"no, the plan alone was carried out: {visit.plan_alone_because}"
+    duration, last = (visit.shake and visit.shake.duration) or 0.0, visit.last
+    assert last is not None, "a shake is watched step by step"
+    felt = median(last.flower_acceleration)
     seen = "no flower was measured" if felt is None else f"flowers measured {felt:.1f} m/s² (median)"
     return (
-        f"{s['shake_steps']} steps in {s['shaking_seconds']:.1f} s; at the end {seen}, {s['step_share_of_limit']:.0%} "
-        f"of the closest limit ({s['step_closest_limit']}). {s['shake_ended_by']}"
+        f"{len(visit.steps)} steps in {duration:.1f} s; at the end {seen}, {last.share_of_limit:.0%} "
+        f"of the closest limit ({last.closest_limit}). {visit.ended_by}"
     )
 
 
@@ -242,7 +237,6 @@ def read_run(folder: Path | str) -> RunResults:
     return RunResults(
         folder=folder,
         params=read_object(folder / PARAMS),
-        summary=there(SUMMARY, read_object),
         **{name: timing.get(name, {}) for name in ("seconds", "cpu_seconds", "peak_mb")},
         grasps=tuple(there(FILES["grasp"], load_grasps, ())),
         capture=there(FILES["capture"], Capture.load),
@@ -256,5 +250,5 @@ def read_run(folder: Path | str) -> RunResults:
         executed=there(EXECUTED, ShakePlan.load),
         trial=there(FILES["execution"], Trial.load),
         response=there(FILES["response"], Response.load),
-        visit=there(VISIT, read_record),
+        visit=there(SUMMARY, Visit.load),
     )

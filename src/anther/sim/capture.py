@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numba
@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from anther.core.checks import check_array, check_range, check_transform
 from anther.core.geometry import Array, Intrinsics, look_at, small_transform
+from anther.core.records import Range, Record
 from anther.perception.capture import Capture
 from anther.robot.devices import Frame
 from anther.sim.plant import SimPlant
@@ -48,7 +49,7 @@ EDGE = 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class DepthNoise:
+class DepthNoise(Record):
     """Parameters of the depth sensor; the defaults are a D455.
 
     Attributes:
@@ -62,24 +63,22 @@ class DepthNoise:
         stereo_shadow: whether surfaces that only one imager sees are dropped, as is what lies left of its view.
     """
 
-    subpixel: float = 0.08
+    CALLED = "depth noise"
+    subpixel: Annotated[float, Range(0, 2, "px")] = 0.08
     quantum: float = 1 / 32
     max_range: float = 6.0
-    fattening: int = 2
-    thin: int = 3
+    fattening: Annotated[int, Range(0, 15, "px")] = 2
+    thin: Annotated[int, Range(0, 15, "px")] = 3
     edge_dropped: float = 0.35
     edge_flying: float = 0.1
     stereo_shadow: bool = True
 
-    def __post_init__(self) -> None:
-        check_range("depth noise subpixel", self.subpixel, 0.0, 2.0, "px")
+    def _check(self) -> None:
         check_range("depth noise edge_dropped + edge_flying", self.edge_dropped + self.edge_flying, 0.0, 1.0)
-        check_range("depth noise fattening", self.fattening, 0, 15, "px")
-        check_range("depth noise thin", self.thin, 0, 15, "px")
 
 
 @dataclass(frozen=True, slots=True)
-class CameraErrors:
+class CameraErrors(Record):
     """How far camera and robot are from ideal. All are standard deviations, per axis where there are axes.
 
     Attributes:
@@ -93,18 +92,15 @@ class CameraErrors:
         blur: of the lens [px]; an estimate.
     """
 
-    pose_rotation: float = float(np.radians(0.2))
-    pose_translation: float = 0.0015
+    CALLED = "camera's"
+    pose_rotation: Annotated[float, Range(0, 0.1, "rad")] = float(np.radians(0.2))
+    pose_translation: Annotated[float, Range(0, 0.05, "m")] = 0.0015
     depth: DepthNoise = field(default_factory=DepthNoise)
     exposure: float = 0.05
     white_balance: float = 0.015
     read_noise: float = 1.5
     shot_noise: float = 0.03
     blur: float = 0.6
-
-    def __post_init__(self) -> None:
-        check_range("pose rotation error", self.pose_rotation, 0.0, 0.1, "rad")
-        check_range("pose translation error", self.pose_translation, 0.0, 0.05, "m")
 
 
 def camera_errors(truth: Truth) -> CameraErrors:

@@ -6,19 +6,19 @@ against what other views see, and reduced to the plant (`_fusion.py`). What is n
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.core.checks import check_array, check_parameters, check_range, check_transform
+from anther.core.checks import check_array
 from anther.core.errors import StageFailure
-from anther.core.files import read_npz, understood, write_npz
+from anther.core.files import understood
 from anther.core.geometry import Array, Box, Intrinsics, transform_points
+from anther.core.records import UNSAVED, Range, Record, Shape, Stored, decode, read_tree
 from anther.perception.capture import Capture, in_threads, viewed_box
 from anther.perception.cloud import _registration
 from anther.perception.cloud._doubts import (
@@ -44,8 +44,6 @@ from anther.perception.masks import BACKGROUND, Masks
 
 __all__ = ["Cloud", "Params", "fuse", "likely_cause"]
 
-SCHEMA = 2
-
 MARGIN = 0.05
 """Pixels this far outside the workspace still take part in the registration [m]: a pose may be off by a few cm."""
 
@@ -59,7 +57,7 @@ OBSTACLE_VOXEL = 0.01
 
 
 @dataclass(frozen=True, slots=True)
-class Params:
+class Params(Record):
     """How the views become one cloud.
 
     Attributes:
@@ -67,16 +65,13 @@ class Params:
         registration: see `registration.Params`; None keeps the arm's own poses.
     """
 
-    voxel: float = 0.0015
+    CALLED = "cloud"
+    voxel: Annotated[float, Range(0.0002, GAP, "m")] = 0.0015
     registration: _registration.Params | None = field(default_factory=_registration.Params)
-
-    def __post_init__(self) -> None:
-        check_parameters(self)
-        check_range("cloud voxel", self.voxel, 0.0002, GAP, "m")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Cloud:
+class Cloud(Stored):
     """The plant as points in the world frame (z up), and what else the arm must not touch.
 
     Attributes:
@@ -95,60 +90,44 @@ class Cloud:
             than right captures have (`_doubts.disagreement`); else 0.
     """
 
-    points: Array
-    normals: Array | None = None
-    colors: NDArray[Any] | None = None
-    labels: NDArray[Any] | None = None
-    obstacles: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    T_world_cam: Array | None = None
+    KIND, SCHEMA = "cloud", 3
+    points: Annotated[Array, Shape("N", 3), Range(unit="m"), UNSAVED]
+    normals: Annotated[Array, Shape("N", 3), UNSAVED] | None = None
+    colors: Annotated[NDArray[np.uint8], Shape("N", 3), UNSAVED] | None = None
+    labels: Annotated[NDArray[np.uint8], Shape("N"), UNSAVED] | None = None
+    obstacles: Annotated[Array, Shape("M", 3), Range(unit="m")] = field(default_factory=lambda: np.zeros((0, 3)))
+    T_world_cam: Annotated[Array, Shape("V", 4, 4, rigid=True), Range(unit="m")] | None = None
     notes: tuple[str, ...] = ()
-    view_agreement: Array | None = None
-    view_used: NDArray[np.bool_] | None = None
-    footprint: float | None = None
+    view_agreement: Annotated[Array, Shape(None, missing=True)] | None = None
+    view_used: Annotated[NDArray[np.bool_], Shape(None)] | None = None
+    footprint: Annotated[float, Range(unit="m")] | None = None
     seen_through: float = 0.0
 
-    def __post_init__(self) -> None:
-        n = len(self.points)
+    def _check(self) -> None:
         if self.labels is None:
-            object.__setattr__(self, "labels", np.ones(n, dtype=np.uint8))
-        shapes = {"points": ((n, 3), "float64"), "obstacles": ((None, 3), "float64"), "normals": ((n, 3), "float64")}
-        shapes |= {"colors": ((n, 3), "uint8"), "labels": ((n,), "uint8"), "view_used": ((None,), "bool")}
-        shapes |= {"view_agreement": ((None,), "float64")}
-        for name, (shape, dtype) in shapes.items():
-            if getattr(self, name) is not None:
-                array = check_array(name, getattr(self, name), shape, dtype=dtype, finite=name != "view_agreement")
-                object.__setattr__(self, name, array)
-        if self.T_world_cam is not None:
-            poses = check_transform("T_world_cam", self.T_world_cam, len(self.T_world_cam))
-            object.__setattr__(self, "T_world_cam", poses)
+            labels = np.ones(len(self.points), dtype=np.uint8)
+            labels.flags.writeable = False
+            object.__setattr__(self, "labels", labels)
 
     def save(self, path: Path | str) -> None:
         """Write the points as binary PLY (labels as a vertex property) and the rest as .npz of the same name."""
         path = Path(path)
         write_ply(path, self.points, normals=self.normals, colors=self.colors, labels=self.labels)
-        names = ("obstacles", "T_world_cam", "view_agreement", "view_used", "footprint", "seen_through")
-        rest = {name: getattr(self, name) for name in names}
-        write_npz(path.with_suffix(".npz"), "cloud", SCHEMA, notes=json.dumps(self.notes), **rest)
+        Stored.save(self, path.with_suffix(".npz"))
 
     @classmethod
-    def load(cls, path: Path | str) -> Cloud:
+    def load(cls, path: Path | str) -> Self:
         """Read what `save` wrote. A PLY without its .npz is read as well: no obstacles, poses or notes then.
 
         Raises:
             InputError: a file is missing, truncated or holds something else.
         """
         path = Path(path)
-        fields = read_ply(path)
-        fields.pop("unused")
-        if not path.with_suffix(".npz").exists():
-            return cls(**fields)
-        with understood(path.with_suffix(".npz")):
-            rest: dict[str, Any] = read_npz(path.with_suffix(".npz"), "cloud", SCHEMA)
-            notes = tuple(json.loads(str(rest.pop("notes"))))
-            numbers: dict[str, Any] = {
-                name: float(rest.pop(name)) for name in ("footprint", "seen_through") if name in rest
-            }
-            return cls(**fields, obstacles=rest.pop("obstacles"), **rest, **numbers, notes=notes)
+        points = read_ply(path)
+        points.pop("unused")
+        rest = path.with_suffix(".npz")
+        with understood(rest):
+            return decode(points | read_tree(rest, cls.KIND, cls.SCHEMA), cls) if rest.exists() else cls(**points)
 
 
 def fuse(

@@ -10,14 +10,15 @@ Dimensions: V views, N points, P pairs.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from anther.core.checks import check_parameters, check_range
 from anther.core.geometry import Array, inverse, small_transform
+from anther.core.records import Range, Record
 from anther.perception.capture import in_threads
 from anther.perception.cloud._wrong_views import Estimate, Sample, agreement, match, mended, plane_distances
 
@@ -55,7 +56,7 @@ MATCH_DISTANCES = 0.012, 0.009, 0.007, 0.006, 0.005
 
 
 @dataclass(frozen=True, slots=True)
-class Params:
+class Params(Record):
     """How far the views may move.
 
     Attributes:
@@ -63,13 +64,9 @@ class Params:
             (facts: perception, 0.2 deg and 1.5 mm).
     """
 
-    rotation_sigma: float = float(np.deg2rad(0.2))
-    translation_sigma: float = 0.0015
-
-    def __post_init__(self) -> None:
-        check_parameters(self)
-        check_range("registration rotation sigma", self.rotation_sigma, 1e-6, 1, "rad")
-        check_range("registration translation sigma", self.translation_sigma, 1e-6, 1, "m")
+    CALLED = "registration"
+    rotation_sigma: Annotated[float, Range(1e-6, 1, "rad")] = float(np.deg2rad(0.2))
+    translation_sigma: Annotated[float, Range(1e-6, 1, "m")] = 0.0015
 
 
 @dataclass(frozen=True, slots=True, eq=False)

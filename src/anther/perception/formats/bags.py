@@ -9,14 +9,14 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
 from anther.core.cameras import laid_over, straightened
-from anther.core.checks import check_range
 from anther.core.errors import bad_input
 from anther.core.geometry import Array, inverse, transform_from_pose7
+from anther.core.records import Range, Record
 from anther.perception.capture import Capture
 from anther.perception.formats import _realsense_bag
 from anther.perception.formats._bag_file import BagFile, Recorded, Topics, find_topics
@@ -37,7 +37,7 @@ _SAME_CAMERA = 1e-3  # relative difference of intrinsics that counts as one came
 
 
 @dataclass(frozen=True, slots=True)
-class BagOptions:
+class BagOptions(Record):
     """What is taken from a bag.
 
     Attributes:
@@ -62,12 +62,8 @@ class BagOptions:
     camera_frame: str | None = None
     world_frame: str | None = None
     camera_in_pose: tuple[float, float, float, float, float, float, float] | None = None
-    tolerance: float = 0.02
-    views: int = 30
-
-    def __post_init__(self) -> None:
-        check_range("tolerance", self.tolerance, 0, 10, "s")
-        check_range("views", self.views, 1, 10_000)
+    tolerance: Annotated[float, Range(0, 10, "s")] = 0.02
+    views: Annotated[int, Range(1, 10_000)] = 30
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.core.checks import check_array
 from anther.core.errors import bad_input
 from anther.core.geometry import Array
+from anther.core.records import Range, Record, Shape
 from anther.perception.formats._raw_points import LIKELY, METRES, SMALLEST, Units, other_units
 from anther.perception.skeleton import Skeleton
 
@@ -23,7 +23,7 @@ LARGEST_PLANT = 20.0  # [m], a tall tree; a larger number is most likely in mill
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SkeletonFile:
+class SkeletonFile(Record):
     """One rooted tree as read from a file.
 
     Attributes:
@@ -37,22 +37,18 @@ class SkeletonFile:
         notes: what the user should know.
     """
 
-    nodes: Array
-    parent: NDArray[Any]
-    radius: Array | None
-    numbers: NDArray[Any]
+    CALLED = "skeleton"
+    nodes: Annotated[Array, Shape("J", 3), Range(unit="m")]
+    parent: Annotated[NDArray[np.int64], Shape("J")]
+    radius: Annotated[Array, Shape("J"), Range(unit="m")] | None
+    numbers: Annotated[NDArray[np.int64], Shape("J")]
     labels: tuple[str, ...] | None = None
     units: Units | None = None
     merged: dict[int, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
-    def __post_init__(self) -> None:
+    def _check(self) -> None:
         n = len(self.nodes)
-        object.__setattr__(self, "nodes", check_array("skeleton nodes", self.nodes, (n, 3)))
-        object.__setattr__(self, "parent", check_array("skeleton parent", self.parent, (n,), dtype="int64"))
-        object.__setattr__(self, "numbers", check_array("node numbers", self.numbers, (n,), dtype="int64"))
-        if self.radius is not None:
-            object.__setattr__(self, "radius", check_array("skeleton radius", self.radius, (n,)))
         if self.labels is not None and len(self.labels) != n:
             raise bad_input("skeleton labels", given=len(self.labels), allowed=f"{n}, one a node", do="Label all.")
 

@@ -9,17 +9,16 @@ pixels. Without colour, whatever stands above the ground is plant.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.core.checks import check_array, check_parameters, check_range
+from anther.core.checks import check_array
 from anther.core.errors import StageFailure
-from anther.core.files import read_npz, understood, write_npz
 from anther.core.geometry import Box
+from anther.core.records import Range, Record, Shape, Share, Stored
 from anther.perception.capture import Capture, in_threads
 from anther.perception.masks._cells import kinds
 from anther.perception.masks._light import GREEN, GREEN_NO_DEPTH
@@ -30,8 +29,6 @@ __all__ = ["BACKGROUND", "FLOWER", "PLANT", "Masks", "Params", "segment", "witho
 
 BACKGROUND, PLANT, FLOWER = 0, 1, 2
 
-SCHEMA = 1
-
 GROUND_BORDER = 0.6
 """A patch without depth is no plant if its border with the ground is longer than this share of that with the plant."""
 
@@ -40,7 +37,7 @@ LEAST_PIXELS = 200
 
 
 @dataclass(frozen=True, slots=True)
-class Params:
+class Params(Record):
     """How plant and flowers are told from the rest.
 
     Attributes:
@@ -50,18 +47,13 @@ class Params:
         ground_radius: a horizontal surface at least this wide is soil, bench or pot [m].
     """
 
-    green: float = 0.10
+    green: Share = 0.10
     white_petals: bool = True
-    ground_radius: float = 0.035
-
-    def __post_init__(self) -> None:
-        check_parameters(self)
-        check_range("excess green threshold", self.green, 0, 1)
-        check_range("ground_radius", self.ground_radius, VOXEL, 1, "m")
+    ground_radius: Annotated[float, Range(VOXEL, 1, "m")] = 0.035
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Masks:
+class Masks(Stored):
     """A label per pixel: BACKGROUND (pot, soil, bench and all else), PLANT or FLOWER.
 
     Attributes:
@@ -69,26 +61,9 @@ class Masks:
         source: what made them, for the report ("colour and geometry", "geometry", ...).
     """
 
-    labels: NDArray[Any]
+    KIND, SCHEMA = "masks", 2
+    labels: Annotated[NDArray[np.uint8], Shape("V", "H", "W")]
     source: str
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "labels", check_array("labels", self.labels, (None, None, None), dtype="uint8"))
-
-    def save(self, path: Path | str) -> None:
-        """Write a compressed .npz."""
-        write_npz(path, "masks", SCHEMA, labels=self.labels, source=self.source)
-
-    @classmethod
-    def load(cls, path: Path | str) -> Masks:
-        """Read what `save` wrote.
-
-        Raises:
-            InputError: the file is missing, truncated or holds something else.
-        """
-        with understood(path):
-            arrays = read_npz(path, "masks", SCHEMA)
-            return cls(arrays["labels"], str(arrays["source"]))
 
 
 def segment(capture: Capture, workspace: Box | None = None, params: Params | None = None) -> Masks:

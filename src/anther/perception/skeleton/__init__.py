@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from small_gicp import voxelgrid_sampling
 
-from anther.core.checks import check_array, check_parameters, check_range
+from anther.core.checks import check_array, check_range
 from anther.core.errors import StageFailure, bad_input
-from anther.core.files import read_npz, understood, write_npz
 from anther.core.geometry import Array
+from anther.core.records import Range, Record, Shape, Share, Stored
 from anther.perception.cloud import Cloud
 from anther.perception.masks import FLOWER
 from anther.perception.skeleton._centreline import beginning, centred, extended, resample
@@ -34,7 +33,6 @@ from anther.perception.skeleton.voxel_solid import (
     without_specks,
 )
 
-_KIND, _SCHEMA = "skeleton", 2
 __all__ = ["Params", "Skeleton", "nearest_node", "skeletonize"]
 
 _FEWEST_POINTS = 50
@@ -64,7 +62,7 @@ that. Measured on six simulated captures (pixels of 1 mm): 0.45 for radii from 2
 
 
 @dataclass(frozen=True, slots=True)
-class Params:
+class Params(Record):
     """How a cloud becomes a skeleton. Lengths without a unit are relative to the plant's size (its diagonal).
 
     Attributes:
@@ -78,23 +76,16 @@ class Params:
             of the cloud's footprint, 0 for a cloud without one.
     """
 
-    root: tuple[float, float, float] | None = None
+    root: Annotated[tuple[float, float, float], Range(-1e9, 1e9, "m")] | None = None
     method: Literal["geodesic", "thinning"] = "geodesic"
-    voxel: float | None = None
-    spacing: float | None = None
-    recentre: int = 2
-    fattening: float | None = None
-
-    def __post_init__(self) -> None:
-        check_parameters(self, places=("root",))
-        check_range("voxel", 0.001 if self.voxel is None else self.voxel, 1e-5, 1, "m")
-        check_range("spacing", 0.005 if self.spacing is None else self.spacing, 1e-4, 1, "m")
-        check_range("recentre", self.recentre, 0, 20)
-        check_range("fattening", self.fattening or 0, 0, 0.1, "m")
+    voxel: Annotated[float, Range(1e-5, 1, "m")] | None = None
+    spacing: Annotated[float, Range(1e-4, 1, "m")] | None = None
+    recentre: Annotated[int, Range(0, 20)] = 2
+    fattening: Annotated[float, Range(0, 0.1, "m")] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Skeleton:
+class Skeleton(Stored):
     """One connected, acyclic, rooted tree. Node 0 is the root (where the stem leaves the soil).
 
     Every node comes after its parent, so a plain loop over the arrays walks from the root to the tips.
@@ -112,29 +103,18 @@ class Skeleton:
         root_confidence: probability that the plant stands at node 0; None if unknown.
     """
 
-    nodes: Array
-    parent: NDArray[Any]
-    radius: Array
+    KIND, SCHEMA, CALLED = "skeleton", 3, "skeleton"
+    nodes: Annotated[Array, Shape("J", 3), Range(unit="m")]
+    parent: Annotated[NDArray[np.int64], Shape("J")]
+    radius: Annotated[Array, Shape("J"), Range(unit="m")]
     notes: tuple[str, ...] = ()
-    width: Array | None = None
-    confidence: Array | None = None
-    flatness: Array | None = None
-    root_confidence: float | None = None
+    width: Annotated[Array, Shape("J"), Range(unit="m")] | None = None
+    confidence: Annotated[Array, Shape("J"), Range(0, 1)] | None = None
+    flatness: Annotated[Array, Shape("J")] | None = None
+    root_confidence: Share | None = None
 
-    def __post_init__(self) -> None:
-        n = len(self.nodes)
-        object.__setattr__(self, "nodes", check_array("skeleton nodes", self.nodes, (n, 3)))
-        parent = check_array("skeleton parent", self.parent, (n,), dtype="int64")
-        object.__setattr__(self, "parent", parent)
-        object.__setattr__(self, "radius", check_array("skeleton radius", self.radius, (n,)))
-        for name in ("width", "confidence", "flatness"):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, check_array(f"skeleton {name}", getattr(self, name), (n,)))
-        if self.confidence is not None:
-            for extreme in (self.confidence.min(), self.confidence.max()):
-                check_range("skeleton confidence", float(extreme), 0, 1)
-        if self.root_confidence is not None:
-            check_range("skeleton root confidence", self.root_confidence, 0, 1)
+    def _check(self) -> None:
+        n, parent = len(self.nodes), self.parent
         ordered = n >= 2 and parent[0] == -1 and bool(np.all((parent[1:] >= 0) & (parent[1:] < np.arange(1, n))))
         if not ordered:
             raise bad_input(
@@ -172,25 +152,6 @@ class Skeleton:
         while self.parent[path[-1]] >= 0:
             path.append(int(self.parent[path[-1]]))
         return np.array(path[::-1])
-
-    def save(self, path: Path | str) -> None:
-        """Write an .npz (schema 2)."""
-        fields = {name: getattr(self, name) for name in self.__slots__}
-        write_npz(path, _KIND, _SCHEMA, **fields | {"notes": np.array(self.notes, dtype=np.str_)})
-
-    @classmethod
-    def load(cls, path: Path | str) -> Skeleton:
-        """Read what `save` wrote.
-
-        Raises:
-            InputError: missing, truncated, or of another kind or schema.
-        """
-        with understood(path):
-            a: dict[str, Any] = read_npz(path, _KIND, _SCHEMA)
-            a["notes"] = tuple(str(note) for note in a["notes"])
-            if "root_confidence" in a:
-                a["root_confidence"] = float(a["root_confidence"])
-            return cls(**{name: a[name] for name in cls.__slots__ if name in a})
 
 
 def skeletonize(cloud: Cloud, params: Params | None = None) -> Skeleton:

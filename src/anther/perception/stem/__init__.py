@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.core.checks import check_array, check_parameters
 from anther.core.errors import StageFailure, bad_input
-from anther.core.files import read_npz, understood, write_npz
 from anther.core.geometry import Array
+from anther.core.records import Range, Record, Shape, Share, Stored
 from anther.perception.skeleton import Skeleton, nearest_node
 from anther.perception.skeleton.raw_tree import chains, edge_lengths, longest_way
 from anther.perception.stem._main_axis import SHORTEST, fork_at, growth_end, path_score
@@ -21,25 +19,20 @@ from anther.perception.stem.confidence import doubt, rise_share, second_stem, st
 
 __all__ = ["BRANCH", "LEAF", "ORGAN_NAMES", "STEM", "TRUSS", "Params", "Stem", "find_stem"]
 
-_KIND, _SCHEMA = "stem", 3
-
 
 @dataclass(frozen=True, slots=True)
-class Params:
+class Params(Record):
     """What a person may know better. What makes a path the main stem stands as constants beside its use.
 
     Attributes:
         tip: where the main stem ends [m], by who knows better; None: it is found.
     """
 
-    tip: tuple[float, float, float] | None = None
-
-    def __post_init__(self) -> None:
-        check_parameters(self, places=("tip",))
+    tip: Annotated[tuple[float, float, float], Range(-1e9, 1e9, "m")] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stem:
+class Stem(Stored):
     """The main stem as an ordered path of skeleton nodes, root first.
 
     Attributes:
@@ -54,20 +47,17 @@ class Stem:
             (docs/confidence.md); None if unknown.
     """
 
-    node_ids: NDArray[Any]
-    arc_length: Array
-    attachments: NDArray[Any]
-    organ: NDArray[Any]
+    KIND, SCHEMA, CALLED = "stem", 4, "stem"
+    node_ids: Annotated[NDArray[np.int64], Shape("S")]
+    arc_length: Annotated[Array, Shape("S"), Range(unit="m")]
+    attachments: Annotated[NDArray[np.int64], Shape("A")]
+    organ: Annotated[NDArray[np.uint8], Shape("J")]
     fork: int = -1
     notes: tuple[str, ...] = ()
-    confidence: float | None = None
+    confidence: Share | None = None
 
-    def __post_init__(self) -> None:
+    def _check(self) -> None:
         n = len(self.node_ids)
-        shapes = {"node_ids": ((n,), "int64"), "arc_length": ((n,), "float64")}
-        shapes |= {"attachments": ((None,), "int64"), "organ": ((None,), "uint8")}
-        for name, (shape, dtype) in shapes.items():
-            object.__setattr__(self, name, check_array(f"stem {name}", getattr(self, name), shape, dtype=dtype))
         if n < 2 or np.any(np.diff(self.arc_length) <= 0):
             raise bad_input("stem", given=f"{n} nodes", allowed="two or more, root first", do="Order the nodes.")
         if np.any(self.organ >= len(ORGAN_NAMES)):
@@ -83,24 +73,6 @@ class Stem:
     def organ_names(self) -> list[str]:
         """Return "stem", "branch", "truss" or "leaf" for every skeleton node."""
         return [ORGAN_NAMES[kind] for kind in self.organ]
-
-    def save(self, path: Path | str) -> None:
-        """Write an .npz (schema 3)."""
-        fields = {name: getattr(self, name) for name in self.__slots__}
-        write_npz(path, _KIND, _SCHEMA, **fields | {"notes": np.array(self.notes, dtype=np.str_)})
-
-    @classmethod
-    def load(cls, path: Path | str) -> Stem:
-        """Read what `save` wrote.
-
-        Raises:
-            InputError: missing, truncated, or of another kind or schema.
-        """
-        with understood(path):
-            a: dict[str, Any] = read_npz(path, _KIND, _SCHEMA)
-            notes = tuple(str(note) for note in a.pop("notes"))
-            sure = float(a.pop("confidence")) if "confidence" in a else None
-            return cls(fork=a.pop("fork"), **a, notes=notes, confidence=sure)
 
 
 def find_stem(skeleton: Skeleton, params: Params | None = None, *, flowers_at: Array | None = None) -> Stem:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +19,7 @@ from anther.core.checks import check_array, check_range
 from anther.core.errors import InputError, bad_input
 from anther.core.files import read_json, write_json
 from anther.core.geometry import Array
+from anther.core.records import Range, Record
 from anther.plant.bench._clamped_stem import (
     ClampedStem,
     Orientation,
@@ -142,7 +144,7 @@ def density_from_samples(mass: ArrayLike, radius: ArrayLike, length: ArrayLike) 
 
 
 @dataclass(frozen=True, slots=True)
-class InstrumentErrors:
+class InstrumentErrors(Record):
     """Standard errors of what is read off instruments. Each is one error for all readings, the cautious assumption.
 
     Attributes:
@@ -153,18 +155,12 @@ class InstrumentErrors:
         deflection: of one reading of the tip's height [m].
     """
 
-    radius: float = 1e-4
-    length: float = 1e-3
-    leaf_mass: float = 0.05
-    tip_mass: float = 0.01
-    deflection: float = 5e-4
-
-    def __post_init__(self) -> None:
-        check_range("errors.radius", self.radius, 0, 0.01, "m")
-        check_range("errors.length", self.length, 0, 0.1, "m")
-        check_range("errors.leaf_mass", self.leaf_mass, 0, 0.5)
-        check_range("errors.tip_mass", self.tip_mass, 0, 0.5)
-        check_range("errors.deflection", self.deflection, 1e-7, 0.1, "m")
+    CALLED = "errors."
+    radius: Annotated[float, Range(0, 0.01, "m")] = 1e-4
+    length: Annotated[float, Range(0, 0.1, "m")] = 1e-3
+    leaf_mass: Annotated[float, Range(0, 0.5)] = 0.05
+    tip_mass: Annotated[float, Range(0, 0.5)] = 0.01
+    deflection: Annotated[float, Range(1e-7, 0.1, "m")] = 5e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from anther.core.checks import check_range
 from anther.core.geometry import Array
+from anther.core.records import Range, Record
 from anther.pollination.escalation._knowledge import JUMP, Known
 from anther.pollination.shake import Params as Limits
 
@@ -18,7 +19,7 @@ SHORTEST = 10.0
 
 
 @dataclass(frozen=True, slots=True)
-class Params:
+class Params(Record):
     """How a watched shake is raised.
 
     Attributes:
@@ -30,14 +31,12 @@ class Params:
             were given 12 most were ended by time (docs/reports/shaking.md).
     """
 
-    target: float = 30.0
-    most: float = 45.0
-    most_seconds: float = 20.0
+    target: Annotated[float, Range(0.1, 1000, "m/s2")] = 30.0
+    most: Annotated[float, Range(0.1, 10_000, "m/s2")] = 45.0
+    most_seconds: Annotated[float, Range(SHORTEST, 60, "s")] = 20.0
 
-    def __post_init__(self) -> None:
-        check_range("target", self.target, 0.1, 1000, "m/s2")
+    def _check(self) -> None:
         check_range("most", self.most, self.target, 10_000, "m/s2")
-        check_range("most_seconds", self.most_seconds, SHORTEST, 60, "s")
 
 
 WATCHED = 3.0

@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict, dataclass, field
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
-from anther.core.checks import check_array
-from anther.core.errors import FailureKind
-from anther.core.files import read_npz, understood, write_npz
+from anther.core.errors import FailureKind, bad_input
 from anther.core.geometry import Array
+from anther.core.records import UNSAVED, Range, Record, Shape, Stored
 from anther.robot.devices import Frame
 
 PHASES = ("open", "reach", "approach", "close", "shake", "release", "retreat")
 EARLY = "early reach"  # before these: the arm went to the grasp before it was told which shake (`early_reach`)
-SCHEMA = 4
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class Step(Record):
     """One piece of a shake that is watched while it lasts. F flowers, K tones.
 
     Attributes:
@@ -36,15 +32,15 @@ class Step:
         seconds: that measuring and deciding took [s].
     """
 
-    begin: float
-    end: float
-    frequencies: tuple[float, ...]
-    amplitudes: tuple[float, ...]
+    begin: Annotated[float, Range(unit="s")]
+    end: Annotated[float, Range(unit="s")]
+    frequencies: Annotated[tuple[float, ...], Range(unit="Hz")]
+    amplitudes: Annotated[tuple[float, ...], Range(unit="m")]
     direction: tuple[float, ...]
-    flowers: tuple[float, ...]
+    flowers: Annotated[tuple[float, ...], Range(unit="m/s2")]
     loads: dict[str, float]
     decided: str
-    seconds: float
+    seconds: Annotated[float, Range(unit="s")]
 
     @property
     def used(self) -> float:
@@ -64,7 +60,7 @@ class Step:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Trial:
+class Trial(Stored):
     """What was commanded and what happened. P phases, T samples of the shake, N frames.
 
     Attributes:
@@ -84,33 +80,24 @@ class Trial:
         steps: of a shake that was watched.
     """
 
+    KIND, SCHEMA, CALLED = "trial", 5, "trial"
     phases: tuple[str, ...]
-    phase_times: Array
-    shake_times: Array
-    commanded: Array
-    measured: Array
-    gripper: Array
-    frame_times: Array
+    phase_times: Annotated[Array, Shape("P", 2), Range(unit="s")]
+    shake_times: Annotated[Array, Shape("T"), Range(unit="s")]
+    commanded: Annotated[Array, Shape("T", "J"), Range(unit="rad")]
+    measured: Annotated[Array, Shape("T", "J"), Range(unit="rad")]
+    gripper: Annotated[Array, Shape("G", 3, missing=True)]
+    frame_times: Annotated[Array, Shape("N"), Range(unit="s")]
     stop_reason: str
     failure: FailureKind | None = None
-    frames: tuple[Frame, ...] = field(default=(), repr=False)
-    felt: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    frames: Annotated[tuple[Frame, ...], UNSAVED] = field(default=(), repr=False)
+    felt: Annotated[Array, Shape("R", 2, missing=True)] = field(default_factory=lambda: np.zeros((0, 2)))
     steps: tuple[Step, ...] = ()
 
-    def __post_init__(self) -> None:
-        n = len(self.shake_times)
-        shapes: dict[str, tuple[int | None, ...]] = {
-            "phase_times": (len(self.phases), 2),
-            "shake_times": (n,),
-            "commanded": (n, None),
-            "measured": (n, None),
-            "frame_times": (None,),
-        }
-        for name, shape in shapes.items():
-            object.__setattr__(self, name, check_array(f"trial {name}", getattr(self, name), shape))
-        for name, width in {"gripper": 3, "felt": 2}.items():
-            array = check_array(f"trial {name}", getattr(self, name), (None, width), finite=False)
-            object.__setattr__(self, name, array)
+    def _check(self) -> None:
+        if len(self.phases) != len(self.phase_times):
+            given, allowed = f"shape {self.phase_times.shape}", f"shape ({len(self.phases)}, 2)"
+            raise bad_input("trial phase times", given=given, allowed=allowed, do="Check the array's axes.")
 
     @property
     def finished(self) -> bool:
@@ -123,27 +110,3 @@ class Trial:
         if self.steps:
             return self.steps[-1].begin, self.steps[-1].end
         return (float(self.shake_times[0]), float(self.shake_times[-1])) if len(self.shake_times) else (0.0, 0.0)
-
-    def save(self, path: Path | str) -> None:
-        """Write the trial, without the frames' pixels, to an .npz."""
-        said = {name: getattr(self, name) for name in ("phases", "stop_reason", "failure")}
-        words = json.dumps(said | {"steps": [asdict(step) for step in self.steps]})
-        names = ("phase_times", "shake_times", "commanded", "measured", "gripper", "frame_times", "felt")
-        write_npz(path, "trial", SCHEMA, words=words, **{name: getattr(self, name) for name in names})
-
-    @classmethod
-    def load(cls, path: Path | str) -> Trial:
-        """Read a trial written by `save`.
-
-        Raises:
-            InputError: missing, truncated or of another kind.
-        """
-        with understood(path):
-            arrays: dict[str, Any] = read_npz(path, "trial", SCHEMA)
-            words = json.loads(str(arrays.pop("words")))
-            rows: list[dict[str, Any]] = words.pop("steps")
-            made: list[dict[str, Any]] = [
-                {k: tuple(v) if isinstance(v, list) else v for k, v in r.items()} for r in rows
-            ]
-            steps = tuple(Step(**row) for row in made)
-            return cls(phases=tuple(words.pop("phases")), steps=steps, **words, **arrays)

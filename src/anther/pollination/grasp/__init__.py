@@ -7,16 +7,15 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from anther.core.checks import check_array, check_range, check_transform
 from anther.core.errors import StageFailure, bad_input
-from anther.core.files import read_object, understood, write_json
-from anther.core.geometry import Array, inverse, pose7, transform, transform_from_pose7
+from anther.core.geometry import Array, inverse, pose7, transform
+from anther.core.records import Range, Record, Shape, Share, Stored
 from anther.perception.cloud import Cloud
 from anther.perception.masks import FLOWER
 from anther.perception.skeleton import Skeleton
@@ -35,7 +34,7 @@ from anther.pollination.grasp._clearance import (
 from anther.robot.arm.gripper_shape import GripperShape
 
 __all__ = [
-    "STAND_OFF", "Grasp", "Params", "Reach", "grasp_of", "grasp_row", "load_grasps", "plan_grasps",
+    "STAND_OFF", "Grasp", "Params", "Reach", "load_grasps", "plan_grasps",
     "save_grasps",
 ]  # fmt: skip
 
@@ -59,7 +58,6 @@ class Params:
     fit_gripper: bool = True
 
 
-SCHEMA = 4
 OFF_BY = 0.002
 """How far a closing gripper may pull the stem aside [m]: what is left of calibration and registration errors."""
 ROOT_STRAIN = 0.01
@@ -94,7 +92,7 @@ NEAR_FORK = 0.025
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Grasp:
+class Grasp(Record):
     """A grasp of the main stem. The gripper approaches along the flange's +z; its fingers close along +-y.
 
     Attributes:
@@ -115,29 +113,20 @@ class Grasp:
         squeezed: petioles between the closing pads reach so far beyond the stem's surface [m]; None if unknown.
     """
 
-    T_world_flange: Array
-    point: Array
-    tangent: Array
-    approach: Array
-    arc_length: float
-    stem_diameter: float
-    clearance: float
+    CALLED = "grasp"
+    T_world_flange: Annotated[Array, Shape(4, 4, rigid=True)]
+    point: Annotated[Array, Shape(3), Range(unit="m")]
+    tangent: Annotated[Array, Shape(3)]
+    approach: Annotated[Array, Shape(3)]
+    arc_length: Annotated[float, Range(0, 20, "m")]
+    stem_diameter: Annotated[float, Range(unit="m")]
+    clearance: Annotated[float, Range(unit="m")]
     score: float
     reason: str
-    joints: NDArray[Any] | None = None
-    confidence: float | None = None
-    opening: float = GripperShape().stroke
-    squeezed: float | None = None
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "T_world_flange", check_transform("T_world_flange", self.T_world_flange))
-        for name in ("point", "tangent", "approach"):
-            object.__setattr__(self, name, check_array(name, getattr(self, name), (3,)))
-        if self.joints is not None:
-            object.__setattr__(self, "joints", check_array("joints", self.joints, (None,)))
-        check_range("grasp arc length", self.arc_length, 0, 20, "m")
-        if self.confidence is not None:
-            check_range("grasp confidence", self.confidence, 0, 1)
+    joints: Annotated[Array, Shape("J"), Range(unit="rad")] | None = None
+    confidence: Share | None = None
+    opening: Annotated[float, Range(unit="m")] = GripperShape().stroke
+    squeezed: Annotated[float, Range(unit="m")] | None = None
 
     @property
     def pose7(self) -> Array:
@@ -196,39 +185,24 @@ def plan_grasps(
     return [_enlarged(grasp, scale) for grasp in _first_reached(ranking, reach)]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Grasps(Stored):
+    KIND, SCHEMA = "grasps", 5
+    grasps: tuple[Grasp, ...]
+
+
 def save_grasps(path: Path | str, grasps: Sequence[Grasp]) -> None:
-    """Write the ranked list as JSON: a "grasps" list of `grasp_row`."""
-    write_json(path, {"kind": "grasps", "schema": SCHEMA, "grasps": [grasp_row(g) for g in grasps]})
+    """Write the ranked list as JSON, best first."""
+    _Grasps(tuple(grasps)).save(path)
 
 
 def load_grasps(path: Path | str) -> list[Grasp]:
     """Read a list written by `save_grasps`.
 
     Raises:
-        InputError: missing, not JSON, or not a list of grasps of this schema.
+        InputError: missing, truncated, or not a list of grasps of this schema.
     """
-    stored = read_object(path)
-    if (stored.get("kind"), stored.get("schema")) != ("grasps", SCHEMA):
-        raise bad_input(str(path), given="another kind of JSON", allowed=f"grasps, schema {SCHEMA}", do="Plan again.")
-    with understood(path, str(_SAVED), "Plan again."):
-        return [grasp_of(row) for row in stored["grasps"]]
-
-
-def grasp_row(grasp: Grasp) -> dict[str, Any]:
-    """Return all of a grasp for a JSON file; the flange's pose as 7 numbers: x, y, z [m], qx, qy, qz, qw."""
-    return {"pose": grasp.pose7, **{name: getattr(grasp, name) for name in _SAVED}}
-
-
-def grasp_of(row: dict[str, Any]) -> Grasp:
-    """Return the grasp of a `grasp_row`.
-
-    Raises:
-        KeyError, TypeError: something is missing, or of another type.
-    """
-    return Grasp(transform_from_pose7(row["pose"]), **{name: row[name] for name in _SAVED})
-
-
-_SAVED = tuple(name for name in Grasp.__dataclass_fields__ if name != "T_world_flange")
+    return list(_Grasps.load(path).grasps)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.core.checks import check_range
 from anther.core.errors import StageFailure, bad_input
+from anther.core.records import Range, Record, Share, Spread
 from anther.plant.model import LEARNED, Material, PlantModel
 from anther.pollination.learning._observed import ObservedShake
 from anther.pollination.shake.observables import ComplexArray, branch_of, semi_major
@@ -30,7 +30,7 @@ together tell them once; and of the draws."""
 
 
 @dataclass(frozen=True, slots=True)
-class Params:
+class Params(Record):
     """How measured responses refine a material.
 
     Attributes:
@@ -45,20 +45,12 @@ class Params:
         likeness: correlation of these errors between flowers of one branch [-], measured by us likewise.
     """
 
-    members: int = 128
-    branch_spread: float = 0.5
-    model_error: float = 0.3
-    phase_error: float = 0.3
-    grip_error: float = 0.25
-    likeness: float = 0.5
-
-    def __post_init__(self) -> None:
-        check_range("members", self.members, 8, 100_000)
-        check_range("branch_spread", self.branch_spread, 0, 3)
-        check_range("model_error", self.model_error, 0.01, 10)
-        check_range("phase_error", self.phase_error, 0.01, 100)
-        check_range("grip_error", self.grip_error, 0.01, 10)
-        check_range("likeness", self.likeness, 0, 1)
+    members: Annotated[int, Range(8, 100_000)] = 128
+    branch_spread: Spread = 0.5
+    model_error: Annotated[float, Range(0.01, 10)] = 0.3
+    phase_error: Annotated[float, Range(0.01, 100)] = 0.3
+    grip_error: Annotated[float, Range(0.01, 10)] = 0.25
+    likeness: Share = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, fields
-from pathlib import Path
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.core.checks import check_array, check_range, check_transform
+from anther.core.checks import check_range, check_transform
 from anther.core.errors import InputError, bad_input
-from anther.core.files import read_npz, understood, write_npz
 from anther.core.geometry import Array, Intrinsics, inverse, transform_points
 from anther.core.oscillation import find_frequency, fit_swing
+from anther.core.records import Range, Shape, Stored
 from anther.perception.flowers import Flowers
 from anther.pollination.execution import Step
 from anther.pollination.response._beside import StemMotion, StemNear, measure_stem, stem_near
@@ -33,13 +31,12 @@ from anther.robot.devices import Frame
 
 __all__ = ["Response", "StemMotion", "StemNear", "measure_response", "stem_near"]
 
-SCHEMA = 4
 BLURRED = 0.5
 """A shutter open for a larger share of the period shows less than 0.64 of the swing: too little to make up for."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Response:
+class Response(Stored):
     """Measured flower motion. What could not be measured is NaN.
 
     Attributes:
@@ -60,31 +57,21 @@ class Response:
         stem: how the main stem moved beside the pads.
     """
 
-    times: Array
-    tracks: Array
-    amplitude: Array
-    amplitude_std: Array
-    frequency: Array
-    frequency_std: Array
-    phase: Array
-    phase_std: Array
-    acceleration_peak: Array
-    at_most: Array
-    direction: Array
-    visible: NDArray[Any]
+    KIND, SCHEMA, CALLED = "response", 5, "response"
+    times: Annotated[Array, Shape("T"), Range(unit="s")]
+    tracks: Annotated[Array, Shape("T", "F", 3, missing=True), Range(unit="m")]
+    amplitude: Annotated[Array, Shape("F", missing=True), Range(unit="m")]
+    amplitude_std: Annotated[Array, Shape("F", missing=True), Range(unit="m")]
+    frequency: Annotated[Array, Shape("F", missing=True), Range(unit="Hz")]
+    frequency_std: Annotated[Array, Shape("F", missing=True), Range(unit="Hz")]
+    phase: Annotated[Array, Shape("F", missing=True), Range(unit="rad")]
+    phase_std: Annotated[Array, Shape("F", missing=True), Range(unit="rad")]
+    acceleration_peak: Annotated[Array, Shape("F", missing=True), Range(unit="m/s2")]
+    at_most: Annotated[Array, Shape("F", missing=True), Range(unit="m")]
+    direction: Annotated[Array, Shape("F", 3, missing=True)]
+    visible: Annotated[NDArray[np.bool_], Shape("F")]
     notes: tuple[str, ...] = ()
     stem: StemMotion = field(default_factory=lambda: StemMotion.of([]))
-
-    def __post_init__(self) -> None:
-        frames, flowers = len(self.times), len(self.amplitude)
-        object.__setattr__(self, "times", check_array("response times", self.times, (frames,)))
-        tracks = check_array("response tracks", self.tracks, (frames, flowers, 3), finite=False)
-        object.__setattr__(self, "tracks", tracks)
-        direction = check_array("response direction", self.direction, (flowers, 3), finite=False)
-        object.__setattr__(self, "direction", direction)
-        for name in _NUMBERS:
-            object.__setattr__(self, name, check_array(name, getattr(self, name), (flowers,), finite=False))
-        object.__setattr__(self, "visible", check_array("visible", self.visible, (flowers,), dtype="bool"))
 
     def felt(self, steps: Sequence[Step] = ()) -> Array:
         """Return (F,) the peak acceleration of each flower [m/s2]; NaN where nothing tells.
@@ -95,24 +82,6 @@ class Response:
         unmoved = np.where(np.isfinite(self.at_most), 0.0, np.nan)
         during = np.array(steps[-1].flowers, dtype=float) if steps else np.full(len(self.visible), np.nan)
         return np.where(self.visible, self.acceleration_peak, np.where(np.isfinite(during), during, unmoved))
-
-    def save(self, path: Path | str) -> None:
-        """Write the response to an .npz."""
-        values = {name: getattr(self, name) for name in ("times", "tracks", "direction", "visible", *_NUMBERS)}
-        values |= {f"stem_{f.name}": getattr(self.stem, f.name) for f in fields(self.stem)}
-        write_npz(path, "response", SCHEMA, notes=json.dumps(self.notes), **values)
-
-    @classmethod
-    def load(cls, path: Path | str) -> Response:
-        """Read a response written by `save`.
-
-        Raises:
-            InputError: missing, truncated or of another kind.
-        """
-        with understood(path):
-            arrays: dict[str, Any] = read_npz(path, "response", SCHEMA)
-            stem = StemMotion(**{f.name: arrays.pop(f"stem_{f.name}") for f in fields(StemMotion)})
-            return cls(notes=tuple(json.loads(str(arrays.pop("notes")))), stem=stem, **arrays)
 
 
 def measure_response(

@@ -7,16 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.core.checks import check_array
 from anther.core.errors import InputError
 from anther.core.geometry import Array, Intrinsics, inverse, transform_points
 from anther.core.oscillation import fit_swing
+from anther.core.records import Range, Record, Shape
 from anther.pollination.response._following import without_outliers
 from anther.pollination.response._petals import smoothed, vertex
 from anther.pollination.response.thresholds import (
@@ -48,7 +48,7 @@ LEAST_TOLERANCE = 20.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StemMotion:
+class StemMotion(Record):
     """Measured motion of points of the main stem, along what a camera can tell of it.
 
     Attributes:
@@ -58,21 +58,11 @@ class StemMotion:
         std: (S,) standard deviation of real and imaginary part [m].
     """
 
-    points: Array
-    axis: Array
-    motion: NDArray[np.complex128]
-    std: Array
-
-    def __post_init__(self) -> None:
-        count = len(self.points)
-        for name, shape, kind in (
-            ("points", (count, 3), "float64"),
-            ("axis", (count, 3), "float64"),
-            ("motion", (count,), "complex128"),
-            ("std", (count,), "float64"),
-        ):
-            values = check_array(f"stem {name}", getattr(self, name), shape, dtype=kind)
-            object.__setattr__(self, name, values)
+    CALLED = "stem"
+    points: Annotated[Array, Shape("S", 3), Range(unit="m")]
+    axis: Annotated[Array, Shape("S", 3)]
+    motion: Annotated[NDArray[np.complex128], Shape("S"), Range(unit="m")]
+    std: Annotated[Array, Shape("S"), Range(unit="m")]
 
     @classmethod
     def of(cls, rows: Sequence[tuple[Array, Array, complex, float]]) -> StemMotion:

@@ -2,35 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from anther.core.checks import check_array, check_range
-from anther.core.errors import bad_input
-from anther.core.files import read_json, write_json
 from anther.core.geometry import Array
-from anther.pollination.grasp import Grasp, grasp_of, grasp_row
+from anther.core.records import Range, Record, Shape, Stored
+from anther.pollination.grasp import Grasp
 from anther.pollination.shake.pads import PADS, Pads
-
-SCHEMA = 7
-"""Of the files written."""
 
 LimitRow = tuple[str, float, float, float]
 """(name, value, limit, share of the limit that is used)."""
 
 
-def _to_arrays(record: ResponseMap | Tones | ShakePlan, what: str, shapes: dict[str, tuple[int, ...]]) -> None:
-    """Check fields of a record, which is called so in errors, and make them read-only arrays."""
-    for name, shape in shapes.items():
-        told = f"{what}{name.replace('_', ' ')}"
-        object.__setattr__(record, name, check_array(told, getattr(record, name), shape))
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class ResponseMap:
+class ResponseMap(Record):
     """How the flowers answer, by grip height and frequency, in the best direction and within the limits.
 
     Means are over flowers and over the scenarios of the plant's material.
@@ -44,20 +31,16 @@ class ResponseMap:
         amplitude: (G, Q) largest allowed grip amplitude [m].
     """
 
-    frequencies: Array
-    arc_length: Array
-    acceleration: Array
-    per_metre: Array
-    amplitude: Array
-
-    def __post_init__(self) -> None:
-        q, g = len(self.frequencies), len(self.arc_length)
-        shapes = {"frequencies": (q,), "arc_length": (g,)}
-        _to_arrays(self, "map ", shapes | dict.fromkeys(("acceleration", "per_metre", "amplitude"), (g, q)))
+    CALLED = "map"
+    frequencies: Annotated[Array, Shape("Q"), Range(unit="Hz")]
+    arc_length: Annotated[Array, Shape("G"), Range(unit="m")]
+    acceleration: Annotated[Array, Shape("G", "Q"), Range(unit="m/s2")]
+    per_metre: Annotated[Array, Shape("G", "Q")]
+    amplitude: Annotated[Array, Shape("G", "Q"), Range(unit="m")]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tones:
+class Tones(Record):
     """The frequencies and lines most worth trying at the plan's grip; the plan's own come first. K tones, D lines.
 
     Attributes:
@@ -67,15 +50,11 @@ class Tones:
         reach: (K, D) that the actuator manages [m].
     """
 
-    frequencies: Array
-    directions: Array
-    amplitudes: Array
-    reach: Array
-
-    def __post_init__(self) -> None:
-        k, d = len(self.frequencies), len(self.directions)
-        shapes = {"frequencies": (k,), "directions": (d, 3), "amplitudes": (k, d), "reach": (k, d)}
-        _to_arrays(self, "tones ", shapes)
+    CALLED = "tones"
+    frequencies: Annotated[Array, Shape("K"), Range(unit="Hz")]
+    directions: Annotated[Array, Shape("D", 3)]
+    amplitudes: Annotated[Array, Shape("K", "D"), Range(unit="m")]
+    reach: Annotated[Array, Shape("K", "D"), Range(unit="m")]
 
     @property
     def probed(self) -> tuple[int, ...]:
@@ -90,7 +69,7 @@ class Tones:
 
 
 @dataclass(frozen=True, slots=True)
-class RunnerUp:
+class RunnerUp(Record):
     """The best shake at another grasp or another frequency (a fifth away or more).
 
     Attributes:
@@ -106,7 +85,7 @@ class RunnerUp:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ShakePlan:
+class ShakePlan(Stored):
     """One shake: hold `grasp`, move it to and fro along `direction` in a sine, and what that does.
 
     Attributes:
@@ -133,65 +112,23 @@ class ShakePlan:
         notes: what the stage wants the user to know.
     """
 
+    KIND, SCHEMA, CALLED = "shake plan", 8, "shake"
     grasp_index: int
     grasp: Grasp
-    direction: Array
-    amplitude: float
-    frequency: float
-    duration: float
-    press: float
-    predicted_amplitude: Array
-    predicted_amplitude_interval: Array
-    predicted_acceleration: Array
-    predicted_acceleration_interval: Array
+    direction: Annotated[Array, Shape(3)]
+    amplitude: Annotated[float, Range(0, 1, "m")]
+    frequency: Annotated[float, Range(1e-3, 1e4, "Hz")]
+    duration: Annotated[float, Range(1e-3, 3600, "s")]
+    press: Annotated[float, Range(0, 1000, "N")]
+    predicted_amplitude: Annotated[Array, Shape("F"), Range(unit="m")]
+    predicted_amplitude_interval: Annotated[Array, Shape("F", 2), Range(unit="m")]
+    predicted_acceleration: Annotated[Array, Shape("F"), Range(unit="m/s2")]
+    predicted_acceleration_interval: Annotated[Array, Shape("F", 2), Range(unit="m/s2")]
     score: float
-    limits: Sequence[LimitRow]
+    limits: tuple[LimitRow, ...]
     runner_up: RunnerUp | None
     reason: str
     response_map: ResponseMap
     tones: Tones
     pads: Pads = PADS
     notes: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        f = len(self.predicted_amplitude)
-        shapes = {"direction": (3,), "predicted_amplitude": (f,), "predicted_acceleration": (f,)}
-        _to_arrays(
-            self, "", shapes | {"predicted_amplitude_interval": (f, 2), "predicted_acceleration_interval": (f, 2)}
-        )
-        check_range("shake amplitude", self.amplitude, 0, 1, "m")
-        check_range("shake frequency", self.frequency, 1e-3, 1e4, "Hz")
-        check_range("shake duration", self.duration, 1e-3, 3600, "s")
-        check_range("pressing force", self.press, 0, 1000, "N")
-        object.__setattr__(self, "limits", tuple((str(n), float(v), float(m), float(s)) for n, v, m, s in self.limits))
-        object.__setattr__(self, "notes", tuple(self.notes))
-
-    def save(self, path: Path | str) -> None:
-        """Write JSON (kind 'shake plan')."""
-        row = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        row |= {name: asdict(row[name]) for name in _PARTS if row[name] is not None}
-        row["grasp"] = grasp_row(self.grasp)
-        write_json(path, {"kind": "shake plan", "schema": SCHEMA} | row)
-
-    @classmethod
-    def load(cls, path: Path | str) -> ShakePlan:
-        """Read what `save` wrote.
-
-        Raises:
-            InputError: missing, not JSON, or not a shake plan of this schema.
-        """
-        row = read_json(path)
-        if not isinstance(row, dict) or (row.get("kind"), row.get("schema")) != ("shake plan", SCHEMA):
-            raise bad_input(str(path), given="another file", allowed=f"a shake plan, schema {SCHEMA}", do="Plan again.")
-        try:
-            none = row["runner_up"] is None  # all others there must be
-            row |= {name: part(**row[name]) for name, part in _PARTS.items() if not (none and name == "runner_up")}
-            row["grasp"] = grasp_of(row["grasp"])
-            return cls(**{name: row[name] for name in cls.__dataclass_fields__})
-        except (KeyError, TypeError) as error:
-            raise bad_input(
-                str(path), given=f"a broken shake plan ({error!r})", allowed="what save wrote", do="Plan again."
-            ) from error
-
-
-_PARTS = {"runner_up": RunnerUp, "response_map": ResponseMap, "tones": Tones, "pads": Pads}

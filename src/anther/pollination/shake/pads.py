@@ -7,19 +7,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.core.checks import check_range
 from anther.core.errors import StageFailure
+from anther.core.records import Range, Record, Spread
 from anther.plant.model import PlantModel
 from anther.rods import Array, Springs
 
 
 @dataclass(frozen=True, slots=True)
-class Pads:
+class Pads(Record):
     """What is believed of a gripper with a stem between its pads. A spread is the standard deviation of ln.
 
     A foundation of stiffness k / width along the stem turns with k width^2 / 12: 2e4 N/m and 16 mm give 0.43 N m/rad.
@@ -33,18 +33,12 @@ class Pads:
         stiffness_spread, turning_spread: their spreads [-].
     """
 
-    width: float = 0.016
-    stiffness: float = 2e4
-    turning: float = 0.5
-    stiffness_spread: float = 0.8
-    turning_spread: float = 0.8
-
-    def __post_init__(self) -> None:
-        check_range("width of the pads", self.width, 1e-3, 0.2, "m")
-        check_range("stiffness of the pads", self.stiffness, 1, 1e12, "N/m")
-        check_range("turning stiffness of the pads", self.turning, 1e-6, 1e9, "N m/rad")
-        for name in PADS_LEARNED.values():
-            check_range(name, getattr(self, name), 0, 3)
+    CALLED = "pads'"
+    width: Annotated[float, Range(1e-3, 0.2, "m")] = 0.016
+    stiffness: Annotated[float, Range(1, 1e12, "N/m")] = 2e4
+    turning: Annotated[float, Range(1e-6, 1e9, "N m/rad")] = 0.5
+    stiffness_spread: Spread = 0.8
+    turning_spread: Spread = 0.8
 
     @property
     def springs(self) -> Springs:

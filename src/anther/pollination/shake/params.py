@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from anther.core.checks import check_range
 from anther.core.geometry import Array
+from anther.core.records import Range, Record
 from anther.plant.limits import PRESETS, PlantLimits, Preset
 from anther.pollination.shake.pads import PADS, Pads
 
@@ -66,7 +68,7 @@ the plant."""
 
 
 @dataclass(frozen=True, slots=True)
-class Params:
+class Params(Record):
     """What to look for and what must not be passed.
 
     Attributes:
@@ -84,31 +86,23 @@ class Params:
         duration: of the shake [s]; longer at low frequency, to have five cycles, up to `MOST_DURATION`.
     """
 
-    lowest: float | None = None
-    highest: float | None = None
-    frequencies: int = 40
-    risk: float = 0.025
-    least_amplitude: float | None = None
-    most_amplitude: float = 0.03
+    lowest: Annotated[float, Range(0.05, 500, "Hz")] | None = None
+    highest: Annotated[float, Range(0.05, 500, "Hz")] | None = None
+    frequencies: Annotated[int, Range(1, 2000)] = 40
+    risk: Annotated[float, Range(1e-6, 0.5)] = 0.025
+    least_amplitude: Annotated[float, Range(1e-7, 1, "m")] | None = None
+    most_amplitude: Annotated[float, Range(1e-7, 1, "m")] = 0.03
     plant: PlantLimits = PRESETS["default"]
     keeps_limits: bool = True
-    pad_friction: float = 0.5
+    pad_friction: Annotated[float, Range(1e-9, 1e6)] = 0.5
     pads: Pads = PADS
-    duration: float = 3.0
+    duration: Annotated[float, Range(0.1, MOST_DURATION, "s")] = 3.0
 
-    def __post_init__(self) -> None:
-        for name in ("lowest", "highest"):
-            if getattr(self, name) is not None:
-                check_range(f"{name} frequency", getattr(self, name), 0.05, 500, "Hz")
+    def _check(self) -> None:
         if self.lowest is not None and self.highest is not None:
             check_range("highest frequency", self.highest, self.lowest, 500, "Hz")
-        check_range("number of frequencies", self.frequencies, 1, 2000)
-        check_range("risk", self.risk, 1e-6, 0.5)
-        check_range("most_amplitude", self.most_amplitude, 1e-7, 1.0, "m")
         if self.least_amplitude is not None:
             check_range("least_amplitude", self.least_amplitude, 1e-7, self.most_amplitude, "m")
-        check_range("pad_friction", self.pad_friction, 1e-9, 1e6)
-        check_range("duration", self.duration, 0.1, MOST_DURATION, "s")
 
     def held(self, press: float) -> float:
         """Return the pull that two pads hold against slip when each presses with `press` [N]."""

@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 from roboplan.core import JointConfiguration, JointPath, PathShortcutter, PathShortcuttingOptions
 from roboplan.rrt import RRT, RRTOptions
 
-from anther.core.checks import check_array, check_range, check_transform
+from anther.core.checks import check_array, check_transform
 from anther.core.errors import StageFailure
 from anther.core.geometry import Array, Box, transform
+from anther.core.records import Range, Record
 from anther.robot.arm import _kinematics, _motions, shaking
 from anther.robot.arm._collision import FREE_STEP, GROUP, CollisionWorld, cube_centres
 from anther.robot.arm._tours import DETOUR, least_times
@@ -47,7 +49,7 @@ Place = tuple[Array, JointTrajectory | None]
 
 
 @dataclass(frozen=True, slots=True)
-class Params:
+class Params(Record):
     """How the arm moves.
 
     Attributes:
@@ -58,16 +60,11 @@ class Params:
         home: (J,) joints from which grasps must be reachable [rad]; None is where the arm is ready.
     """
 
-    velocity_share: float = 0.5
-    acceleration_share: float = 0.35
+    velocity_share: Annotated[float, Range(0.01, 1)] = 0.5
+    acceleration_share: Annotated[float, Range(0.01, 1)] = 0.35
     flange_speed: float = 1.45
-    approach_speed: float = 0.05
+    approach_speed: Annotated[float, Range(0.001, 0.5, "m/s")] = 0.05
     home: tuple[float, ...] | None = None
-
-    def __post_init__(self) -> None:
-        check_range("velocity share", self.velocity_share, 0.01, 1)
-        check_range("acceleration share", self.acceleration_share, 0.01, 1)
-        check_range("approach speed", self.approach_speed, 0.001, 0.5, "m/s")
 
 
 class Planner:

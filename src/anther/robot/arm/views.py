@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +19,7 @@ from scipy.interpolate import CubicHermiteSpline
 from anther.core.checks import check_array, check_range, check_transform
 from anther.core.errors import StageFailure
 from anther.core.geometry import Array, Box, inverse, look_at
+from anther.core.records import Range, Record, Shape
 from anther.robot.arm import _kinematics
 from anther.robot.arm._tours import shortest_tour
 from anther.robot.arm.model import ArmModel
@@ -46,7 +48,7 @@ BLUR = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class Params:
+class Params(Record):
     """Where views are sought, and the camera that takes them.
 
     Attributes:
@@ -64,23 +66,19 @@ class Params:
         focal: length [px] (D455 at 1280 x 720; facts: perception).
     """
 
-    count: int = 30
+    CALLED = "views'"
+    count: Annotated[int, Range(1, 500)] = 30
     distances: tuple[float, ...] = (0.65, 0.58, 0.52)
-    azimuth_step: float = 7.5
-    widest: float = 180.0
+    azimuth_step: Annotated[float, Range(1, 90, "degrees")] = 7.5
+    widest: Annotated[float, Range(0, 180, "degrees")] = 180.0
     first: tuple[float, float] | None = None
     dwell: float | None = None
-    frame_rate: float = 30.0
-    exposure: float = 0.005
+    frame_rate: Annotated[float, Range(1, 1000, "Hz")] = 30.0
+    exposure: Annotated[float, Range(1e-5, 0.5, "s")] = 0.005
     focal: float = 640.0
 
-    def __post_init__(self) -> None:
-        check_range("views", self.count, 1, 500)
-        check_range("azimuth step", self.azimuth_step, 1, 90, "degrees")
-        check_range("widest azimuth", self.widest, 0, 180, "degrees")
+    def _check(self) -> None:
         check_range("nearest view", min(self.distances), 0.2, 2, "m")
-        check_range("frame rate", self.frame_rate, 1, 1000, "Hz")
-        check_range("exposure", self.exposure, 1e-5, 0.5, "s")
 
     @property
     def span(self) -> float:
@@ -89,7 +87,7 @@ class Params:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Views:
+class Views(Record):
     """The views in the order they are taken.
 
     Attributes:
@@ -102,18 +100,13 @@ class Views:
         dwell: (V,) standing still for each image [s].
     """
 
-    joints: Array
-    T_world_cam: Array
+    CALLED = "view"
+    joints: Annotated[Array, Shape("V", "J"), Range(unit="rad")]
+    T_world_cam: Annotated[Array, Shape("V", 4, 4, rigid=True)]
     motions: tuple[JointTrajectory, ...]
-    azimuth: Array
-    elevation: Array
-    dwell: Array
-
-    def __post_init__(self) -> None:
-        n = len(self.joints)
-        object.__setattr__(self, "joints", check_array("view joints", self.joints, (n, None)))
-        object.__setattr__(self, "dwell", check_array("dwell", self.dwell, (n,)))
-        object.__setattr__(self, "T_world_cam", check_transform("T_world_cam", self.T_world_cam, n))
+    azimuth: Annotated[Array, Shape("V"), Range(unit="degrees")]
+    elevation: Annotated[Array, Shape("V"), Range(unit="degrees")]
+    dwell: Annotated[Array, Shape("V"), Range(unit="s")]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,10 +5,10 @@ V views. The honest error of a calibration is how well each view is predicted fr
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import cv2
 import numpy as np
@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, norm
 
-from anther.core.checks import check_array, check_transform
+from anther.core.checks import check_transform
 from anther.core.choices import HandEyeMethod as Method
 from anther.core.errors import InputError, bad_input
 from anther.core.files import read_object, understood, write_json
 from anther.core.geometry import Array, Intrinsics, inverse, transform
+from anther.core.records import Range, Record, Shape, decode, encode
 from anther.robot.calibration._intrinsics import LENS_SIZES
 from anther.robot.calibration._refinement import LEAST_PIXEL_NOISE, Noise, Problem, misfit, refine
 from anther.robot.calibration._views import BoardViews
@@ -49,7 +50,7 @@ class MethodError(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class HandEye:
+class HandEye(Record):
     """Where the camera sits on the flange, and how well the views agree with it.
 
     Attributes:
@@ -73,36 +74,33 @@ class HandEye:
         notes: what the user should know.
     """
 
-    T_flange_cam: Array
-    T_base_board: Array
+    CALLED = "calibration"
+    T_flange_cam: Annotated[Array, Shape(4, 4, rigid=True)]
+    T_base_board: Annotated[Array, Shape(4, 4, rigid=True)]
     intrinsics: Intrinsics
-    distortion: Array
+    distortion: Annotated[Array, Shape(None)]
     images: tuple[str, ...]
-    used: NDArray[Any]
-    pixel_residuals: Array
-    rotation_residuals: Array
-    translation_residuals: Array
-    left_out_errors: Array
-    rotation_error: float
-    translation_error: float
-    pixel_noise: float
-    arm_rotation_error: float
-    arm_translation_error: float
+    used: Annotated[NDArray[np.bool_], Shape("V")]
+    pixel_residuals: Annotated[Array, Shape("V"), Range(unit="px")]
+    rotation_residuals: Annotated[Array, Shape("V"), Range(unit="rad")]
+    translation_residuals: Annotated[Array, Shape("V"), Range(unit="m")]
+    left_out_errors: Annotated[Array, Shape("V", 3, missing=True)]
+    rotation_error: Annotated[float, Range(unit="rad")]
+    translation_error: Annotated[float, Range(unit="m")]
+    pixel_noise: Annotated[float, Range(unit="px")]
+    arm_rotation_error: Annotated[float, Range(unit="rad")]
+    arm_translation_error: Annotated[float, Range(unit="m")]
     methods: tuple[MethodError, ...]
     method: str
     notes: tuple[str, ...] = ()
 
-    def __post_init__(self) -> None:
-        n = len(self.images)
-        for name in ("T_flange_cam", "T_base_board"):
-            object.__setattr__(self, name, check_transform(name, getattr(self, name)))
-        for name in ("pixel_residuals", "rotation_residuals", "translation_residuals"):
-            object.__setattr__(self, name, check_array(name, getattr(self, name), (n,)))
-        left_out = check_array("left_out_errors", self.left_out_errors, (n, 3), finite=False)
-        object.__setattr__(self, "left_out_errors", left_out)
-        lens = next((size for size in LENS_SIZES if size == len(self.distortion)), LENS_SIZES[0])
-        object.__setattr__(self, "distortion", check_array("distortion", self.distortion, (lens,)))
-        object.__setattr__(self, "used", check_array("used views", self.used, (n,), dtype="bool"))
+    def _check(self) -> None:
+        if len(self.distortion) not in LENS_SIZES:
+            given, allowed = f"{len(self.distortion)} numbers", f"one of {', '.join(map(str, LENS_SIZES))}"
+            raise bad_input("distortion", given=given, allowed=allowed, do="Give them in OpenCV's order.")
+        if len(self.images) != len(self.used):
+            given, allowed = f"{len(self.used)} views", f"{len(self.images)}, one an image"
+            raise bad_input("used views", given=given, allowed=allowed, do="Calibrate again.")
 
     def board_in_camera(self, T_base_flange: Array) -> Array:
         """Return T_cam_board (V, 4, 4) as the calibration has it for (V, 4, 4) flange poses."""
@@ -161,8 +159,7 @@ _EXCHANGED = {"T_flange_cam": "T_base_cam", "T_base_board": "T_flange_board"}
 
 
 def _save(path: Path | str, kind: str, found: HandEye, names: dict[str, str]) -> None:
-    values = {names.get(name, name): getattr(found, name) for name in HandEye.__slots__}
-    values |= {"intrinsics": asdict(found.intrinsics), "methods": [row._asdict() for row in found.methods]}
+    values = {names.get(name, name): value for name, value in encode(found).items()}
     write_json(path, {"kind": kind, "schema": SCHEMA, **values})
 
 
@@ -177,16 +174,7 @@ def _load(path: Path | str, kind: str, names: dict[str, str]) -> HandEye:
             do="'hand-eye': a camera on the flange; 'eye-to-hand': beside the robot." if other else "Calibrate again.",
         )
     with understood(path, "a whole file", "Restore it."):
-        values = {name: stored[names.get(name, name)] for name in HandEye.__slots__}
-        values["intrinsics"] = Intrinsics(**values["intrinsics"])
-        values["methods"] = tuple(MethodError(**_with_nan(row)) for row in values["methods"])
-        values["images"], values["notes"] = tuple(values["images"]), tuple(values["notes"])
-        values["left_out_errors"] = np.array(values["left_out_errors"], dtype=np.float64).reshape(-1, 3)
-        return HandEye(**values)
-
-
-def _with_nan(row: dict[str, Any]) -> dict[str, Any]:
-    return {name: float("nan") if value is None else value for name, value in row.items()}
+        return decode({name: stored[names.get(name, name)] for name in HandEye.__slots__}, HandEye)
 
 
 METHODS: dict[Method, int] = {

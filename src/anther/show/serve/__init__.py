@@ -28,7 +28,6 @@ from starlette.exceptions import HTTPException
 
 from anther.core.errors import AntherError, InputError, MissingExtra
 from anther.history import (
-    Result,
     each_trial,
     export,
     find_visit,
@@ -36,12 +35,11 @@ from anther.history import (
     read_outcomes,
     reading,
     record_note,
-    result_of,
-    result_words,
     shown,
 )
 from anther.history import starting_material as believed
 from anther.history.overview import Tally
+from anther.plant.visit import Result, result_of, result_words
 from anther.show.style import STYLE
 
 __all__ = ["make_app"]
