@@ -32,7 +32,7 @@ class Args:
     """Attributes: the cloud, what its numbers mean, and where the results go."""
 
     cloud: Annotated[Path, tyro.conf.Positional]
-    """Point cloud: .ply, .pcd, .xyz, .txt, .csv, .asc or .npz."""
+    """Point cloud: .ply, .pcd, .las, .laz, .e57, .xyz, .txt, .csv, .asc, .pts or .npz."""
     units: Units | None = None
     """Units of the file; by default what the file states, else metres."""
     up: Axis | None = None

@@ -16,7 +16,7 @@ from anther.core.errors import AntherError, bad_input
 from anther.core.files import existing, made_folder, read_object, write_json
 from anther.core.tables import write_table
 from anther.perception.flowers import flower_centres
-from anther.perception.formats.clouds import Axis, Units, read_cloud
+from anther.perception.formats.clouds import SUFFIXES, Axis, Units, read_cloud
 from anther.perception.skeleton import Params, skeletonize
 from anther.perception.stem import Params as StemParams
 from anther.perception.stem import find_stem
@@ -24,7 +24,6 @@ from anther.perception.traits import LEVELS, Limb, measure
 from anther.show.pictures import save_figure
 from anther.show.pictures.plant import draw_plant
 
-SUFFIXES = (".ply", ".pcd", ".xyz", ".txt", ".csv", ".asc", ".pts", ".npz")
 COUNTED = ("branch", "truss", "leaf")
 COLUMNS: dict[str, type] = {
     "plant": str,

@@ -139,7 +139,7 @@ class Cloud:
         """
         path = Path(path)
         fields = read_ply(path)
-        fields.pop("unused")
+        fields = {n: value for n, value in fields.items() if n not in ("unused", "comments")}
         if not path.with_suffix(".npz").exists():
             return cls(**fields)
         with understood(path.with_suffix(".npz")):

@@ -6,7 +6,6 @@ MTG and glTF have modules of their own (docs/formats.md).
 
 from __future__ import annotations
 
-import re
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -22,7 +21,7 @@ from anther.core.files import LARGEST_TEXT, read_lines, replacing, understood, w
 from anther.core.geometry import Array
 from anther.perception.cloud.ply import read_elements
 from anther.perception.formats._mtg import read_mtg, write_mtg
-from anther.perception.formats._raw_points import Units
+from anther.perception.formats._raw_points import Units, stated
 from anther.perception.formats.skeleton_file import LARGEST_PLANT, SkeletonFile, rooted
 from anther.perception.skeleton import Skeleton
 
@@ -254,21 +253,7 @@ def _read_swc(path: Path) -> SkeletonFile:
     edges = np.array([(index[int(p)], i) for i, p in enumerate(above) if not root[i]]).reshape(-1, 2)
     labels = _swc_labels(lines, table[:, 1].astype(np.int64).tolist())
     tree = rooted(table[:, 2:5], edges, radius=table[:, 5], numbers=numbers, root=int(roots[0]), labels=labels)
-    return replace(tree, units=_swc_units(lines))
-
-
-_WRITTEN_UNITS = re.compile(
-    r"\b(?:(m|met(?:re|er)s?)|(cm|centimet(?:re|er)s?)|(mm|millimet(?:re|er)s?))\b", re.IGNORECASE
-)
-
-
-def _swc_units(lines: list[str]) -> Units | None:
-    """Return the units that a comment states, such as "# anther skeleton; metres; ..." or "# units: mm"."""
-    for line in (line for line in lines if line.lstrip().startswith("#")):
-        found = _WRITTEN_UNITS.findall(line) if re.search(r"unit|anther skeleton", line, re.IGNORECASE) else []
-        if len(found) == 1:
-            return "m" if found[0][0] else "cm" if found[0][1] else "mm"
-    return None
+    return replace(tree, units=stated([line for line in lines if line.lstrip().startswith("#")])[0])
 
 
 def _swc_labels(lines: list[str], kinds: list[int]) -> list[str] | None:
