@@ -38,6 +38,10 @@ def run(args: Args) -> None:
     if kind in {".bag", ".mcap", ".db3"} or (source / "metadata.yaml").is_file():  # which a ROS 2 bag's folder has
         views = read_bag(source, args.bag)
         capture, notes = views.capture, views.notes
+    elif kind == ".r3d":
+        from anther.perception.formats.record3d import read_record3d
+
+        capture, notes = read_record3d(source, args.bag.views)
     elif kind == ".ply" or (source.is_dir() and to_cloud):
         if not to_cloud:
             do = "A cloud has no views: name a .ply."

@@ -225,17 +225,32 @@ def number(cell: str) -> float | None:
 
 
 def named_file(folder: Path, name: str) -> Path:
-    """Return the file in a folder that another file names, perhaps as Windows does.
+    """Return the file in a folder that another file names, perhaps as Windows or another machine does.
 
-    There backslashes separate folders, and upper and lower case are one.
+    There backslashes separate folders, upper and lower case are one, and a path may begin at a disk that is not here:
+    then it is sought by its last parts. Without its suffix a PNG or JPEG is meant.
     """
     path = folder / name
-    if not path.exists() and "\\" in name:
-        path = folder / name.replace("\\", "/")
-    if path.exists() or not path.parent.is_dir():
+    if path.exists():
         return path
-    alike = [other for other in path.parent.iterdir() if other.name.lower() == path.name.lower()]
-    return alike[0] if len(alike) == 1 else path
+    parts = [part for part in re.split(r"[\\/]+", name) if part not in ("", ".")]
+    elsewhere = re.match(r"[\\/]|[A-Za-z]:", name) is not None
+    tails = (_alike(folder, parts[k:]) for k in range(len(parts) if elsewhere else 1))
+    return next((found for found in tails if found is not None), path)
+
+
+def _alike(folder: Path, parts: list[str]) -> Path | None:
+    """Return what lies in a folder under these names, of whatever case; None if it is not there, or twice."""
+    for part in parts:
+        if (folder / part).exists():
+            folder = folder / part
+            continue
+        names = [part.lower() + suffix for suffix in ("", *([] if part != parts[-1] else (".png", ".jpg", ".jpeg")))]
+        found = [other for other in folder.iterdir() if other.name.lower() in names] if folder.is_dir() else []
+        if len(found) != 1:
+            return None
+        folder = found[0]
+    return folder if parts else None
 
 
 def read_object(path: Path | str) -> dict[str, Any]:
