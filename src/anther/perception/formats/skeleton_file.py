@@ -76,6 +76,10 @@ class SkeletonFile:
             right = " If it is right: --units m." if LIKELY[1] < size <= LARGEST_PLANT else ""
             do = other_units(size, told or "m") + right
             raise bad_input("skeleton", given=given, allowed=allowed, do=do)
+        if self.radius is not None and self.radius.min() < 0:
+            number = int(self.numbers[np.argmin(self.radius)])
+            given = f"radius {self.radius.min():g} at node {number}"
+            raise bad_input("skeleton radius", given=given, allowed=">= 0", do="Correct the file.")
         other = bool(units and self.units and units != self.units)
         notes = (f"the file states {self.units} and is read in {units}",) if other else ()
         radius = None if self.radius is None else self.radius * metres
@@ -146,6 +150,10 @@ class SkeletonFile:
             given = f"radius 0 at node {node}" + (f" and {count - 1} more" if count > 1 else "")
             do = "Give --radius, one for all, or --least-radius, or correct the file."
             raise bad_input("skeleton radius", given=given, allowed="> 0 m, but for tips", do=do)
+        size = float(np.linalg.norm(np.ptp(self.nodes, axis=0)))
+        if radii.max() > THICKEST * size:
+            given, do = f"radius {radii.max():.3g} m on a plant of {size:.3g} m", "Other units? Give --radius, one for all."
+            raise bad_input("skeleton radius", given=given, allowed=f"<= {THICKEST * size:.3g} m", do=do)
         radii = np.where(tips, np.minimum(radii[self.parent], THINNEST), radii)
         return Skeleton(self.nodes, self.parent, radii)
 
@@ -232,6 +240,10 @@ def _merged(
 
 THINNEST = 0.5e-3
 """Radius below which nothing is supposed to be [m]: a pedicel's (facts: pollination 2)."""
+
+
+THICKEST = 0.25
+"""No radius is a larger share of the plant's size: a trunk's is a twentieth. A guess."""
 
 
 def supposed_radius(source: SkeletonFile, base: float) -> Array:
