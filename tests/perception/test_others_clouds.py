@@ -254,14 +254,20 @@ def test_a_ply_without_vertices_is_told_what_it_has(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("comment", "factor"),
-    [("units: mm", 1e-3), ("Unit: centimeters", 1e-2), ("lengths in inches", 0.0254), ("coordinates are in feet", 0.3048)],
+    [
+        ("units: mm", 1e-3),
+        ("Unit: centimeters", 1e-2),
+        ("lengths in inches", 0.0254),
+        ("coordinates are in feet", 0.3048),
+    ],
 )
 @pytest.mark.parametrize("suffix", [".ply", ".pcd", ".xyz"])
 def test_units_and_axis_that_comments_state_are_used(tmp_path: Path, suffix: str, comment: str, factor: float) -> None:
     body = rows(POINTS[:, [0, 2, 1]] * [1, 1, -1] / factor, form="{:.9g}".format)
     pcd = f"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH {len(body)}\nHEIGHT 1\nDATA ascii"
     heads = {
-        ".ply": ply({"x": "f4", "y": "f4", "z": "f4"}, [POINTS]).decode("latin-1").partition("end_header")[0] + "end_header",
+        ".ply": ply({"x": "f4", "y": "f4", "z": "f4"}, [POINTS]).decode("latin-1").partition("end_header")[0]
+        + "end_header",
         ".pcd": f"# {comment}, y up\n{pcd}",
         ".xyz": f"# {comment}, y up",
     }
@@ -273,7 +279,9 @@ def test_units_and_axis_that_comments_state_are_used(tmp_path: Path, suffix: str
 
 
 def test_blank_lines_in_a_ply_lose_no_points(tmp_path: Path) -> None:
-    head = "ply\nformat ascii 1.0\nelement vertex 300\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+    head = (
+        "ply\nformat ascii 1.0\nelement vertex 300\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+    )
     (tmp_path / "a.ply").write_text(head + "\n\n".join(rows(POINTS)))
     np.testing.assert_allclose(read_cloud(tmp_path / "a.ply", "m", "z").points, POINTS)
 
@@ -296,7 +304,9 @@ def test_an_organised_pcd_may_hold_no_reading_in_most_places(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("first", [np.full(300, 4), INTENSITY, np.arange(300) % 3])
-def test_a_first_column_that_is_no_coordinate_is_refused_where_no_name_says_so(tmp_path: Path, first: np.ndarray) -> None:
+def test_a_first_column_that_is_no_coordinate_is_refused_where_no_name_says_so(
+    tmp_path: Path, first: np.ndarray
+) -> None:
     (tmp_path / "a.xyz").write_text("\n".join(rows(first, POINTS)))
     with pytest.raises(InputError, match=r"whole numbers in column 1, not in the others.*Name the columns"):
         read_cloud(tmp_path / "a.xyz", "mm", "z")
@@ -331,12 +341,10 @@ FOOT = 'PROJCS["x",GEOGCS["g",UNIT["degree",0.0174]],UNIT["foot",0.3048]]'
 
 
 @pytest.mark.parametrize("suffix", [".las", ".laz"])
-@pytest.mark.parametrize(
-    ("form", "factor", "wkt"), [(3, 257, ""), (7, 1, ""), (7, 257, FOOT), (1, 0, ""), (6, 0, "")]
-)
+@pytest.mark.parametrize(("form", "factor", "wkt"), [(3, 257, ""), (7, 1, ""), (7, 257, FOOT), (1, 0, ""), (6, 0, "")])
 def test_las(tmp_path: Path, suffix: str, form: int, factor: int, wkt: str) -> None:
     header = laspy.LasHeader(point_format=form, version="1.4" if form > 5 else "1.2")
-    header.scales, header.offsets = [1e-5] * 3, [454_000, 5_412_000, 300]
+    header.scales, header.offsets = [1e-5] * 3, np.array([454_000.0, 5_412_000.0, 300.0])
     metres = 0.3048 if wkt else 1.0
     if wkt:
         header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(wkt))
@@ -368,7 +376,10 @@ def e57(path: Path) -> None:
         part = slice(200 * i, 200 * i + len(own))
         held = {f"cartesian{axis}": own[:, k].copy() for k, axis in enumerate("XYZ")}
         held |= {f"color{name}": COLORS[part, k].copy() for k, name in enumerate(("Red", "Green", "Blue"))}
-        held |= {"intensity": INTENSITY[part] / 255, "cartesianInvalidState": (np.arange(len(own)) < 5 * i).astype(np.int8)}
+        held |= {
+            "intensity": INTENSITY[part] / 255,
+            "cartesianInvalidState": (np.arange(len(own)) < 5 * i).astype(np.int8),
+        }
         pose = {"rotation": turn.as_quat()[[3, 0, 1, 2]], "translation": shift} if i else {}
         file.write_scan_raw(held, **pose)
     file.close()

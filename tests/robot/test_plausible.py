@@ -55,7 +55,11 @@ URDF = {
     "a negative speed": (LIMITS, 'lower="-2.5" upper="2.5" velocity="-2"', "joint j0: got velocity '-2'"),
     "without limits": (r'<limit lower=.* effort="36" />', "", "joint j3: got no limit; .*Write <limit"),
     "no direction": (r'<axis xyz="0 0 1" />', '<axis xyz="0 0 0" />', "joint j0: got axis 0 0 0"),
-    "an angle in degrees": (r'<origin xyz="0 0 0.15" />\n    <axis', '<origin rpy="0 0 90" />\n    <axis', "rpy 0 0 90"),
+    "an angle in degrees": (
+        r'<origin xyz="0 0 0.15" />\n    <axis',
+        '<origin rpy="0 0 90" />\n    <axis',
+        "rpy 0 0 90",
+    ),
     "a follower": (r'effort="28" />', 'effort="28" /><mimic joint="j1" />', "joint j4: got a joint that mimics"),
     "grams": (r'<mass value="2.0" />', '<mass value="2000" />', "link l0: got 2000 kg in 0.00028 m3"),
     "a negative mass": (r'<mass value="2.0" />', '<mass value="-2" />', "got mass -2 kg"),
@@ -148,7 +152,7 @@ def test_soft_limits_are_kept(folder: Path) -> None:
 
 
 XACRO = ("<robot name", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name')
-TURN = ("<link name=\"foot\">", '<xacro:property name="turn" value="2.5" /><link name="foot">')
+TURN = ('<link name="foot">', '<xacro:property name="turn" value="2.5" /><link name="foot">')
 
 
 @pytest.mark.parametrize("value", ["${turn}", "${radians(143.2394487827058)}", "${2*turn/2}"])
@@ -160,7 +164,7 @@ def test_xacro_is_run_where_it_is_installed(folder: Path, value: str) -> None:
 def test_xacro_that_is_missing_or_fails_is_told_how_to_run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = (folder / "my_arm.urdf").read_text()
     changed(folder / "my_arm.urdf", XACRO, (LIMITS, 'lower="${what}" upper="${1+}" velocity="2"'))
-    with pytest.raises(InputError, match="xacro refuses .*Run xacro first.*: xacro my_arm.urdf > my_arm_plain.urdf"):
+    with pytest.raises(InputError, match=r"xacro refuses .*Run xacro first.*: xacro my_arm.urdf > my_arm_plain"):
         read_cell(folder / "my_cell.toml")
     (folder / "my_arm.urdf").write_text(whole)
     changed(folder / "my_arm.urdf", XACRO, TURN)

@@ -1,4 +1,4 @@
-"""COLMAP workspaces, RealSense and ROS bags, MCAP files, fused PLY -> a capture folder, or a cloud (.ply)."""
+"""COLMAP workspaces, RealSense and ROS bags, MCAP, Record3D, fused PLY -> a capture folder, or a cloud (.ply)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Args:
     """Attributes: what to import, where to, and what the source does not tell."""
 
     source: Annotated[Path, tyro.conf.Positional]
-    """COLMAP workspace or model folder, fused .ply, .bag, .mcap, .db3, or ROS 2 bag folder."""
+    """COLMAP workspace or model folder, fused .ply, .bag, .mcap, .db3, ROS 2 bag folder, or Record3D's .r3d."""
     out: Annotated[Path, tyro.conf.Positional]
     """Capture folder to write; a .ply for clouds (fused .ply, or a COLMAP model without depth maps)."""
     scale: float | None = None
@@ -27,7 +27,7 @@ class Args:
     up: str | None = None
     """COLMAP and .ply: direction that points up in the model: x, y, z, or (with =) --up=-y, --up=0.1,-0.9,0.3."""
     bag: Annotated[BagOptions, tyro.conf.OmitArgPrefixes] = field(default_factory=BagOptions)
-    """Bags: topics, poses, tolerance."""
+    """Bags and .r3d: how many views. Bags: topics, poses, tolerance."""
 
 
 def run(args: Args) -> None:
@@ -53,8 +53,14 @@ def run(args: Args) -> None:
         capture, left_out = read_colmap_capture(source, scale, up), without_depth(source)
         notes = (f"left out for want of a depth map: {', '.join(left_out)}",) if left_out else ()
     else:
-        allowed = "a COLMAP folder, .ply, .bag, .mcap, .db3, or a ROS 2 bag folder"
+        allowed = "a COLMAP folder, .ply, .bag, .mcap, .db3, .r3d, or a ROS 2 bag folder"
         do = "Kinect turntables: `anther convert-kinect`. Other clouds: `anther skeletonize` reads them."
+        if kind == ".mkv":
+            do = (
+                "Export an Azure Kinect's views with Open3D, which lays depth over colour: python "
+                f"examples/python/reconstruction_system/sensors/azure_kinect_mkv_reader.py --input {source.name} "
+                "--output FRAMES, and write their poses into FRAMES/transforms.json (docs/capture.md)."
+            )
         raise bad_input(str(source), given=f"a '{source.suffix}' file", allowed=allowed, do=do)
     capture.save(args.out)
     camera = capture.intrinsics

@@ -134,7 +134,7 @@ def _check_meaning(meta: dict[str, Any], frames: list[dict[str, Any]]) -> None:
 def _camera(view: int, meta: dict[str, Any], frame: dict[str, Any]) -> Intrinsics:
     """Return the camera of a frame: what it states itself, else what all share."""
     told = meta | {key: frame[key] for key in frame if key in (*_KEYS, *_MODELS) or LENS_KEYS.fullmatch(key)}
-    bent = [k for k, value in told.items() if LENS_KEYS.fullmatch(k) and _is_bent(k, value)]
+    bent = [k for k, value in told.items() if LENS_KEYS.fullmatch(k) and is_bent(k, value)]
     models = {key: str(told[key]) for key in _MODELS if told.get(key)}
     bent += [f"{k} {m[:40]}" for k, m in models.items() if m.lower().replace("_", " ") not in LENS_MODELS]
     if bent:
@@ -154,9 +154,10 @@ def _camera(view: int, meta: dict[str, Any], frame: dict[str, Any]) -> Intrinsic
     )
 
 
-def _is_bent(key: str, value: Any) -> bool:
+def is_bent(key: str, value: Any) -> bool:
+    """Return whether an entry of a lens, a number, a truth value or a list of them, is not 0."""
     if isinstance(value, list):
-        return any(_is_bent(key, part) for part in value)
+        return any(is_bent(key, part) for part in value)
     return value if isinstance(value, bool) else value is not None and _number(key, value) != 0
 
 
@@ -183,9 +184,7 @@ def _common(cameras: list[Intrinsics]) -> Intrinsics:
     return replace(cameras[0], fx=fx, fy=fy, cx=cx, cy=cy)
 
 
-def brought_to_one(
-    cameras: list[Intrinsics], depth: NDArray[np.float32], rgb: NDArray[np.uint8] | None
-) -> Intrinsics:
+def brought_to_one(cameras: list[Intrinsics], depth: NDArray[np.float32], rgb: NDArray[np.uint8] | None) -> Intrinsics:
     """Resample views to one camera, in place, where that moves a pixel at all; return it.
 
     Args:
@@ -287,7 +286,9 @@ def _unit(told: dict[str, Any]) -> float:
     """Return metres per step of a frame's depth image."""
     given = {_number(key, told[key]) for key in _UNITS if key in told}
     if len(given) > 1:
-        raise _refused(given=f"{' and '.join(_UNITS)} that differ", allowed="one of them", do="Leave the wrong one out.")
+        raise _refused(
+            given=f"{' and '.join(_UNITS)} that differ", allowed="one of them", do="Leave the wrong one out."
+        )
     return check_range(_UNIT, given.pop() if given else 1e-3, 1e-6, 1, "m")
 
 

@@ -66,7 +66,7 @@ def write_ply(
 
 
 def read_ply(path: Path | str) -> dict[str, Any]:
-    """Return a PLY's vertices: points (N, 3), normals, colors and labels where it has them, and unused properties, comments.
+    """Return a PLY's vertices: points (N, 3), normals, colors, labels where it has them; unused properties, comments.
 
     Raises:
         InputError: the file is missing, truncated, or not a PLY with vertices x, y, z.

@@ -75,7 +75,9 @@ def _cropped(camera: Intrinsics, info: Any) -> Intrinsics:
 def check_size(topic: str, image: NDArray[Any], camera: Intrinsics) -> None:
     """Refuse an image (H, W, ...) of another size than its camera's."""
     if image.shape[:2] != (camera.height, camera.width):
-        given = f"images of {image.shape[1]} x {image.shape[0]} px, a camera info of {camera.width} x {camera.height} px"
+        given = (
+            f"images of {image.shape[1]} x {image.shape[0]} px, a camera info of {camera.width} x {camera.height} px"
+        )
         do = "Record the camera info of this stream, or set its binning and region."
         raise bad_input(topic, given=given, allowed="both of one size", do=do)
 
@@ -293,7 +295,10 @@ class FrameTree:
         while at != world and at in self.parent and at not in chain:
             chain.append(at)
             if at in self.torn:
-                given, do = f"'{at}' hangs on {' and '.join(sorted(self.torn[at]))}", "Record one of them, or give poses."
+                given, do = (
+                    f"'{at}' hangs on {' and '.join(sorted(self.torn[at]))}",
+                    "Record one of them, or give poses.",
+                )
                 raise bad_input("tf", given=given, allowed="one parent for a frame", do=do)
             at = self.parent[at]
         if not chain or (world is not None and at != world):

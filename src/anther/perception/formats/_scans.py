@@ -1,7 +1,7 @@
 """Clouds of laser scanners and photogrammetry: LAS and LAZ (laspy, lazrs), E57 (pye57); the extra `anther[scans]`.
 
-LAS 1.4 (https://www.asprs.org/divisions-committees/lidar-division/laser-las-file-format-exchange-activities) has z up and
-its unit in a coordinate system, if at all; E57 (ASTM E2807) is in metres, each scan with a pose of its own. N points.
+LAS 1.4 (https://github.com/ASPRSorg/LAS) has z up and its unit in a coordinate system, if at all; E57 (ASTM E2807) is
+in metres, each scan with a pose of its own. N points.
 """
 
 from __future__ import annotations
@@ -98,7 +98,9 @@ def _module(name: str, path: Path) -> Any:
 def _check_count(path: Path, count: int) -> None:
     if count > MOST_POINTS:
         allowed = f"at most {MOST_POINTS:,}"
-        raise bad_input(str(path), given=f"{count:,} points", allowed=allowed, do="Thin out the cloud, or cut the plant.")
+        raise bad_input(
+            str(path), given=f"{count:,} points", allowed=allowed, do="Thin out the cloud, or cut the plant."
+        )
 
 
 @contextmanager

@@ -1,6 +1,7 @@
-"""Read somebody's point cloud: PLY, PCD, LAS, E57, XYZ/TXT or NPZ, in the units and with the axis up that it has. N points.
+"""Read somebody's point cloud: PLY, PCD, LAS, E57, text or NPZ, in the units and with the axis up that it has.
 
 Which axis is up its stem tells, as far as it can: right, it begins thick, round and upright, and rises far.
+N points.
 """
 
 from __future__ import annotations
@@ -64,7 +65,6 @@ _BASE, _SURE = 0.25, 0.5
 than not."""
 
 _CUT = "Is it truncated, or another format?"
-
 
 
 def read_cloud(
@@ -199,7 +199,9 @@ def stem_worth(points: Array) -> float:
 def read_ply(path: Path) -> RawPoints:
     """Read a PLY, ASCII or binary; of a mesh, its vertices."""
     stored = ply.read_ply(path)
-    unused = ["nx, ny, nz" if name == "normals" else "label" for name in ("normals", "labels") if stored[name] is not None]
+    unused = [
+        "nx, ny, nz" if name == "normals" else "label" for name in ("normals", "labels") if stored[name] is not None
+    ]
     return RawPoints(
         stored["points"], stored["colors"], *stated(stored["comments"]), notes=unused_note([*unused, *stored["unused"]])
     )
@@ -249,7 +251,9 @@ def read_pcd(path: Path) -> RawPoints:
     if not seen.all():
         notes.append(f"{np.sum(~seen)} of {count} points hold no reading (NaN) and are left out")
         points, colors = points[seen], None if colors is None else colors[seen]
-    units, up = stated([line for line in content[:_PCD_HEAD].decode("ascii", "replace").splitlines() if line[:1] == "#"])
+    units, up = stated(
+        [line for line in content[:_PCD_HEAD].decode("ascii", "replace").splitlines() if line[:1] == "#"]
+    )
     return RawPoints(points, colors, units, up, notes=(*unused_note(unused), *notes))
 
 

@@ -1,9 +1,9 @@
 """Recordings of Record3D on a phone (.r3d) -> a `Capture`. V views, H x W pixels.
 
 The file is a zip with `metadata` (JSON: w, h of the cameras' matrix, dw, dh of depth, K column by column,
-perFrameIntrinsicCoeffs fx fy cx cy, poses qx qy qz qw x y z) and, for each frame, `rgbd/N.jpg`, `N.depth` (float32 [m])
-and `N.conf` (uint8: 0 low, 1 medium, 2 high), packed with LZFSE (the extra `anther[phones]`) or zlib. Poses are ARKit's:
-camera to world, OpenGL axes, y up, metres. Format: https://record3d.app and record3d's own Python demo.
+perFrameIntrinsicCoeffs fx fy cx cy, poses qx qy qz qw x y z) and, for each frame, `rgbd/N.jpg`, `N.depth` (float32
+[m]) and `N.conf` (uint8: 0 low, 1 medium, 2 high), packed with LZFSE (the extra `anther[phones]`) or zlib. Poses are
+ARKit's: camera to world, OpenGL axes, y up, metres. Read off public readers of it; no recording of a phone was tested.
 """
 
 from __future__ import annotations
@@ -58,7 +58,11 @@ def _views(path: str, archive: zipfile.ZipFile, meta: dict[str, Any], views: int
     if not frames:
         given = f"depth of none of {len(meta['poses'])} frames"
         raise bad_input(path, given=given, allowed="rgbd/N.depth", do="Export it as .r3d, with depth.")
-    notes = [f"{len(meta['poses']) - len(frames)} frames without depth left out"] if len(frames) < len(meta["poses"]) else []
+    notes = (
+        [f"{len(meta['poses']) - len(frames)} frames without depth left out"]
+        if len(frames) < len(meta["poses"])
+        else []
+    )
     if len(frames) > views:
         notes.append(f"{views} of {len(frames)} frames taken, evenly spread (--views)")
         frames = [frames[k] for k in np.round(np.linspace(0, len(frames) - 1, views)).astype(int)]
@@ -101,9 +105,7 @@ def _depth(path: str, archive: zipfile.ZipFile, frame: int, size: tuple[int, int
     return np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0)).astype(np.float32)
 
 
-def _sure(
-    path: str, archive: zipfile.ZipFile, frame: int, size: tuple[int, int], names: set[str]
-) -> NDArray[np.bool_]:
+def _sure(path: str, archive: zipfile.ZipFile, frame: int, size: tuple[int, int], names: set[str]) -> NDArray[np.bool_]:
     name = f"rgbd/{frame}.conf"
     if name not in names:
         return np.ones(size[::-1], dtype=bool)
@@ -129,7 +131,9 @@ def _lzfse(path: str, data: bytes) -> bytes:
     try:
         import lzfse  # noqa: PLC0415
     except ImportError as error:
-        raise MissingExtra(f"{path}: its depth is packed with LZFSE. Install what unpacks it with: {INSTALL}") from error
+        raise MissingExtra(
+            f"{path}: its depth is packed with LZFSE. Install what unpacks it with: {INSTALL}"
+        ) from error
     try:
         return lzfse.decompress(data)
     except lzfse.error as error:
@@ -141,6 +145,8 @@ def _colour(path: str, archive: zipfile.ZipFile, frame: int, size: tuple[int, in
     flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
     image = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if is_intact(data) else None
     if image is None or not same_shape(size, (image.shape[1], image.shape[0])):
-        given = f"rgbd/{frame}.jpg that is " + ("damaged" if image is None else f"{image.shape[1]} x {image.shape[0]} px")
+        given = f"rgbd/{frame}.jpg that is " + (
+            "damaged" if image is None else f"{image.shape[1]} x {image.shape[0]} px"
+        )
         raise bad_input(path, given=given, allowed=f"an image of the shape of depth, {size}", do="Export it again.")
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA)[..., ::-1], np.uint8)

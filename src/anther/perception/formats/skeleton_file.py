@@ -152,7 +152,10 @@ class SkeletonFile:
             raise bad_input("skeleton radius", given=given, allowed="> 0 m, but for tips", do=do)
         size = float(np.linalg.norm(np.ptp(self.nodes, axis=0)))
         if radii.max() > THICKEST * size:
-            given, do = f"radius {radii.max():.3g} m on a plant of {size:.3g} m", "Other units? Give --radius, one for all."
+            given, do = (
+                f"radius {radii.max():.3g} m on a plant of {size:.3g} m",
+                "Other units? Give --radius, one for all.",
+            )
             raise bad_input("skeleton radius", given=given, allowed=f"<= {THICKEST * size:.3g} m", do=do)
         radii = np.where(tips, np.minimum(radii[self.parent], THINNEST), radii)
         return Skeleton(self.nodes, self.parent, radii)

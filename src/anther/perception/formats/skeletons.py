@@ -277,7 +277,9 @@ def _read_swc(path: Path) -> SkeletonFile:
 def _whole(column: Array) -> NDArray[np.int64]:
     if not np.array_equal(column, np.round(column)):
         odd = column[column != np.round(column)][0]
-        raise bad_input("SWC", given=f"an id {odd:g}", allowed="whole numbers", do="Are the columns id type x y z r parent?")
+        raise bad_input(
+            "SWC", given=f"an id {odd:g}", allowed="whole numbers", do="Are the columns id type x y z r parent?"
+        )
     return column.astype(np.int64)
 
 
@@ -290,7 +292,9 @@ def _of_soma(kinds: Array, numbers: NDArray[np.int64], above: NDArray[np.int64])
 def _swc_radius(values: Array, comments: list[str]) -> tuple[Array, tuple[str, ...]]:
     """Return the radii and notes: a comment may name the column a diameter, or state a scale, which is not applied."""
     words = [re.findall(r"[a-z]+", line.lower()) for line in comments]
-    named = any(word.startswith("d") and word in ("d", "diam", "diameter") for line in words if "x" in line for word in line)
+    named = any(
+        word.startswith("d") and word in ("d", "diam", "diameter") for line in words if "x" in line for word in line
+    )
     scales = [m[1].split() for line in comments if (m := re.match(r"#\s*SCALE\s+([-+.\deE\s]+)$", line.strip()))]
     notes = [f"its SCALE {' '.join(scale)} is not applied" for scale in scales if any(float(n) != 1 for n in scale)]
     notes += ["column 6 is a diameter, as the file says: it is halved"] if named else []

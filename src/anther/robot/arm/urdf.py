@@ -88,7 +88,9 @@ def from_urdf(
     follows = [name for name in follows if name in [model.names[j] for j in chain]]
     if follows:
         do = "Choose other links, or take its <mimic> out where a motor of its own turns it."
-        raise bad_input(f"{path}: joint {follows[0]}", given="a joint that mimics another", allowed="a motor each", do=do)
+        raise bad_input(
+            f"{path}: joint {follows[0]}", given="a joint that mimics another", allowed="a motor each", do=do
+        )
     slides = [model.names[j] for j in chain if not model.joints[j].shortname().startswith("JointModelR")]
     if slides or not chain:
         raise bad_input("arm", given=f"joints that do not turn: {slides}", allowed="revolute", do="Choose other links.")
@@ -161,7 +163,9 @@ def _of_xacro(path: Path) -> str:
         ran = subprocess.run([program, str(path)], capture_output=True, text=True, timeout=_XACRO_SECONDS, check=True)
     except (subprocess.SubprocessError, OSError) as error:
         said = [line for line in (getattr(error, "stderr", None) or str(error)).splitlines() if line.strip()]
-        raise bad_input(str(path), given=f"what xacro refuses ({said[0][:200]})", allowed=allowed, do=f"{do}.") from error
+        raise bad_input(
+            str(path), given=f"what xacro refuses ({said[0][:200]})", allowed=allowed, do=f"{do}."
+        ) from error
     return ran.stdout
 
 
@@ -226,7 +230,9 @@ def _only_what_moves(joint: Any, path: Path) -> Any:
         told = {key: _limit(name, key, text) for key, text in limit.attrib.items()}
         told = {"lower": -ENDLESS, "upper": ENDLESS} | told
         if soft is not None:
-            ends = {key: _limit(name, f"soft_{key}_limit", soft.get(f"soft_{key}_limit", "0")) for key in ("lower", "upper")}
+            ends = {
+                key: _limit(name, f"soft_{key}_limit", soft.get(f"soft_{key}_limit", "0")) for key in ("lower", "upper")
+            }
             if ends["lower"] < ends["upper"]:  # else none are stated
                 told["lower"] = max(told["lower"], ends["lower"])
                 told["upper"] = min(told["upper"], ends["upper"])
