@@ -151,12 +151,12 @@ class SkeletonFile:
             do = "Give --radius, one for all, or --least-radius, or correct the file."
             raise bad_input("skeleton radius", given=given, allowed="> 0 m, but for tips", do=do)
         size = float(np.linalg.norm(np.ptp(self.nodes, axis=0)))
-        if radii.max() > THICKEST * size:
+        if radii.max() > size:
             given, do = (
                 f"radius {radii.max():.3g} m on a plant of {size:.3g} m",
                 "Other units? Give --radius, one for all.",
             )
-            raise bad_input("skeleton radius", given=given, allowed=f"<= {THICKEST * size:.3g} m", do=do)
+            raise bad_input("skeleton radius", given=given, allowed="no more than its size", do=do)
         radii = np.where(tips, np.minimum(radii[self.parent], THINNEST), radii)
         return Skeleton(self.nodes, self.parent, radii)
 
@@ -243,10 +243,6 @@ def _merged(
 
 THINNEST = 0.5e-3
 """Radius below which nothing is supposed to be [m]: a pedicel's (facts: pollination 2)."""
-
-
-THICKEST = 0.25
-"""No radius is a larger share of the plant's size: a trunk's is a twentieth. A guess."""
 
 
 def supposed_radius(source: SkeletonFile, base: float) -> Array:
