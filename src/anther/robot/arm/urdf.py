@@ -84,13 +84,7 @@ def from_urdf(
     pin.forwardKinematics(model, data, pin.neutral(model))
     end = model.frames[model.getFrameId(tip, pin.FrameType.BODY)]
     chain = model.supports[end.parentJoint].tolist()[1:]
-    follows = [part.get("name") for part in tree.iter("joint") if part.find("mimic") is not None]
-    follows = [name for name in follows if name in [model.names[j] for j in chain]]
-    if follows:
-        do = "Choose other links, or take its <mimic> out where a motor of its own turns it."
-        raise bad_input(
-            f"{path}: joint {follows[0]}", given="a joint that mimics another", allowed="a motor each", do=do
-        )
+    _check_own(tree, [model.names[j] for j in chain], path)
     slides = [model.names[j] for j in chain if not model.joints[j].shortname().startswith("JointModelR")]
     if slides or not chain:
         raise bad_input("arm", given=f"joints that do not turn: {slides}", allowed="revolute", do="Choose other links.")
@@ -254,6 +248,14 @@ def _limit(joint: str, key: str, text: str) -> float:
         given, allowed = f"{key} '{text}'", "a number" + (", >= 0" if value < 0 else "")
         raise bad_input(joint, given=given, allowed=allowed, do=_LIMIT)
     return value
+
+
+def _check_own(tree: Any, chain: Sequence[str], path: Path) -> None:
+    """Refuse a joint of the chain that another's motor turns."""
+    follows = [part.get("name") for part in tree.iter("joint") if part.find("mimic") is not None]
+    for name in set(follows) & set(chain):
+        do = "Choose other links, or take its <mimic> out where a motor of its own turns it."
+        raise bad_input(f"{path}: joint {name}", given="a joint that mimics another", allowed="a motor each", do=do)
 
 
 def _link(model: Any, j: int, turn_before: Array, turn: Array, body: Any, shapes: Sequence[Array]) -> Link:
