@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from anther.core.errors import InputError
-from anther.core.files import existing, read_json, read_npz, replacing, write_json, write_npz
+from anther.core.files import existing, read_json, read_npz, read_rows, replacing, write_json, write_npz
 
 
 def test_npz_round_trip(tmp_path) -> None:
@@ -89,3 +89,16 @@ def test_missing_and_broken_json(tmp_path) -> None:
     (tmp_path / "x.json").write_text(json.dumps([1, 2])[:-1])
     with pytest.raises(InputError, match="not JSON"):
         read_json(tmp_path / "x.json")
+
+
+@pytest.mark.parametrize("begin", [b"PK\x03\x04", b"\xd0\xcf\x11\xe0"])
+def test_a_workbook_is_named(tmp_path, begin):
+    (tmp_path / "a.csv").write_bytes(begin + bytes(200))
+    with pytest.raises(InputError, match=r"a workbook.*Save it from the spreadsheet as CSV"):
+        read_rows(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize("fault", ["#DIV/0!", "#REF!", "#N/A", "#WERT!", "#####"])
+def test_a_row_that_begins_with_a_fault_is_no_comment(tmp_path, fault):
+    (tmp_path / "a.csv").write_text(f"# of bed 3\na,b\n1,2\n{fault},3\n#4,5\n# last\n")
+    assert [row.cells for row in read_rows(tmp_path / "a.csv")] == [["a", "b"], ["1", "2"], [fault, "3"]]

@@ -203,9 +203,9 @@ def test_what_has_no_stem_leaves_the_axis_open() -> None:
 def test_missing_unknown_and_wrong_arrays(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         read_cloud(tmp_path / "none.ply")
-    (tmp_path / "a.las").write_bytes(b"LASF")
+    (tmp_path / "a.foo").write_bytes(b"LASF")
     with pytest.raises(InputError, match=r"\.pcd"):
-        read_cloud(tmp_path / "a.las")
+        read_cloud(tmp_path / "a.foo")
     np.savez(tmp_path / "a.npz", vertices=POINTS)
     with pytest.raises(InputError, match="'points'"):
         read_cloud(tmp_path / "a.npz")

@@ -250,9 +250,9 @@ def late_colour(maker: BagMaker) -> None:
     maker.image(COLOR, START + 60, np.zeros((24, 32, 3), np.uint8), "rgb8")
 
 
-def fisheye(maker: BagMaker) -> None:
+def odd_lens(maker: BagMaker) -> None:
     without("/camera/color/camera_info")(maker)
-    maker.camera_info("/camera/color/camera_info", CAMERA, model="equidistant", D=(0.1, 0, 0, 0))
+    maker.camera_info("/camera/color/camera_info", CAMERA, model="ftheta", D=(0.0,) * 4)
 
 
 FAULTS = {
@@ -265,7 +265,7 @@ FAULTS = {
     "odd encoding": (odd_encoding, "bayer_rggb8; allowed: rgb8"),
     "depth not aligned": (other_frame, "align_depth"),
     "clocks differ": (late_colour, "nearest colour 59.6"),
-    "fisheye": (fisheye, "equidistant"),
+    "odd lens": (odd_lens, "distortion model 'ftheta'"),
 }
 
 

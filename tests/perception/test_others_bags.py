@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -10,8 +12,9 @@ import pytest
 from made_bags import START, BagMaker
 from test_formats_bags import CAMERA, COLOR, DEPTH, PERIOD, images, ros_bag, same, truth
 
+from anther.core.cameras import straightening
 from anther.core.errors import InputError
-from anther.core.geometry import inverse, pose7, small_transform
+from anther.core.geometry import Intrinsics, inverse, pose7, small_transform
 from anther.perception.formats.bags import BagOptions, read_bag
 
 LINK, OPTICAL = small_transform([0.1, 0.2, 0.3], [0.02, -0.01, 0.05]), small_transform([-1.2, 0.4, 0], [0, 0.06, 0])
@@ -166,3 +169,91 @@ def test_rectified_images_have_no_lens_left_and_the_projection_as_camera(tmp_pat
         maker.pose("/pose", START + i * PERIOD, T)
     maker.write(tmp_path / "a.bag")
     same(read_bag(tmp_path / "a.bag").capture, capture)
+
+
+def with_info(change: Callable[[Any], None], **lens: Any) -> BagMaker:
+    maker = ros_bag(False)
+    maker.messages = [m for m in maker.messages if m[0] != "/camera/color/camera_info"]
+    maker.camera_info("/camera/color/camera_info", CAMERA, **lens)
+    change(maker.messages[-1][3])
+    return maker
+
+
+def binned(info: Any) -> None:
+    """The whole sensor is twice as fine."""
+    info.binning_x = info.binning_y = 2
+    info.width, info.height = 2 * info.width, 2 * info.height
+    info.k = np.array([2, 1, 2, 1, 2, 2, 1, 1, 1]) * info.k + [0, 0, 0.5, 0, 0, 0.5, 0, 0, 0]
+
+
+def cropped(info: Any) -> None:
+    """The image begins at column 10, row 20 of the sensor."""
+    roi, shift = info.roi, [0, 0, 10, 0, 0, 20, 0, 0, 0]
+    roi.x_offset, roi.y_offset, roi.width, roi.height = 10, 20, info.width, info.height
+    info.width, info.height, info.k = info.width + 40, info.height + 40, info.k + shift
+
+
+@pytest.mark.parametrize("change", [binned, cropped])
+def test_binning_and_the_region_of_a_camera_info_are_used(tmp_path: Path, change: Callable[[Any], None]) -> None:
+    with_info(change).write(tmp_path / "a")
+    views = read_bag(tmp_path / "a").capture
+    same(views, truth())
+    assert views.intrinsics == CAMERA
+
+
+def skewed(info: Any) -> None:
+    info.k[1] = 3.0
+
+
+def finer(info: Any) -> None:
+    info.width, info.height = 2 * info.width, 2 * info.height
+
+
+@pytest.mark.parametrize(("change", "words"), [(skewed, "skew 3 px"), (finer, "camera info of 64 x 48 px")])
+def test_a_camera_info_that_is_not_of_the_images_is_refused(tmp_path: Path, change: Any, words: str) -> None:
+    with_info(change).write(tmp_path / "a")
+    with pytest.raises(InputError, match=words):
+        read_bag(tmp_path / "a")
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 4, 5, 8, 12, 14])
+def test_lenses_of_any_number_of_zeros_or_coefficients(tmp_path: Path, count: int) -> None:
+    model = "plumb_bob" if count < 6 else "rational_polynomial"
+    with_info(lambda info: None, model=model, D=(0.0,) * count).write(tmp_path / "a")
+    same(read_bag(tmp_path / "a").capture, truth())
+    if count:
+        with_info(lambda info: None, model=model, D=(-0.05, *(0.0,) * (count - 1))).write(tmp_path / "b")
+        assert read_bag(tmp_path / "b").capture.intrinsics == CAMERA
+
+
+@pytest.mark.parametrize("k1", [0.0, 0.05])
+def test_a_fisheye_lens_is_taken_out_also_where_its_coefficients_are_zero(k1: float) -> None:
+    camera = Intrinsics(200, 160, 90.0, 90.0, 99.5, 79.5)
+    maps = straightening("", camera, np.array([k1, 0, 0, 0, 0]), "equidistant")
+    assert maps is not None
+    across, down = (camera.rays()[..., k] for k in (0, 1))
+    radius = np.hypot(across, down)
+    angle = np.arctan(radius)
+    grow = (angle + k1 * angle**3) / np.maximum(radius, 1e-12)
+    np.testing.assert_allclose(maps[0], camera.cx + camera.fx * grow * across, atol=1e-2)
+    np.testing.assert_allclose(maps[1], camera.cy + camera.fy * grow * down, atol=1e-2)
+    with pytest.raises(InputError, match="5 coefficients"):
+        straightening("", camera, np.array([0, 0, 0, 0, 0.1]), "equidistant")
+
+
+def test_a_frame_of_two_parents_and_a_camera_that_stands_are_refused(tmp_path: Path) -> None:
+    maker = ros_bag(False)
+    maker.messages = [m for m in maker.messages if "pose" not in m[0]]
+    for i, T in enumerate(truth().T_world_cam):
+        maker.tf("/tf", START + i * PERIOD, [("world", "camera", T)])
+    maker.write(tmp_path / "a")
+    same(read_bag(tmp_path / "a").capture, truth())
+    maker.tf("/tf", START, [("odom", "camera", np.eye(4))])
+    maker.write(tmp_path / "b")
+    with pytest.raises(InputError, match="'camera' hangs on odom and world"):
+        read_bag(tmp_path / "b")
+    maker.messages = [m for m in maker.messages if m[0] != "/tf"]
+    maker.tf("/tf_static", START, [("world", "camera", np.eye(4))])
+    maker.write(tmp_path / "c")
+    with pytest.raises(InputError, match="one and the same pose"):
+        read_bag(tmp_path / "c")

@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import json
+import sys
+import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
 import cv2
+import lzfse
 import numpy as np
 import pytest
+from PIL import Image
 
-from anther.core.errors import InputError
-from anther.core.geometry import Intrinsics, inverse, look_at
+from anther.cli.main import main
+from anther.core.errors import InputError, MissingExtra
+from anther.core.geometry import Intrinsics, inverse, look_at, pose7
 from anther.perception.capture import Capture
+from anther.perception.formats.record3d import read_record3d
 
 CAMERA = Intrinsics(64, 48, 60.0, 60.0, 31.5, 23.5)
 BALL = 0.15
@@ -137,3 +144,115 @@ def test_a_unit_of_its_own_in_a_frame_is_used(folder: Path) -> None:
     before = Capture.load(folder)
     each_frame(folder, lambda i, f: {"depth_unit_scale_factor": 2e-4} if i == 1 else {})
     np.testing.assert_allclose(Capture.load(folder).depth[1], 2 * before.depth[1])
+
+
+@pytest.mark.parametrize("keys", [{"distortion_params": [0.1, 0, 0, 0]}, {"radial_distortion": [0.1]}, {"b1": 0.4}])
+def test_a_lens_by_any_name_is_refused(folder: Path, keys: dict[str, Any]) -> None:
+    each_frame(folder, lambda i, f: keys)
+    with pytest.raises(InputError, match=f"lens distortion .{next(iter(keys))}"):
+        Capture.load(folder)
+    each_frame(folder, lambda i, f: dict.fromkeys(keys, 0.0))
+    assert Capture.load(folder).views == 5
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"depth_scale": 10_000}, "depth_scale 10000; allowed: depth_unit_scale_factor"),
+        ({"integer_depth_scale": 0.002}, "that differ"), ({"camera_convention": "opencv"}, "OpenGL's camera axes"),
+        ({"applied_transform": (0.1 * np.eye(3, 4)).tolist()}, "applied_transform with a scale"),
+        ({"applied_transform": "none"}, "applied_transform"),
+    ],
+)  # fmt: skip
+def test_what_would_change_depth_or_poses_is_refused(folder: Path, keys: dict[str, Any], words: str) -> None:
+    changed(folder, **keys)
+    with pytest.raises(InputError, match=words):
+        Capture.load(folder)
+
+
+@pytest.mark.parametrize(
+    "other", ["C:\\Users\\me\\plant\\{}", "/home/me/plant/{}", "./{}", ".\\{}", "RGB\\{name}", "rgb/{stem}"]
+)
+def test_images_are_found_where_paths_are_of_another_machine(folder: Path, other: str) -> None:
+    before = Capture.load(folder)
+    each_frame(folder, lambda i, f: {"file_path": other.format(f["file_path"], name=f"{i:04d}.png", stem=f"{i:04d}")})
+    np.testing.assert_array_equal(Capture.load(folder).rgb, before.rgb)
+
+
+def test_a_mask_takes_depth_away(folder: Path) -> None:
+    mask = np.full((96, 128), 255, np.uint8)
+    mask[:, :64] = 0
+    cv2.imwrite(str(folder / "mask.png"), mask)
+    before = Capture.load(folder).depth
+    each_frame(folder, lambda i, f: {"mask_path": "mask.png"} if i == 1 else {})
+    after = Capture.load(folder).depth
+    np.testing.assert_array_equal(after[1], np.where(np.arange(64) < 32, 0, before[1]))
+    np.testing.assert_array_equal(after[[0, 2, 3, 4]], before[[0, 2, 3, 4]])
+
+
+def test_images_are_not_turned(folder: Path) -> None:
+    """A phone's image says how it was held; intrinsics and depth are those of the sensor's pixels."""
+    before = Capture.load(folder)
+    for path in (folder / "rgb").iterdir():
+        note = Image.Exif()
+        note[0x112] = 3  # half a turn
+        Image.open(path).save(path, exif=note)
+    np.testing.assert_array_equal(Capture.load(folder).rgb, before.rgb)
+
+
+def phone(path: Path, pack: Any, *, confidence: int = 2, **changes: Any) -> Capture:
+    """A recording of Record3D as its app writes it: y up, colour four times as fine as depth."""
+    views = views_of_a_ball()
+    assert views.rgb is not None
+    K = np.array([[240.0, 0, 128], [0, 240, 96], [0, 0, 1]])
+    up = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+    poses = [pose7(up @ T @ np.diag([1.0, -1, -1, 1])) for T in views.T_world_cam]
+    meta = {
+        "w": 256, "h": 192, "dw": 64, "dh": 48, "K": K.T.ravel().tolist(), "fps": 60,
+        "poses": [[*p[3:], *p[:3]] for p in poses], "perFrameIntrinsicCoeffs": [[240.0, 240.0, 128.0, 96.0]] * 5,
+    }  # fmt: skip
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("metadata", json.dumps(meta | changes))
+        for i, (depth, rgb) in enumerate(zip(views.depth, views.rgb, strict=True)):
+            large = cv2.resize(rgb[..., ::-1], (256, 192), interpolation=cv2.INTER_NEAREST)
+            archive.writestr(f"rgbd/{i}.jpg", cv2.imencode(".jpg", large, [cv2.IMWRITE_JPEG_QUALITY, 100])[1].tobytes())
+            archive.writestr(f"rgbd/{i}.depth", pack(np.where(depth > 0, depth, np.nan).astype("<f4").tobytes()))
+            archive.writestr(f"rgbd/{i}.conf", pack(np.full((48, 64), confidence, np.uint8).tobytes()))
+    return views
+
+
+@pytest.mark.parametrize("pack", [lzfse.compress, zlib.compress, bytes])
+@pytest.mark.parametrize("changes", [{}, {"perFrameIntrinsicCoeffs": None}])
+def test_a_recording_of_record3d(tmp_path: Path, pack: Any, changes: dict[str, Any]) -> None:
+    wanted = phone(tmp_path / "a.r3d", pack, **changes)
+    assert main(["import", str(tmp_path / "a.r3d"), str(tmp_path / "c")]) == 0
+    read = Capture.load(tmp_path / "c")
+    assert read.intrinsics.fx == pytest.approx(60)
+    assert read.intrinsics.cx == pytest.approx(CAMERA.cx)
+    np.testing.assert_allclose(read.T_world_cam, wanted.T_world_cam, atol=1e-6)
+    np.testing.assert_allclose(read.depth, wanted.depth, atol=1e-4)
+    assert read.rgb is not None
+    assert wanted.rgb is not None
+    assert np.abs(read.rgb.astype(int) - wanted.rgb).mean() < 2
+
+
+def test_what_a_recording_of_record3d_lacks_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "a.r3d"
+    phone(path, lzfse.compress, confidence=0)
+    _, notes = read_record3d(path, views=3)
+    assert "3 of 5 frames taken, evenly spread (--views)" in notes
+    assert any("100% of the depth is of low confidence" in note for note in notes)
+    for change, words in (({"poses": []}, "depth of none"), ({"dw": 60}, "whole image|one shape"), ({"K": [1]}, "K")):
+        phone(path, lzfse.compress, **change)
+        with pytest.raises(InputError, match=words):
+            read_record3d(path)
+    path.write_bytes(path.read_bytes()[:-400])
+    with pytest.raises(InputError, match="a recording of Record3D"):
+        read_record3d(path)
+
+
+def test_lzfse_that_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    phone(tmp_path / "a.r3d", lzfse.compress)
+    monkeypatch.setitem(sys.modules, "lzfse", None)
+    with pytest.raises(MissingExtra, match=r"pip install 'anther\[phones\]'"):
+        read_record3d(tmp_path / "a.r3d")

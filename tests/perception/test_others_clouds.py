@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import laspy
 import numpy as np
+import pye57
 import pytest
+from scipy.spatial.transform import Rotation
 
-from anther.core.errors import InputError
+from anther.core.errors import InputError, MissingExtra
 from anther.core.files import write_text
 from anther.perception.cloud.ply import read_elements
 from anther.perception.formats.clouds import read_cloud
@@ -56,7 +60,7 @@ def test_commas_that_could_be_both_are_refused(tmp_path: Path) -> None:
     ["0.1,0.2,0.3", "0.1, 0.2, 0.3", "0.1 0.2 0.3", "0.1\t0.2\t0.3", "0.1;0.2;0.3;", "0.1,0.2 0.3", "1e-1 2e-1 3e-1"],
 )
 def test_decimal_points_between_any_marks(tmp_path: Path, line: str) -> None:
-    (tmp_path / "a.txt").write_text("\n".join([line] * 30 + [line.replace("1", "2")] * 30))
+    (tmp_path / "a.txt").write_text("\n".join([line] * 30 + [line.translate(str.maketrans("123", "456"))] * 30))
     points = read_cloud(tmp_path / "a.txt", "m", "z").points
     np.testing.assert_allclose(points[0], [0.1, 0.2, 0.3])
 
@@ -246,3 +250,161 @@ def test_a_ply_without_vertices_is_told_what_it_has(tmp_path: Path) -> None:
     write_text(tmp_path / "a.ply", "ply\nformat ascii 1.0\nelement face 0\nproperty list uchar int i\nend_header\n")
     with pytest.raises(InputError, match="no element 'vertex', only face"):
         read_cloud(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize(
+    ("comment", "factor"),
+    [
+        ("units: mm", 1e-3),
+        ("Unit: centimeters", 1e-2),
+        ("lengths in inches", 0.0254),
+        ("coordinates are in feet", 0.3048),
+    ],
+)
+@pytest.mark.parametrize("suffix", [".ply", ".pcd", ".xyz"])
+def test_units_and_axis_that_comments_state_are_used(tmp_path: Path, suffix: str, comment: str, factor: float) -> None:
+    body = rows(POINTS[:, [0, 2, 1]] * [1, 1, -1] / factor, form="{:.9g}".format)
+    pcd = f"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH {len(body)}\nHEIGHT 1\nDATA ascii"
+    heads = {
+        ".ply": ply({"x": "f4", "y": "f4", "z": "f4"}, [POINTS]).decode("latin-1").partition("end_header")[0]
+        + "end_header",
+        ".pcd": f"# {comment}, y up\n{pcd}",
+        ".xyz": f"# {comment}, y up",
+    }
+    head = heads[suffix].replace("binary_little_endian 1.0", f"ascii 1.0\ncomment {comment}, y up")
+    (tmp_path / f"a{suffix}").write_text("\n".join([head, *body]))
+    cloud = read_cloud(tmp_path / f"a{suffix}")
+    np.testing.assert_allclose(cloud.points, np.column_stack([-POINTS[:, 1], POINTS[:, 0], POINTS[:, 2]]), atol=1e-4)
+    assert cloud.notes == ()
+
+
+def test_blank_lines_in_a_ply_lose_no_points(tmp_path: Path) -> None:
+    head = (
+        "ply\nformat ascii 1.0\nelement vertex 300\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+    )
+    (tmp_path / "a.ply").write_text(head + "\n\n".join(rows(POINTS)))
+    np.testing.assert_allclose(read_cloud(tmp_path / "a.ply", "m", "z").points, POINTS)
+
+
+def test_what_a_ply_holds_beside_is_told(tmp_path: Path) -> None:
+    kinds = dict.fromkeys(["x", "y", "z", "nx", "ny", "nz"], "f4") | {"label": "u1", "X": "f4"}
+    (tmp_path / "a.ply").write_bytes(ply(kinds, [POINTS, NORMALS, INTENSITY, 99 + INTENSITY]))
+    cloud = read_cloud(tmp_path / "a.ply", "m", "z")
+    np.testing.assert_allclose(cloud.points, POINTS, atol=1e-6)
+    assert "not used of the file: nx, ny, nz, label" in cloud.notes
+
+
+def test_an_organised_pcd_may_hold_no_reading_in_most_places(tmp_path: Path) -> None:
+    points = np.where(np.arange(300)[:, None] < 200, np.nan, POINTS)
+    head = "VERSION .7\nFIELDS X Y Z\nSIZE 8 8 8\nTYPE F F F\nWIDTH 20\nHEIGHT 15\nDATA binary\n"
+    (tmp_path / "a.pcd").write_bytes(head.encode() + points.tobytes())
+    cloud = read_cloud(tmp_path / "a.pcd", "m", "z")
+    np.testing.assert_array_equal(cloud.points, POINTS[200:])
+    assert "200 of 300 points hold no reading (NaN) and are left out" in cloud.notes
+
+
+@pytest.mark.parametrize("first", [np.full(300, 4), INTENSITY, np.arange(300) % 3])
+def test_a_first_column_that_is_no_coordinate_is_refused_where_no_name_says_so(
+    tmp_path: Path, first: np.ndarray
+) -> None:
+    (tmp_path / "a.xyz").write_text("\n".join(rows(first, POINTS)))
+    with pytest.raises(InputError, match=r"whole numbers in column 1, not in the others.*Name the columns"):
+        read_cloud(tmp_path / "a.xyz", "mm", "z")
+    (tmp_path / "a.xyz").write_text("\n".join(["class x y z", *rows(first, POINTS)]))
+    np.testing.assert_allclose(read_cloud(tmp_path / "a.xyz", "m", "z").points, POINTS)
+
+
+@pytest.mark.parametrize("rank", [3 * np.arange(300), np.arange(300)[::-1]])
+def test_numbers_of_rows_may_have_gaps_or_fall(tmp_path: Path, rank: np.ndarray) -> None:
+    (tmp_path / "a.xyz").write_text("\n".join(rows(rank, 1e3 * POINTS)))
+    np.testing.assert_allclose(read_cloud(tmp_path / "a.xyz", "mm", "z").points, POINTS, atol=1e-6)
+
+
+def test_columns_in_several_units_and_colours_in_words_are_not_guessed(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("\n".join(["x [m],y [mm],z [m]", *rows(POINTS, separator=",")]))
+    with pytest.raises(InputError, match="x, y and z in one unit"):
+        read_cloud(tmp_path / "a.csv")
+    table = [f"{line},0x3c8c32" for line in rows(POINTS, separator=",")]
+    (tmp_path / "a.csv").write_text("\n".join(["x,y,z,rgb", *table]))
+    cloud = read_cloud(tmp_path / "a.csv", "m", "z")
+    assert cloud.colors is None
+    assert "not used of the file: rgb" in cloud.notes
+
+
+def test_a_flat_cloud_is_no_plant(tmp_path: Path) -> None:
+    (tmp_path / "a.xyz").write_text("\n".join(rows(POINTS * [1, 0, 1])))
+    with pytest.raises(InputError, match="y the same in all points"):
+        read_cloud(tmp_path / "a.xyz", "m", "z")
+
+
+FOOT = 'PROJCS["x",GEOGCS["g",UNIT["degree",0.0174]],UNIT["foot",0.3048]]'
+
+
+@pytest.mark.parametrize("suffix", [".las", ".laz"])
+@pytest.mark.parametrize(("form", "factor", "wkt"), [(3, 257, ""), (7, 1, ""), (7, 257, FOOT), (1, 0, ""), (6, 0, "")])
+def test_las(tmp_path: Path, suffix: str, form: int, factor: int, wkt: str) -> None:
+    header = laspy.LasHeader(point_format=form, version="1.4" if form > 5 else "1.2")
+    header.scales, header.offsets = [1e-5] * 3, np.array([454_000.0, 5_412_000.0, 300.0])
+    metres = 0.3048 if wkt else 1.0
+    if wkt:
+        header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(wkt))
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = (POINTS / metres + header.offsets).T
+    las.intensity, las.withheld = INTENSITY, np.arange(300) < 10
+    if factor:
+        las.red, las.green, las.blue = (factor * COLORS.astype(np.uint16)).T
+    las.write(str(tmp_path / f"a{suffix}"))
+    cloud = read_cloud(tmp_path / f"a{suffix}")
+    np.testing.assert_allclose(cloud.points - metres * header.offsets, POINTS[10:], atol=1e-5)
+    assert (cloud.colors is None) == (not factor)
+    if factor:
+        np.testing.assert_array_equal(cloud.colors, COLORS[10:])
+    assert {"10 points marked as withheld are left out", "not used of the file: intensity"} <= set(cloud.notes)
+    assert any("in metres (--units)" in note for note in cloud.notes) == (not wkt)
+    data = (tmp_path / f"a{suffix}").read_bytes()
+    for cut in (data[:-30], data[:-34], data[:100], b"LASF"):
+        (tmp_path / f"b{suffix}").write_bytes(cut)
+        with pytest.raises(InputError, match="LAS or LAZ"):
+            read_cloud(tmp_path / f"b{suffix}")
+
+
+def e57(path: Path) -> None:
+    """Two scans, the second from another place and with points that are none; as pye57 writes them."""
+    file = pye57.E57(str(path), mode="w")
+    turn, shift = Rotation.from_euler("z", 0.6), np.array([1.0, 2.0, 3.0])
+    for i, own in enumerate((POINTS[:200], (POINTS[200:] - shift) @ turn.as_matrix())):
+        part = slice(200 * i, 200 * i + len(own))
+        held = {f"cartesian{axis}": own[:, k].copy() for k, axis in enumerate("XYZ")}
+        held |= {f"color{name}": COLORS[part, k].copy() for k, name in enumerate(("Red", "Green", "Blue"))}
+        held |= {
+            "intensity": INTENSITY[part] / 255,
+            "cartesianInvalidState": (np.arange(len(own)) < 5 * i).astype(np.int8),
+        }
+        pose = {"rotation": turn.as_quat()[[3, 0, 1, 2]], "translation": shift} if i else {}
+        file.write_scan_raw(held, **pose)
+    file.close()
+
+
+def test_e57(tmp_path: Path) -> None:
+    path = tmp_path / "a.e57"
+    e57(path)
+    cloud = read_cloud(path)
+    kept = np.r_[0:200, 205:300]
+    np.testing.assert_allclose(cloud.points, POINTS[kept], atol=1e-6)
+    np.testing.assert_array_equal(cloud.colors, COLORS[kept])
+    wanted = {"5 points marked as invalid are left out", "2 scans are joined by their poses"}
+    assert wanted | {"not used of the file: intensity"} <= set(cloud.notes)
+    path.write_bytes(path.read_bytes()[:-1000])
+    with pytest.raises(InputError, match="an E57 file"):
+        read_cloud(path)
+    assert path.exists()  # the library deletes what it cannot write
+
+
+@pytest.mark.parametrize(("suffix", "module"), [("las", "laspy"), ("laz", "lazrs"), ("e57", "pye57")])
+def test_what_reads_scans_is_named_where_it_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, module: str
+) -> None:
+    (tmp_path / f"a.{suffix}").write_bytes(b"")
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(MissingExtra, match=rf"needs {module}.*pip install 'anther\[scans\]'"):
+        read_cloud(tmp_path / f"a.{suffix}")

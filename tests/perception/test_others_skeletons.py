@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,8 @@ import pytest
 from anther.cli.main import main
 from anther.cli.traits import clouds_in
 from anther.core.errors import InputError, StageFailure
-from anther.perception.formats.skeletons import read_skeleton
+from anther.perception.formats.skeletons import read_skeleton, write_skeleton
+from anther.perception.skeleton import Skeleton
 from anther.plant.imported import read_source
 from anther.plant.source import Made, read_plant
 
@@ -130,6 +132,66 @@ def test_the_stiffness_that_would_hold_a_plant_is_told_however_far_off(tmp_path:
             read_plant(path, Made(changes={"youngs": youngs}), bare=True)
         told.add(str(failure.value).split("E = ")[2].split(" Pa")[0])
     assert len({f"{float(value):.1e}" for value in told}) == 1
+
+
+@pytest.mark.parametrize(
+    ("lead", "factor", "words"),
+    [
+        ("# units: um", 1e6, ""), ("# units: µm", 1e6, ""), ("# units: inch", 1 / 0.0254, ""), ("# UNIT cm", 100, ""),
+        ("# All coordinates are in millimeters", 1000, ""), ("# id type x(mm) y(mm) z(mm) r(mm) parent", 1000, ""),
+        ("# SCALE 0.01 0.01 0.01", 1, "its SCALE 0.01 0.01 0.01 is not applied"), ("# SCALE 1 1 1", 1, ""),
+        ("# units: m, y up", 1, "y is up and is read with z up"),
+    ],
+)  # fmt: skip
+def test_what_comments_state_is_used_or_told(tmp_path: Path, lead: str, factor: float, words: str) -> None:
+    read = read_skeleton(write(tmp_path / "a.swc", rows(factor, lead=(lead,))))
+    np.testing.assert_allclose(read.nodes, read_skeleton(write(tmp_path / "m.swc", rows())).nodes, atol=1e-9)
+    assert any(words in note for note in read.notes) if words else not read.notes
+
+
+def test_units_in_the_comments_of_other_skeletons(tmp_path: Path) -> None:
+    source, skeleton = read_source(write(tmp_path / "m.swc", rows()))
+    for suffix, mark in ((".txt", "# "), (".ply", "comment ")):
+        path = tmp_path / f"a{suffix}"
+        write_skeleton(path, Skeleton(100 * skeleton.nodes, skeleton.parent, 100 * skeleton.radius))
+        data = path.read_bytes()
+        data = data.replace(b"comment anther skeleton, metres, z up", b"comment made elsewhere")
+        at = data.find(b"\n") + 1 if suffix == ".ply" else 0
+        path.write_bytes(data[:at] + f"{mark}units: cm\n".encode() + data[at:])
+        assert np.ptp(read_skeleton(path).nodes[:, 2]) == pytest.approx(np.ptp(source.nodes[:, 2]))
+
+
+@pytest.mark.parametrize("name", ["D", "diam", "diameter", "Diameter"])
+def test_a_column_of_diameters_is_halved(tmp_path: Path, name: str) -> None:
+    thick = [" ".join([*line.split()[:5], f"{2 * float(line.split()[5]):g}", line.split()[6]]) for line in rows()]
+    read = read_skeleton(write(tmp_path / "a.swc", [f"# n T x y z {name} P", *thick]))
+    wanted = read_skeleton(write(tmp_path / "m.swc", ["# n T x y z R P", *rows()]))
+    assert read.radius is not None
+    assert wanted.radius is not None
+    np.testing.assert_allclose(read.radius, wanted.radius, rtol=1e-5)
+    assert any("diameter" in note for note in read.notes)
+
+
+def test_points_that_draw_the_soma_are_no_branches(tmp_path: Path) -> None:
+    cell = ["101 1 0 0 0 0.004 -1", "102 1 0 0.004 0 0.004 101", "103 1 0 -0.004 0 0.004 101"]
+    read = read_skeleton(write(tmp_path / "a.swc", [*cell, *rows(first_parent=101)]))
+    np.testing.assert_allclose(read.nodes, read_skeleton(write(tmp_path / "m.swc", rows())).nodes)
+    assert any("2 points that only draw the soma" in note for note in read.notes)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda cells: [*cells[:5], f"{1000 * float(cells[5]):g}", cells[6]], "radius 4 m on a plant of 0.31 m"),
+        (lambda cells: [*cells[:5], "1", cells[6]], "radius 1 m on a plant"),
+        (lambda cells: [*cells[:5], f"-{cells[5]}", cells[6]], "radius -0.004 at node 1"),
+        (lambda cells: [f"{cells[0]}.5", *cells[1:]], "an id 1.5"),
+    ],
+)  # fmt: skip
+def test_radii_and_ids_that_no_plant_has_are_refused(tmp_path: Path, change: Any, words: str) -> None:
+    path = write(tmp_path / "a.swc", [" ".join(change(line.split())) for line in rows()])
+    with pytest.raises(InputError, match=words):
+        read_source(path)
 
 
 def test_hidden_files_are_left_out_and_links_are_followed(tmp_path: Path) -> None:

@@ -78,6 +78,9 @@ def test_all_numbers_of_a_lens_are_used(tmp_path: Path, stated: dict[str, object
     [
         {"camera_model": "OPENCV_FISHEYE", "k1": 0.1},
         {"distortion_model": "equidistant", "D": [0.1, 0, 0, 0]},
+        {"distortion_model": "equidistant", "D": [0.0, 0, 0, 0]},
+        {"distortion_params": [0.1, 0, 0, 0]},
+        {"radial_distortion": [0.1]},
         {"k7": 0.01},
         {"skew": 0.3},
         {"is_fisheye": True},

@@ -41,7 +41,7 @@ URDF = {
     "degrees": (
         LIMITS,
         'lower="-143" upper="143" velocity="115"',
-        r"joint j0: range: got -143 .. 143 rad; allowed: -20",
+        r"joint j0: range: got -143 .. 143 rad; allowed: -13",
     ),
     "speed in degrees": (LIMITS, 'lower="-2.5" upper="2.5" velocity="115"', r"joint j0: velocity: got 115 rad/s; .*30"),
     "no limit": (LIMITS, 'lower="-2.5" upper="2.5" velocity="1e9"', r"joint j0: velocity: got 1e\+09 rad/s"),
@@ -50,6 +50,20 @@ URDF = {
         'velocity="0" effort="0"',
         "joint j0: velocity: got 0 rad/s; .*Write <limit",
     ),
+    "small ranges in degrees": (LIMITS, 'lower="-18" upper="18" velocity="2"', r"joint j0: range: got -18 .. 18 rad"),
+    "a decimal comma": (LIMITS, 'lower="-2,5" upper="2.5" velocity="2"', "joint j0: got lower '-2,5'; .*Write <limit"),
+    "a negative speed": (LIMITS, 'lower="-2.5" upper="2.5" velocity="-2"', "joint j0: got velocity '-2'"),
+    "without limits": (r'<limit lower=.* effort="36" />', "", "joint j3: got no limit; .*Write <limit"),
+    "no direction": (r'<axis xyz="0 0 1" />', '<axis xyz="0 0 0" />', "joint j0: got axis 0 0 0"),
+    "an angle in degrees": (
+        r'<origin xyz="0 0 0.15" />\n    <axis',
+        '<origin rpy="0 0 90" />\n    <axis',
+        "rpy 0 0 90",
+    ),
+    "a follower": (r'effort="28" />', 'effort="28" /><mimic joint="j1" />', "joint j4: got a joint that mimics"),
+    "grams": (r'<mass value="2.0" />', '<mass value="2000" />', "link l0: got 2000 kg in 0.00028 m3"),
+    "a negative mass": (r'<mass value="2.0" />', '<mass value="-2" />', "got mass -2 kg"),
+    "no shape that is known": (r'<sphere radius="0.04" />', '<capsule radius="0.04" length="1" />', "<capsule>"),
     "no torque": (r'effort="28"', 'effort="0"', "joint j4: effort: got 0 N m; allowed: > 0"),
     "no range": (LIMITS, 'lower="2.5" upper="-2.5" velocity="2"', r"joint j0: range: got 2.5 .. -2.5 rad"),
     "millimetres": (r'xyz="0 0 0\.', 'xyz="0 0 300.', r"reach: got .* m; allowed: 0.1 <= my_arm's reach <= 5 m"),
@@ -108,6 +122,55 @@ def test_a_mesh_that_cannot_be_read_is_one_line(
     said = capsys.readouterr().err
     assert re.search(message, said)
     assert len(said.splitlines()) == 1
+
+
+@pytest.mark.parametrize("name", ["meshes\\\\l1.stl", "meshes/L1.STL", "./meshes/l1.stl"])
+def test_a_mesh_is_found_by_the_paths_of_windows(folder: Path, name: str) -> None:
+    (folder / "meshes").mkdir()
+    trimesh.creation.box((0.06, 0.06, 0.3)).export(folder / "meshes/l1.stl")
+    with_mesh(folder, name)
+    assert read_cell(folder / "my_cell.toml").model.links[1].capsules[0].radius == pytest.approx(0.0424, abs=1e-3)
+
+
+@pytest.mark.parametrize("scale", ["0 0 0", "1 1 nan"])
+def test_a_mesh_without_size_is_refused(folder: Path, scale: str) -> None:
+    trimesh.creation.box((0.06, 0.06, 0.3)).export(folder / "l1.stl")
+    with_mesh(folder, "l1.stl", f'scale="{scale}"')
+    with pytest.raises(InputError, match=f"mesh scale: got {scale}"):
+        read_cell(folder / "my_cell.toml")
+    (folder / "l1.stl").write_bytes(b"")
+    changed(folder / "my_arm.urdf", (f'scale="{scale}"', ""))
+    with pytest.raises(InputError, match=r"l1.stl: got unreadable"):
+        read_cell(folder / "my_cell.toml")
+
+
+def test_soft_limits_are_kept(folder: Path) -> None:
+    soft = '<safety_controller soft_lower_limit="-1.5" soft_upper_limit="1" k_velocity="9" />'
+    changed(folder / "my_arm.urdf", ('effort="60" />', f'effort="60" />{soft}'))
+    arm = read_cell(folder / "my_cell.toml").model
+    assert (arm.lower[0], arm.upper[0]) == (-1.5, 1.0)
+
+
+XACRO = ("<robot name", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name')
+TURN = ('<link name="foot">', '<xacro:property name="turn" value="2.5" /><link name="foot">')
+
+
+@pytest.mark.parametrize("value", ["${turn}", "${radians(143.2394487827058)}", "${2*turn/2}"])
+def test_xacro_is_run_where_it_is_installed(folder: Path, value: str) -> None:
+    changed(folder / "my_arm.urdf", XACRO, TURN, (LIMITS, f'lower="-2.5" upper="{value}" velocity="2"'))
+    np.testing.assert_allclose(read_cell(folder / "my_cell.toml").model.upper, six().upper)
+
+
+def test_xacro_that_is_missing_or_fails_is_told_how_to_run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = (folder / "my_arm.urdf").read_text()
+    changed(folder / "my_arm.urdf", XACRO, (LIMITS, 'lower="${what}" upper="${1+}" velocity="2"'))
+    with pytest.raises(InputError, match=r"xacro refuses .*Run xacro first.*: xacro my_arm.urdf > my_arm_plain"):
+        read_cell(folder / "my_cell.toml")
+    (folder / "my_arm.urdf").write_text(whole)
+    changed(folder / "my_arm.urdf", XACRO, TURN)
+    monkeypatch.setattr(shutil, "which", lambda *_, **__: None)
+    with pytest.raises(InputError, match=r"Run xacro first.*pip install 'anther\[cell\]'"):
+        read_cell(folder / "my_cell.toml")
 
 
 def test_a_mesh_in_millimetres_is_doubted_and_read_with_its_scale(folder: Path) -> None:

@@ -25,6 +25,8 @@ FOR = {
     "log": "the log of a trial, and its live view",
     "segmentation": "masks by Grounding DINO, SAM 2 and SAM 3",
     "bags": "RealSense and ROS bags, MCAP",
+    "scans": "clouds in LAS, LAZ and E57",
+    "phones": "recordings of Record3D",
     "realsense": "a RealSense camera",
     "sawyer": "a Sawyer over ROS 1",
     "ros2": "an arm under ROS 2, where none is sourced",

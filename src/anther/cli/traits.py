@@ -19,7 +19,7 @@ from anther.core.errors import AntherError, bad_input
 from anther.core.files import existing, made_folder, read_object, write_json
 from anther.core.tables import write_table
 from anther.perception.flowers import flower_centres
-from anther.perception.formats.clouds import read_cloud
+from anther.perception.formats.clouds import SUFFIXES, read_cloud
 from anther.perception.skeleton import Params, skeletonize
 from anther.perception.stem import Params as StemParams
 from anther.perception.stem import find_stem
@@ -31,7 +31,6 @@ from anther.show.pictures.plant import draw_plant
 
 VERSION = 2
 """Of the columns: rows of another are measured again."""
-SUFFIXES = (".ply", ".pcd", ".xyz", ".txt", ".csv", ".asc", ".pts", ".npz")
 COUNTED = ("branch", "truss", "leaf")
 COLUMNS: dict[str, type] = {
     "plant": str,

@@ -13,13 +13,12 @@ from anther.core.errors import bad_input
 from anther.core.geometry import Array, Intrinsics
 
 _BROWN = {
-    "none",
-    "plumb_bob",
-    "rational_polynomial",
-    "brown conrady",
-    "modified brown conrady",
-    "inverse brown conrady",
-}
+    "", "none", "plumb_bob", "rational_polynomial", "brown conrady", "modified brown conrady", "inverse brown conrady",
+}  # fmt: skip
+_FISHEYE = {"equidistant", "fisheye", "kannala brandt4"}
+"""OpenCV's fisheye: what is seen at an angle a lies at f (a + k1 a^3 + k2 a^5 + ...), also where k1 to k4 are 0."""
+_SIZES = (5, 8, 12, 14)
+"""How many coefficients OpenCV's polynomials have."""
 _NEAREST = 0.25
 """A point that comes nearer to the colour camera than this share of its depth is not drawn larger for it."""
 
@@ -32,7 +31,7 @@ def straightening(what: str, camera: Intrinsics, D: Array, model: str) -> Maps |
 
     Distortion is Brown's (OpenCV's plumb_bob, rational_polynomial). librealsense's "Inverse Brown Conrady" is the same
     polynomial, straight to distorted: `rs2_project_point_to_pixel` of SDK 2.54 to 2.59 agrees with OpenCV's within
-    1e-3 px, and 2.59 records it as plumb_bob.
+    1e-3 px, and 2.59 records it as plumb_bob. ROS's equidistant, librealsense's Kannala Brandt4, is OpenCV's fisheye.
 
     Args:
         what: for messages.
@@ -43,18 +42,23 @@ def straightening(what: str, camera: Intrinsics, D: Array, model: str) -> Maps |
     Raises:
         InputError: an unknown distortion model.
     """
-    if not D.any():
-        return None
-    if model.strip().lower() not in {"", *_BROWN}:
+    name, size, D = model.strip().lower(), (camera.width, camera.height), np.trim_zeros(D, "b")
+    if name not in _BROWN | _FISHEYE or len(D) > (4 if name in _FISHEYE else _SIZES[-1]):
         raise bad_input(
             what,
-            given=f"distortion model '{model}'",
-            allowed="plumb_bob, rational_polynomial or (Modified, Inverse) Brown Conrady",
+            given=f"distortion model '{model}' with {len(D)} coefficients",
+            allowed="plumb_bob, rational_polynomial, (Modified, Inverse) Brown Conrady, equidistant",
             do="Record rectified images.",
         )
-    size = (camera.width, camera.height)
-    across, down = cv2.initUndistortRectifyMap(camera.matrix, D, np.eye(3), camera.matrix, size, cv2.CV_32FC1)
-    return np.asarray(across, np.float32), np.asarray(down, np.float32)
+    if name in _FISHEYE:
+        D = np.r_[D, np.zeros(4 - len(D))]
+        maps = cv2.fisheye.initUndistortRectifyMap(camera.matrix, D, np.eye(3), camera.matrix, size, cv2.CV_32FC1)
+    elif len(D):
+        D = np.r_[D, np.zeros(next(n for n in _SIZES if n >= len(D)) - len(D))]
+        maps = cv2.initUndistortRectifyMap(camera.matrix, D, np.eye(3), camera.matrix, size, cv2.CV_32FC1)
+    else:
+        return None
+    return np.asarray(maps[0], np.float32), np.asarray(maps[1], np.float32)
 
 
 def straightened(image: NDArray[Any], maps: Maps | None, *, nearest: bool) -> NDArray[Any]:

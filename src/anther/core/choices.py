@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-Units = Literal["m", "cm", "mm", "0.01mm"]
+Units = Literal["m", "cm", "mm", "0.01mm", "um", "in", "ft"]
 """Of the lengths in a file."""
 Axis = Literal["x", "y", "z"]
 Crop = Literal["tomato", "pepper"]

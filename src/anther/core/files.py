@@ -122,6 +122,8 @@ _MARKS = (
     (codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF32_LE, "utf-32"), (codecs.BOM_UTF32_BE, "utf-32"),
     (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"),
 )  # fmt: skip
+_WORKBOOKS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")
+"""How .xlsx, .ods and .zip begin, and how .xls does."""
 _CONTROLS = re.compile("[\x00-\x08\x0e-\x1f]")
 
 
@@ -132,6 +134,9 @@ def read_text(path: Path | str, largest: int = LARGEST_TEXT) -> str:
         InputError: the file is missing, larger than `largest` [bytes], or no text.
     """
     data = whole_file(path, largest).read_bytes()
+    if data.startswith(_WORKBOOKS):
+        given, do = "a workbook or an archive, no text", "Save it from the spreadsheet as CSV, or unpack it."
+        raise bad_input(str(path), given=given, allowed="a text file, such as a CSV file", do=do)
     wide = "utf-16-le" if data[1:2] == b"\0" else "utf-16-be"  # of a text that begins with ASCII
     unmarked = [wide] if data[:2].count(0) == 1 else ["utf-8", "cp1252"]
     reasons = []
@@ -160,6 +165,8 @@ class Row(NamedTuple):
 
 
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d+)?")
+_FAULT = re.compile(r"#(?:[A-ZÄÖÜ/0]+[!?]?|#+)\s*[,;\t]")
+"""A row whose first cell is a spreadsheet's #DIV/0!, #REF! or ####, which is no comment."""
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
 
 
@@ -178,7 +185,9 @@ def read_rows(path: Path | str, *, comment: str | None = "#") -> list[Row]:
         InputError: the file is missing or no text; a quote is not closed; quoted numbers may be decimals or thousands.
     """
     lines = [(n, line) for n, line in enumerate(read_lines(path), 1) if line.strip()]
-    lines = [(n, line) for n, line in lines if comment is None or not line.lstrip().startswith(comment)]
+    lines = [
+        (n, line) for n, line in lines if comment is None or not line.lstrip().startswith(comment) or _FAULT.match(line)
+    ]
     said = re.fullmatch(r'"?sep=(.)"?\s*', lines[0][1], re.IGNORECASE) if lines else None
     lines = lines[1:] if said else lines
     if not lines:
@@ -225,17 +234,32 @@ def number(cell: str) -> float | None:
 
 
 def named_file(folder: Path, name: str) -> Path:
-    """Return the file in a folder that another file names, perhaps as Windows does.
+    """Return the file in a folder that another file names, perhaps as Windows or another machine does.
 
-    There backslashes separate folders, and upper and lower case are one.
+    There backslashes separate folders, upper and lower case are one, and a path may begin at a disk that is not here:
+    then it is sought by its last parts. Without its suffix a PNG or JPEG is meant.
     """
     path = folder / name
-    if not path.exists() and "\\" in name:
-        path = folder / name.replace("\\", "/")
-    if path.exists() or not path.parent.is_dir():
+    if path.exists():
         return path
-    alike = [other for other in path.parent.iterdir() if other.name.lower() == path.name.lower()]
-    return alike[0] if len(alike) == 1 else path
+    parts = [part for part in re.split(r"[\\/]+", name) if part not in ("", ".")]
+    elsewhere = re.match(r"[\\/]|[A-Za-z]:", name) is not None
+    tails = (_alike(folder, parts[k:]) for k in range(len(parts) if elsewhere else 1))
+    return next((found for found in tails if found is not None), path)
+
+
+def _alike(folder: Path, parts: list[str]) -> Path | None:
+    """Return what lies in a folder under these names, of whatever case; None if it is not there, or twice."""
+    for part in parts:
+        if (folder / part).exists():
+            folder = folder / part
+            continue
+        names = [part.lower() + suffix for suffix in ("", *([] if part != parts[-1] else (".png", ".jpg", ".jpeg")))]
+        found = [other for other in folder.iterdir() if other.name.lower() in names] if folder.is_dir() else []
+        if len(found) != 1:
+            return None
+        folder = found[0]
+    return folder if parts else None
 
 
 def read_object(path: Path | str) -> dict[str, Any]:

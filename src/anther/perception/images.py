@@ -16,7 +16,7 @@ from anther.core.libraries import MOST_PIXELS
 
 
 def read_image(path: Path | str, flags: int, size: tuple[int, int] | None = None) -> NDArray[Any]:
-    """Return an image as OpenCV reads it: (H, W) or (H, W, 3) blue, green, red.
+    """Return an image as OpenCV reads it: (H, W) or (H, W, 3) blue, green, red; as the camera took it, not turned.
 
     Args:
         path: a PNG, a JPEG or what else OpenCV reads, of no more pixels than `libraries.MOST_PIXELS`.
@@ -26,7 +26,7 @@ def read_image(path: Path | str, flags: int, size: tuple[int, int] | None = None
     Raises:
         InputError: missing, no image, damaged, truncated, or of another size.
     """
-    data = whole_file(path, LARGEST_TEXT).read_bytes()
+    data, flags = whole_file(path, LARGEST_TEXT).read_bytes(), flags | cv2.IMREAD_IGNORE_ORIENTATION
     stated = _stated_size(data)
     if size is not None and stated is not None and stated != size:  # before it is decoded: that may take gigabytes
         raise _other_size(path, stated, size)

@@ -32,7 +32,9 @@ LENS_MODELS = {
     "rational polynomial", "brown conrady", "modified brown conrady", "inverse brown conrady", "radtan", "brown",
 }  # fmt: skip
 """How programs call OpenCV's polynomials, or no distortion."""
-LENS_KEYS = re.compile(r"([kps]\d+|tau.*|skew|alpha(_c)?|xi|omega|.*fisheye.*|dist.*coeff.*|distortion)", re.IGNORECASE)
+LENS_KEYS = re.compile(
+    r"(?!.*model)([bkps]\d+|tau.*|skew|alpha(_c)?|xi|omega|.*fisheye.*|dist.*coeff.*|.*distort.*)", re.IGNORECASE
+)
 """Names of what bends an image or slants its axes."""
 
 _MOST_PIXELS = 2**28  # of all views together: some 300 of a D455, 2 GB with colour. A guess
@@ -40,6 +42,12 @@ _KEYS = ("fl_x", "fl_y", "cx", "cy", "w", "h")
 _MODELS = ("camera_model", "distortion_model", "lens_model")
 _ALIKE = 0.1  # focal lengths that differ by no more are one camera's that focuses; a guess
 _UNIT = "depth_unit_scale_factor"
+_UNITS = (_UNIT, "integer_depth_scale")
+"""Metres per step of depth, as nerfstudio and instant-ngp call it."""
+_OTHER_UNITS = re.compile(r"depth_?(scale|unit|factor).*|.*depth_(scale|unit|factor)", re.IGNORECASE)
+_OTHER_AXES = re.compile(r".*(convention|coordinate_?(system|frame)).*", re.IGNORECASE)
+_AXES = {"opengl", "nerfstudio", "blender", "nerf"}
+"""How programs call the axes of the camera in transforms.json."""
 
 
 class Transforms(NamedTuple):
@@ -73,13 +81,7 @@ def read_transforms(path: Path | str) -> Transforms:
     size = _depth_size(folder, frames, common)
     depth = _depth(folder, meta, frames, size)
     rgb = _colour(folder, frames, (common.width, common.height), size)
-    own, common = [_scaled(camera, size) for camera in cameras], _scaled(common, size)
-    for view, camera in enumerate(own):
-        maps = _maps(common, camera)
-        if maps is not None:
-            depth[view] = cv2.remap(depth[view], *maps, cv2.INTER_NEAREST)
-            if rgb is not None:
-                rgb[view] = cv2.remap(rgb[view], *maps, cv2.INTER_LINEAR)
+    common = brought_to_one(cameras, depth, rgb)
     held = None if any(j is None for j in joints) else check_array("joints of the frames", joints, (len(joints), None))
     return Transforms(depth, common, poses @ OPENGL_TO_OPENCV, rgb, held)
 
@@ -102,6 +104,7 @@ def _frames(meta: Any) -> list[dict[str, Any]]:
                 allowed=f"every frame has '{key}'",
                 do="Anther needs a depth image and a pose for every view.",
             )
+    _check_meaning(meta, frames)
     for key in ("applied_scale", "scale"):
         if _number(key, meta.get(key, 1.0)) != 1.0:
             given, do = (
@@ -112,10 +115,26 @@ def _frames(meta: Any) -> list[dict[str, Any]]:
     return frames
 
 
+def _check_meaning(meta: dict[str, Any], frames: list[dict[str, Any]]) -> None:
+    """Refuse what would change depth or poses in a way that is not read."""
+    told = meta | {key: value for frame in frames for key, value in frame.items()}
+    for key, value in told.items():
+        if key not in _UNITS and _OTHER_UNITS.fullmatch(key) and value not in (None, 1):
+            do = f"Write metres per step as {_UNIT}: 0.001 for millimetres."
+            raise _refused(given=f"{key} {value!r}", allowed=_UNIT, do=do)
+        if _OTHER_AXES.fullmatch(key) and str(value).lower() not in _AXES:
+            do = "Turn the poses (y and z of the camera the other way), and leave it out."
+            raise _refused(given=f"{key} {value!r}", allowed="OpenGL's camera axes: x right, y up, z backward", do=do)
+    applied = check_array("applied_transform", meta.get("applied_transform", np.eye(4)), (None, 4))
+    if not np.allclose(np.linalg.norm(applied[:3, :3], axis=0), 1, atol=1e-3):
+        do = "Take its scale out of the poses, and leave it out."
+        raise _refused(given="an applied_transform with a scale", allowed="poses in metres", do=do)
+
+
 def _camera(view: int, meta: dict[str, Any], frame: dict[str, Any]) -> Intrinsics:
     """Return the camera of a frame: what it states itself, else what all share."""
     told = meta | {key: frame[key] for key in frame if key in (*_KEYS, *_MODELS) or LENS_KEYS.fullmatch(key)}
-    bent = [k for k, value in told.items() if LENS_KEYS.fullmatch(k) and _is_bent(k, value)]
+    bent = [k for k, value in told.items() if LENS_KEYS.fullmatch(k) and is_bent(k, value)]
     models = {key: str(told[key]) for key in _MODELS if told.get(key)}
     bent += [f"{k} {m[:40]}" for k, m in models.items() if m.lower().replace("_", " ") not in LENS_MODELS]
     if bent:
@@ -135,9 +154,10 @@ def _camera(view: int, meta: dict[str, Any], frame: dict[str, Any]) -> Intrinsic
     )
 
 
-def _is_bent(key: str, value: Any) -> bool:
+def is_bent(key: str, value: Any) -> bool:
+    """Return whether an entry of a lens, a number, a truth value or a list of them, is not 0."""
     if isinstance(value, list):
-        return any(_is_bent(key, part) for part in value)
+        return any(is_bent(key, part) for part in value)
     return value if isinstance(value, bool) else value is not None and _number(key, value) != 0
 
 
@@ -164,6 +184,28 @@ def _common(cameras: list[Intrinsics]) -> Intrinsics:
     return replace(cameras[0], fx=fx, fy=fy, cx=cx, cy=cy)
 
 
+def brought_to_one(cameras: list[Intrinsics], depth: NDArray[np.float32], rgb: NDArray[np.uint8] | None) -> Intrinsics:
+    """Resample views to one camera, in place, where that moves a pixel at all; return it.
+
+    Args:
+        cameras: of the V views, perhaps at another size than the images.
+        depth: (V, H, W) [m].
+        rgb: (V, H, W, 3), or None.
+
+    Raises:
+        InputError: they are not one camera's.
+    """
+    size = depth.shape[2], depth.shape[1]
+    common = _scaled(_common(cameras), size)
+    for view, camera in enumerate(cameras):
+        maps = _maps(common, _scaled(camera, size))
+        if maps is not None:
+            depth[view] = cv2.remap(depth[view], *maps, cv2.INTER_NEAREST)
+            if rgb is not None:
+                rgb[view] = cv2.remap(rgb[view], *maps, cv2.INTER_LINEAR)
+    return common
+
+
 def _maps(common: Intrinsics, own: Intrinsics) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None:
     """Return where each pixel of the common camera lies in a view of its own; None where all lie in the same pixel."""
     u, v = np.arange(common.width), np.arange(common.height)
@@ -182,7 +224,7 @@ def _scaled(camera: Intrinsics, size: tuple[int, int]) -> Intrinsics:
     return Intrinsics(*size, camera.fx * x, camera.fy * y, cx, cy) if (x, y) != (1, 1) else camera
 
 
-def _same_shape(small: tuple[int, int], large: tuple[int, int]) -> bool:
+def same_shape(small: tuple[int, int], large: tuple[int, int]) -> bool:
     """Return whether two sizes have the same ratio of sides, to a pixel of the smaller."""
     return abs(large[1] * small[0] / large[0] - small[1]) <= 1
 
@@ -212,18 +254,14 @@ def _depth_size(folder: Path, frames: list[dict[str, Any]], camera: Intrinsics) 
     stated = check_views(len(frames), camera)
     first = read_image(named_file(folder, str(frames[0]["depth_file_path"])), cv2.IMREAD_UNCHANGED)
     size = first.shape[1], first.shape[0]
-    return size if size < stated and _same_shape(size, stated) else stated
+    return size if size < stated and same_shape(size, stated) else stated
 
 
 def _depth(
     folder: Path, meta: dict[str, Any], frames: list[dict[str, Any]], size: tuple[int, int]
 ) -> NDArray[np.float32]:
     depth = np.empty((len(frames), *size[::-1]), dtype=np.float32)
-    units = [
-        _number(_UNIT, frame.get(_UNIT, meta.get(_UNIT, meta.get("integer_depth_scale", 1e-3)))) for frame in frames
-    ]
-    for unit in units:
-        check_range(_UNIT, unit, 1e-6, 1, "m")
+    units = [_unit(meta | frame) for frame in frames]
 
     def read(view: int) -> None:
         path = named_file(folder, str(frames[view]["depth_file_path"]))
@@ -236,9 +274,22 @@ def _depth(
                 do="Save depth as 16-bit PNG; 8 bits are too coarse.",
             )
         np.multiply(image, np.float32(units[view]), out=depth[view])
+        if frames[view].get("mask_path"):  # nerfstudio's: black is not looked at
+            mask = read_image(named_file(folder, str(frames[view]["mask_path"])), cv2.IMREAD_GRAYSCALE)
+            depth[view][cv2.resize(mask, size, interpolation=cv2.INTER_NEAREST) == 0] = 0
 
     in_threads(read, range(len(frames)))
     return depth
+
+
+def _unit(told: dict[str, Any]) -> float:
+    """Return metres per step of a frame's depth image."""
+    given = {_number(key, told[key]) for key in _UNITS if key in told}
+    if len(given) > 1:
+        raise _refused(
+            given=f"{' and '.join(_UNITS)} that differ", allowed="one of them", do="Leave the wrong one out."
+        )
+    return check_range(_UNIT, given.pop() if given else 1e-3, 1e-6, 1, "m")
 
 
 def _colour(
@@ -260,7 +311,7 @@ def _colour(
         path = named_file(folder, str(frames[view]["file_path"]))
         image = read_image(path, cv2.IMREAD_COLOR)
         own = image.shape[1], image.shape[0]
-        if own != size and (own < size or not _same_shape(size, own)):
+        if own != size and (own < size or not same_shape(size, own)):
             read_image(path, cv2.IMREAD_COLOR, stated)  # which refuses it
         image = image if own == size else cv2.resize(image, size, interpolation=cv2.INTER_AREA)
         rgb[view] = image[..., ::-1]

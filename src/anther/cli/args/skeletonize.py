@@ -13,7 +13,7 @@ class Args(Output, Source):
     """Attributes: the cloud, and where the results go."""
 
     cloud: Given
-    """Point cloud: .ply, .pcd, .xyz, .txt, .csv, .asc or .npz."""
+    """Point cloud: .ply, .pcd, .las, .laz, .e57, .xyz, .txt, .csv, .asc, .pts or .npz."""
     plant: int | None = None
     """Which plant of an .npz that holds several, from 0 on."""
     out: Path | None = None

@@ -123,8 +123,7 @@ class Cloud(Stored):
             InputError: a file is missing, truncated or holds something else.
         """
         path = Path(path)
-        points = read_ply(path)
-        points.pop("unused")
+        points = {name: value for name, value in read_ply(path).items() if name not in ("unused", "comments")}
         rest = path.with_suffix(".npz")
         with understood(rest):
             return decode(points | read_tree(rest, cls.KIND, cls.SCHEMA), cls) if rest.exists() else cls(**points)

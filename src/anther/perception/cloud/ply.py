@@ -66,14 +66,14 @@ def write_ply(
 
 
 def read_ply(path: Path | str) -> dict[str, Any]:
-    """Return a PLY's vertices: points (N, 3), normals, colors and labels where it has them, and unused properties.
+    """Return a PLY's vertices: points (N, 3), normals, colors, labels where it has them; unused properties, comments.
 
     Raises:
         InputError: the file is missing, truncated, or not a PLY with vertices x, y, z.
     """
-    elements, lists = _read(Path(path), ("vertex",))
+    elements, lists, comments = _read(Path(path), ("vertex",))
     table = elements["vertex"]
-    names = {name.lower(): name for name in table.dtype.names or ()}
+    names = {name.lower(): name for name in reversed(table.dtype.names or ())}
 
     def columns(*wanted: str) -> NDArray[Any] | None:
         return np.stack([table[names[n]] for n in wanted], axis=1) if all(n in names for n in wanted) else None
@@ -89,6 +89,7 @@ def read_ply(path: Path | str) -> dict[str, Any]:
         "normals": columns("nx", "ny", "nz"),
         "colors": colors,
         "labels": table[names["label"]].astype(np.uint8) if "label" in names else None,
+        "comments": comments,
         "unused": (*(own for name, own in names.items() if name not in known), *lists.get("vertex", ())),
     }
 
@@ -165,8 +166,10 @@ class _Element(NamedTuple):
         return np.dtype([(name, kind) for name, (counts, kind) in self.properties.items() if not counts])
 
 
-def _read(path: Path, wanted: Sequence[str]) -> tuple[dict[str, NDArray[Any]], dict[str, tuple[str, ...]]]:
-    """Return the wanted elements, and which of their properties are lists."""
+def _read(
+    path: Path, wanted: Sequence[str]
+) -> tuple[dict[str, NDArray[Any]], dict[str, tuple[str, ...]], tuple[str, ...]]:
+    """Return the wanted elements, which of their properties are lists, and the comments of the head."""
     with whole_file(path).open("rb") as stream:
         ascii_text = b"ascii" in stream.read(64)
     data = whole_file(path, LARGEST_TEXT if ascii_text else LARGEST).read_bytes()
@@ -174,14 +177,16 @@ def _read(path: Path, wanted: Sequence[str]) -> tuple[dict[str, NDArray[Any]], d
     if not data.startswith(b"ply") or end < 0:
         raise bad_input(str(path), given="unreadable (no PLY header)", allowed="a PLY file", do="Is it truncated?")
     try:
-        order, elements = _header(data[:end].decode("ascii", "replace").splitlines())
+        head = data[:end].decode("utf-8", "replace").splitlines()
+        order, elements = _header(head)
         if "vertex" not in elements:
             raise ValueError(f"it has no element 'vertex', only {', '.join(elements) or 'none'}")
         last = max(i for i, name in enumerate(elements) if name in wanted)
         needed = dict(list(elements.items())[: last + 1])
-        body = data.find(b"\n", end) + 1
+        body = data.find(b"\n", end) + 1 or data.find(b"\r", end) + 1
         found = _ascii(data[body:], needed) if order == "" else _binary(data, body, needed)
-        return {name: found[name] for name in wanted if name in found}, {n: e.lists for n, e in needed.items()}
+        comments = tuple(line for line in head if line.startswith(("comment", "obj_info")))
+        return {n: found[n] for n in wanted if n in found}, {n: e.lists for n, e in needed.items()}, comments
     except (ValueError, TypeError, KeyError, IndexError) as error:
         raise bad_input(
             str(path), given=f"unreadable ({error})", allowed="an element 'vertex' with x, y, z",
@@ -190,14 +195,14 @@ def _read(path: Path, wanted: Sequence[str]) -> tuple[dict[str, NDArray[Any]], d
 
 
 def _ascii(body: bytes, elements: dict[str, _Element]) -> dict[str, NDArray[Any]]:
-    lines, at, found = body.decode("ascii").splitlines(), 0, {}
+    lines, at, found = [line for line in body.decode("ascii").splitlines() if line.strip()], 0, {}
     for name, element in elements.items():
         rows, at = lines[at : at + element.rows], at + element.rows
         if len(rows) < element.rows:
             raise ValueError(f"{len(rows)} of {element.rows} rows of {name}")
         rows = [_without_lists(row, element) for row in rows] if element.lists else rows
         width = len(element.dtype.names or ())
-        table = np.loadtxt(rows, ndmin=2) if rows and width else np.zeros((len(rows), width))
+        table = np.loadtxt(rows, ndmin=2, comments=None) if rows and width else np.zeros((len(rows), width))
         found[name] = unstructured_to_structured(table, element.dtype) if width else np.zeros(len(rows), [])
     return found
 

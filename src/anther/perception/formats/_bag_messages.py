@@ -54,9 +54,32 @@ def camera_of(topic: str, info: Any, *, rectified: bool = False) -> BagCamera:
     P = np.asarray(getattr(info, "P", getattr(info, "p", np.zeros(12))), dtype=np.float64)
     if rectified and P.shape == (12,) and P[0] > 0:
         K, D = P.reshape(3, 4)[:, :3].ravel(), np.zeros(0)
-    intrinsics = Intrinsics(int(info.width), int(info.height), K[0], K[4], K[2], K[5])
+    if K[1]:
+        raise bad_input(f"{topic} K", given=f"skew {K[1]:g} px", allowed="0", do="Record rectified images.")
+    intrinsics = _cropped(Intrinsics(int(info.width), int(info.height), K[0], K[4], K[2], K[5]), info)
     maps = straightening(topic, intrinsics, D, str(info.distortion_model))
     return BagCamera(intrinsics, str(info.header.frame_id), maps)
+
+
+def _cropped(camera: Intrinsics, info: Any) -> Intrinsics:
+    """Return the camera of the images, where a CameraInfo is of the whole sensor and tells binning and a region."""
+    x, y = (max(1, int(getattr(info, f"binning_{axis}", 0))) for axis in "xy")
+    roi = getattr(info, "roi", None)
+    region = (0, 0, 0, 0) if roi is None else (roi.x_offset, roi.y_offset, roi.width, roi.height)
+    left, top, width, height = (int(n) for n in region)
+    size = (width or camera.width) // x, (height or camera.height) // y
+    cx, cy = (camera.cx - left + 0.5) / x - 0.5, (camera.cy - top + 0.5) / y - 0.5
+    return Intrinsics(*size, camera.fx / x, camera.fy / y, cx, cy)
+
+
+def check_size(topic: str, image: NDArray[Any], camera: Intrinsics) -> None:
+    """Refuse an image (H, W, ...) of another size than its camera's."""
+    if image.shape[:2] != (camera.height, camera.width):
+        given = (
+            f"images of {image.shape[1]} x {image.shape[0]} px, a camera info of {camera.width} x {camera.height} px"
+        )
+        do = "Record the camera info of this stream, or set its binning and region."
+        raise bad_input(topic, given=given, allowed="both of one size", do=do)
 
 
 def colour_image(topic: str, message: Any) -> NDArray[np.uint8]:
@@ -212,17 +235,19 @@ class PoseSeries(NamedTuple):
 
 @dataclass(slots=True)
 class FrameTree:
-    """The frames of tf: parents and transforms by time."""
+    """The frames of tf: parents and transforms by time; `torn` are those that are told to hang on several."""
 
     parent: dict[str, str] = field(default_factory=dict)
     static: dict[str, Array] = field(default_factory=dict)
     moving: dict[str, list[tuple[float, Array]]] = field(default_factory=dict)
+    torn: dict[str, set[str]] = field(default_factory=dict)
 
     def add(self, transforms: Iterable[Any], *, static: bool) -> None:
         """Add the geometry_msgs/TransformStamped of one tf message."""
         for one in transforms:
             child, parent = one.child_frame_id.lstrip("/"), one.header.frame_id.lstrip("/")
-            self.parent[child] = parent
+            if self.parent.setdefault(child, parent) != parent:
+                self.torn.setdefault(child, {self.parent[child]}).add(parent)
             T = pose_matrix(one.transform.translation, one.transform.rotation)
             if static:
                 self.static[child] = T
@@ -269,6 +294,12 @@ class FrameTree:
         chain, at = [], frame
         while at != world and at in self.parent and at not in chain:
             chain.append(at)
+            if at in self.torn:
+                given, do = (
+                    f"'{at}' hangs on {' and '.join(sorted(self.torn[at]))}",
+                    "Record one of them, or give poses.",
+                )
+                raise bad_input("tf", given=given, allowed="one parent for a frame", do=do)
             at = self.parent[at]
         if not chain or (world is not None and at != world):
             raise bad_input(

@@ -17,7 +17,7 @@ from anther.core.errors import InputError, bad_input
 from anther.core.files import read_lines, understood
 from anther.core.geometry import Array
 from anther.perception.cloud import ply
-from anther.perception.formats._raw_points import METRES, RawPoints, places, unused_note
+from anther.perception.formats._raw_points import RawPoints, places, stated, unit_of, unused_note
 
 _NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf)", re.IGNORECASE)
 _WORDS = re.compile(r"[^\s,;]+")
@@ -49,7 +49,9 @@ def read_text(path: Path) -> RawPoints:
     if count is not None and count > len(table):
         given, allowed = f"{len(table)} points", f"{count}, as it says at its beginning"
         raise bad_input(str(path), given=given, allowed=allowed, do="Is it truncated?")
-    return _by_names(path, table, names) if names else _by_place(path, table, counted=count is not None)
+    raw = _by_names(path, table, names) if names else _by_place(path, table, counted=count is not None)
+    units, up = stated([line for line in lines if line.startswith(_COMMENT)])
+    return raw._replace(units=raw.units or units, up=up)
 
 
 def _is_row(line: str) -> bool:
@@ -131,7 +133,7 @@ def _names(head: list[str], row: str, separator: str | None) -> list[str] | None
     able = [cells for cells in lines if cells]
     named = next((cells for cells in able if places(cells)[0]), able[0] if able else None)
     below = able[: able.index(named)] if named else []
-    if named and below and all(cell.strip("[]()").lower() in (*METRES, "") for cell in below[-1][:3]):
+    if named and below and all(not cell or unit_of(cell.strip("[]()")) for cell in below[-1][:3]):
         return [f"{name} [{unit.strip('[]()')}]" if unit else name for name, unit in zip(named, below[-1], strict=True)]
     return named
 
@@ -154,7 +156,8 @@ def _by_names(path: Path, table: Array, names: list[str]) -> RawPoints:
         given = f"columns {', '.join(name or 'without name' for name in names)}"
         raise bad_input(str(path), given=given, allowed="x, y and z among them", do="Name the columns in line 1.")
     keys = [re.sub(r"\W*[\[(].*", "", name.lower()).strip() for name in names]
-    rest = [key for k, key in enumerate(keys) if k not in at]
+    words = np.isnan(table).all(axis=0)
+    rest = [key for k, key in enumerate(keys) if k not in at and not words[k]]
     colors, taken = ply.find_colors(rest, lambda key: _whole(table[:, keys.index(key)]))
     unused = [names[k] or "a column without name" for k, key in enumerate(keys) if k not in at and key not in taken]
     return RawPoints(table[:, at], colors, units, notes=unused_note(unused))
@@ -165,8 +168,13 @@ def _by_place(path: Path, table: Array, *, counted: bool) -> RawPoints:
     words &= (~words).sum() >= 3  # else there are no words, but points that are no numbers
     notes = unused_note([f"column {k + 1}" for k in np.flatnonzero(words)])
     table = table[:, ~words]
-    if table.shape[1] > 3 and np.array_equal(table[:, 0], np.arange(len(table)) + table[0, 0]):
+    if table.shape[1] > 3 and _counts(table[:, 0]):
         table, notes = table[:, 1:], (*notes, *unused_note(["column 1, which counts the rows"]))
+    whole = [np.array_equal(column, np.round(column)) for column in table[np.isfinite(table[:, :3]).all(axis=1), :3].T]
+    if len(set(whole)) > 1 and table.shape[1] > 3:
+        numbers = [str(k + 1) for k in range(3) if whole[k]]
+        given, allowed = f"whole numbers in column {', '.join(numbers)}, not in the others", "x, y, z in columns 1 to 3"
+        raise bad_input(str(path), given=given, allowed=allowed, do="Name the columns in line 1, as x y z intensity.")
     extra = table[:, 3:]
     begin = _colour_columns(extra, counted=counted)
     colors = None if begin is None else ply.color_bytes(_whole(extra[:, begin : begin + 3]))
@@ -176,6 +184,12 @@ def _by_place(path: Path, table: Array, *, counted: bool) -> RawPoints:
         say = "; to say what is r, g, b, name the columns in line 1" if begin is None else ""
         notes += unused_note([f"column{'s' if len(left) > 1 else ''} {numbers}{say}"])
     return RawPoints(table[:, :3], colors, notes=notes)
+
+
+def _counts(column: Array) -> bool:
+    """Return whether numbers are whole and rise or fall all along, as those of rows do."""
+    steps = np.diff(column)
+    return bool(np.array_equal(column, np.round(column)) and len(steps) and (np.all(steps > 0) or np.all(steps < 0)))
 
 
 def _colour_columns(extra: Array, *, counted: bool) -> int | None:

@@ -9,11 +9,18 @@ from typing import Any, NamedTuple
 from numpy.typing import NDArray
 
 from anther.core.choices import Axis, Units
+from anther.core.errors import bad_input
 from anther.core.geometry import Array
 
-METRES: dict[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "0.01mm": 1e-5}
+METRES: dict[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "0.01mm": 1e-5, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
+_COMMON = ("m", "cm", "mm", "0.01mm")
+"""Units that are advised; who has others knows it."""
+TO_Z_UP: dict[Axis, list[int]] = {"x": [1, 2, 0], "y": [2, 0, 1], "z": [0, 1, 2]}
+"""Axis that is up -> in which order a file's axes are x, y, z with z up."""
 SMALLEST, LARGEST = 0.005, 20.0
 """What is smaller or larger is no plant [m]: a 0.6 m plant in mm, read as metres, measures 600 m."""
+MOST_POINTS = 20_000_000
+"""Most points of a cloud that is read: with colours and copies some 2 GB. A guess."""
 LIKELY = (0.03, 5.0)
 """From a seedling to a vine in a greenhouse [m]. Two units can both be likely: then it is for the person to say."""
 
@@ -22,9 +29,9 @@ def other_units(size: float, units: str) -> str:
     """Return which units would make a plant of what measures `size` [m] in these, as advice."""
     if units not in METRES:
         return "Wrong scale?"
-    sizes = {other: size / METRES[units] * metres for other, metres in METRES.items() if other != units}
+    sizes = {other: size / METRES[units] * METRES[other] for other in _COMMON if other != units}
     likely = [f"--units {other} ({s:.2g} m)" for other, s in sizes.items() if LIKELY[0] <= s <= LIKELY[1]]
-    none = f"In none of {', '.join(METRES)} is it one: are the units others?"
+    none = f"In none of {', '.join(_COMMON)} is it one: are the units others?"
     return f"Wrong units? Try {' or '.join(likely)}." if likely else none
 
 
@@ -39,7 +46,17 @@ class RawPoints(NamedTuple):
     notes: tuple[str, ...] = ()
 
 
-_UNIT = re.compile(r"(.*?)[ _]*[\[(]? *(m|cm|mm|metres?|meters?) *[\])]?", re.IGNORECASE)
+_WORDS: dict[Units, str] = {
+    "m": "m|met(?:re|er)s?", "cm": "cm|centimet(?:re|er)s?", "mm": "mm|millimet(?:re|er)s?",
+    "um": "um|[µμ]m|microns?|micromet(?:re|er)s?", "in": "in|inch(?:es)?", "ft": "ft|foot|feet",
+}  # fmt: skip
+"""How files write their units."""
+_UNIT = re.compile(rf"(.*?)[ _]*[\[(]? *({'|'.join(_WORDS.values())}) *[\])]?", re.IGNORECASE)
+_TELLS = re.compile(
+    r"unit|anther (?:skeleton|cloud)|\b(?:lengths?|coordinates?|positions?|points) (?:are )?in\b", re.IGNORECASE
+)
+"""A comment with one of these words and one unit states the file's units."""
+_UP = re.compile(r"\b([xyz])[ -]?up\b|\bup(?:[ _-]?axis)?\W{1,3}\+?([xyz])\b", re.IGNORECASE)
 _PLACE = re.compile(
     r"(?:points?|pos(?:ition)?|coord(?:inate)?s?|vertex|loc(?:ation)?|p)?[ _.:-]*([xyz])[ _.-]*"
     r"(?:coord(?:inate)?|pos(?:ition)?)?|(?:points?|pos(?:ition)?|coord(?:inate)?s?)[ _:]*([012])",
@@ -65,9 +82,28 @@ def places(names: Sequence[str]) -> tuple[list[int] | None, Units | None]:
     if not all(found.values()):
         return None, None
     best = [min(some) for some in found.values()]
-    units = {unit[:1] if unit.startswith("met") else unit for _, _, unit in best}
-    told = units.pop() if len(units) == 1 else ""
-    return [column for _, column, _ in best], next((unit for unit in ("m", "cm", "mm") if unit == told), None)
+    units = {unit_of(unit) for _, _, unit in best}
+    if len(units) > 1:
+        given = f"columns {', '.join(names[column] for _, column, _ in best)}"
+        raise bad_input("columns", given=given, allowed="x, y and z in one unit", do="Scale them alike, and name them.")
+    return [column for _, column, _ in best], units.pop()
+
+
+def unit_of(word: str) -> Units | None:
+    """Return the unit that a word names, None if it is none."""
+    return next((unit for unit, words in _WORDS.items() if re.fullmatch(words, word.strip(), re.IGNORECASE)), None)
+
+
+def stated(comments: Sequence[str]) -> tuple[Units | None, Axis | None]:
+    """Return the units and the axis up that comments of a file state, such as "units: mm" or "metres, z up"."""
+    units: set[Units] = set()
+    for line in filter(_TELLS.search, comments):
+        words = re.findall(r"[^\W\d_]+", re.sub(r"\bin(?= \w)", "", line))
+        found = {unit for unit in map(unit_of, words) if unit}
+        units |= found if len(found) == 1 else set()
+    axes = {(match[1] or match[2]).lower() for line in comments for match in _UP.finditer(line)}
+    up = next((axis for axis in TO_Z_UP if axes == {axis}), None)
+    return units.pop() if len(units) == 1 else None, up
 
 
 def unused_note(names: Sequence[str]) -> tuple[str, ...]:

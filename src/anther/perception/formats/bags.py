@@ -25,6 +25,7 @@ from anther.perception.formats._bag_messages import (
     FrameTree,
     Where,
     camera_of,
+    check_size,
     colour_image,
     depth_image,
     nearest,
@@ -122,13 +123,20 @@ def read_bag(path: Path | str, options: BagOptions | None = None) -> BagViews:
         where, told = _where(str(path), topics, held, options, camera.frame)
         views, notes = _matched(str(path), topics, held, where, options)
         images = _images(bag, topics, held.unit, views)
+    for image, color in images:
+        check_size(topics.depth.images, image, depth_camera.intrinsics)
+        check_size(topics.color.images, color, camera.intrinsics)
+    poses = np.stack([view.T_world_cam for view in views])
+    if len(poses) > 1 and options.world_frame is None and np.ptp(poses, axis=0).max() == 0:
+        do = "Record what moves it (/tf), or give --poses FILE."
+        raise bad_input(str(path), given="one and the same pose in all views", allowed="a camera that moves", do=do)
     depth = [straightened(image, depth_camera.maps, nearest=True) for image, _ in images]
     if T_color_depth is not None:
         depth = [laid_over(d, depth_camera.intrinsics, camera.intrinsics, T_color_depth) for d in depth]
     capture = Capture(
         depth=np.stack(depth),
         intrinsics=camera.intrinsics,
-        T_world_cam=np.stack([view.T_world_cam for view in views]),
+        T_world_cam=poses,
         rgb=np.stack([straightened(image, camera.maps, nearest=False) for _, image in images]),
     )
     return BagViews(capture, np.array([view.time for view in views]), (*notes, *told))

@@ -1,6 +1,7 @@
-"""Read somebody's point cloud: PLY, PCD, XYZ/TXT or NPZ, in the units and with the axis up that it has. N points.
+"""Read somebody's point cloud: PLY, PCD, LAS, E57, text or NPZ, in the units and with the axis up that it has.
 
 Which axis is up its stem tells, as far as it can: right, it begins thick, round and upright, and rises far.
+N points.
 """
 
 from __future__ import annotations
@@ -24,17 +25,22 @@ from anther.perception.formats._raw_points import (
     LARGEST,
     LIKELY,
     METRES,
+    MOST_POINTS,
     SMALLEST,
+    TO_Z_UP,
     Axis,
     RawPoints,
     Units,
     other_units,
+    stated,
     unused_note,
 )  # fmt: skip
+from anther.perception.formats._scans import read_e57, read_las
 from anther.perception.skeleton import skeletonize
 from anther.perception.stem import find_stem
 
 __all__ = [
+    "SUFFIXES",
     "Axis",
     "RawPoints",
     "Units",
@@ -48,10 +54,9 @@ __all__ = [
     "stem_worth",
 ]
 
+SUFFIXES = (".ply", ".pcd", ".las", ".laz", ".e57", ".xyz", ".txt", ".csv", ".asc", ".pts", ".npz")
 _FEWEST = 50
 _MOST_BROKEN = 0.05
-TO_Z_UP: dict[Axis, list[int]] = {"x": [1, 2, 0], "y": [2, 0, 1], "z": [0, 1, 2]}
-"""Axis that is up -> in which order a file's axes are x, y, z with z up."""
 DOUBT = 2.0
 """An axis whose stem is not so many times worse than the best may be up (docs/formats.md)."""
 _COARSE = 120
@@ -60,8 +65,6 @@ _BASE, _SURE = 0.25, 0.5
 than not."""
 
 _CUT = "Is it truncated, or another format?"
-MOST_POINTS = 20_000_000
-"""Most points of a cloud that is read: with colours and copies some 2 GB. A guess."""
 
 
 def read_cloud(
@@ -70,13 +73,14 @@ def read_cloud(
     """Return the cloud in a file, in metres with z up.
 
     Args:
-        path: .ply, .pcd, .xyz, .txt, .csv, .asc, .pts or .npz.
+        path: .ply, .pcd, .las, .laz, .e57, .xyz, .txt, .csv, .asc, .pts or .npz.
         units: of the file; None takes what the file states, else metres, with a note.
         up: axis that points up in the file; None takes what the file states, else z, with a note, which names another
             axis where its stem is the better one (`axis_notes`, 0.2 s).
         plant: which plant of an .npz that holds several; None: it must hold one.
 
     Raises:
+        MissingExtra: laspy, lazrs or pye57 is not installed.
         InputError: missing, truncated, of an unknown format, several plants and none chosen, too few points, more
             than 5 % broken points, or a size no plant has (wrong units).
     """
@@ -114,6 +118,10 @@ def checked_cloud(path: Path, raw: RawPoints, units: str) -> Cloud:
     broken, why = len(finite) - len(kept), f"NaN, infinite or more than {LARGEST:g} m away"
     notes = (f"{path.name}: {broken} of {len(finite)} points were {why} and dropped",) if broken else ()
     notes += unlikely
+    flat = [axis for axis, extent in zip("xyz", np.ptp(points, axis=0), strict=True) if extent == 0]
+    if flat:
+        given, do = f"{', '.join(flat)} the same in all points", "Are the columns x, y, z? Name them in line 1."
+        raise bad_input(str(path), given=given, allowed="a plant with width, depth and height", do=do)
     return Cloud(points[near], colors=None if raw.colors is None else raw.colors[kept], notes=notes)
 
 
@@ -125,9 +133,14 @@ def _read(path: Path, plant: int | None) -> RawPoints:
             return read_pcd(path)
         case ".xyz" | ".txt" | ".csv" | ".asc" | ".pts":
             return read_text(path)
+        case ".las" | ".laz":
+            return read_las(path)
+        case ".e57":
+            return read_e57(path)
         case ".npz":
             return read_npz_points(path, plant)
-    allowed, do = ".ply, .pcd, .xyz, .txt, .csv, .asc, .pts, .npz", "Export it to one of these."
+    allowed = ", ".join(SUFFIXES)
+    do = f"Export it to one of these: CloudCompare -SILENT -O {path.name} -C_EXPORT_FMT PLY -SAVE_CLOUDS."
     raise bad_input(str(path), given=f"suffix '{path.suffix}'", allowed=allowed, do=do)
 
 
@@ -186,7 +199,12 @@ def stem_worth(points: Array) -> float:
 def read_ply(path: Path) -> RawPoints:
     """Read a PLY, ASCII or binary; of a mesh, its vertices."""
     stored = ply.read_ply(path)
-    return RawPoints(stored["points"], stored["colors"], notes=unused_note(stored["unused"]))
+    unused = [
+        "nx, ny, nz" if name == "normals" else "label" for name in ("normals", "labels") if stored[name] is not None
+    ]
+    return RawPoints(
+        stored["points"], stored["colors"], *stated(stored["comments"]), notes=unused_note([*unused, *stored["unused"]])
+    )
 
 
 def read_npz_points(path: Path, plant: int | None) -> RawPoints:
@@ -217,7 +235,8 @@ def read_pcd(path: Path) -> RawPoints:
     header, body = _pcd_header(path, content)
     with understood(path, "a PCD with as many points as its header says", _CUT):
         record = _pcd_record(header)
-        count, kind = int(header["POINTS"][0]), header["DATA"][0]
+        size = int(header["WIDTH"][0]) * int(header["HEIGHT"][0]) if "POINTS" not in header else header["POINTS"][0]
+        count, kind = int(size), header["DATA"][0]
         rows = _PCD_BODIES[kind](body, record, count)
     missing = {"x", "y", "z"} - set(record.names or ())
     if missing:
@@ -227,10 +246,19 @@ def read_pcd(path: Path) -> RawPoints:
     colors, taken = ply.find_colors(names, lambda name: rows[name])
     unused = [name for name in record.names or () if name not in {*"xyz", *taken} and not name.startswith("_")]
     posed = [float(n) for n in header.get("VIEWPOINT", [])] not in ([], [0, 0, 0, 1, 0, 0, 0])
-    notes = (f"its VIEWPOINT {' '.join(header['VIEWPOINT'])} is not applied",) if posed else ()
-    return RawPoints(points, colors, notes=(*unused_note(unused), *notes))
+    notes = [f"its VIEWPOINT {' '.join(header['VIEWPOINT'])} is not applied"] if posed else []
+    seen = ~np.isnan(points).all(axis=1)
+    if not seen.all():
+        notes.append(f"{np.sum(~seen)} of {count} points hold no reading (NaN) and are left out")
+        points, colors = points[seen], None if colors is None else colors[seen]
+    units, up = stated(
+        [line for line in content[:_PCD_HEAD].decode("ascii", "replace").splitlines() if line[:1] == "#"]
+    )
+    return RawPoints(points, colors, units, up, notes=(*unused_note(unused), *notes))
 
 
+_PCD_HEAD = 2000
+"""Comments stand within these first bytes."""
 _NPZ_COLORS = ("colors", "colours", "rgb", "color")
 _NPZ_KEYS = {"points", "points_x100", "offsets", "units", "up", *_NPZ_COLORS}
 
@@ -290,6 +318,7 @@ def _pcd_record(header: dict[str, list[str]]) -> np.dtype[Any]:
     fields = []
     for i, (name, size, kind, count) in enumerate(columns):
         shape = () if count == "1" else (int(count),)
+        name = name.lower() if name in ("X", "Y", "Z") else name  # noqa: PLW2901
         fields.append((name if name != "_" else f"_{i}", f"<{kinds[kind]}{size}", shape))
     return np.dtype(fields)
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -135,7 +136,8 @@ def read_colmap_cloud(path: Path | str, scale: float | None = None, up: str | No
     path = existing(path)
     scale, R_world_model = scale_and_up(path, scale, up)
     raw = RawPoints(*read_points(_model_folder(path))) if path.is_dir() else read_ply(path)
-    return checked_cloud(path, RawPoints(raw.points @ R_world_model.T * scale, raw.colors), f"scale {scale:g}")
+    cloud = checked_cloud(path, RawPoints(raw.points @ R_world_model.T * scale, raw.colors), f"scale {scale:g}")
+    return replace(cloud, notes=(*cloud.notes, *raw.notes))
 
 
 def _model_folder(folder: Path) -> Path:

@@ -72,6 +72,10 @@ class SkeletonFile(Record):
             right = " If it is right: --units m." if LIKELY[1] < size <= LARGEST_PLANT else ""
             do = other_units(size, told or "m") + right
             raise bad_input("skeleton", given=given, allowed=allowed, do=do)
+        if self.radius is not None and self.radius.min() < 0:
+            number = int(self.numbers[np.argmin(self.radius)])
+            given = f"radius {self.radius.min():g} at node {number}"
+            raise bad_input("skeleton radius", given=given, allowed=">= 0", do="Correct the file.")
         other = bool(units and self.units and units != self.units)
         notes = (f"the file states {self.units} and is read in {units}",) if other else ()
         radius = None if self.radius is None else self.radius * metres
@@ -142,6 +146,13 @@ class SkeletonFile(Record):
             given = f"radius 0 at node {node}" + (f" and {count - 1} more" if count > 1 else "")
             do = "Give --radius, one for all, or --least-radius, or correct the file."
             raise bad_input("skeleton radius", given=given, allowed="> 0 m, but for tips", do=do)
+        size = float(np.linalg.norm(np.ptp(self.nodes, axis=0)))
+        if radii.max() > size:
+            given, do = (
+                f"radius {radii.max():.3g} m on a plant of {size:.3g} m",
+                "Other units? Give --radius, one for all.",
+            )
+            raise bad_input("skeleton radius", given=given, allowed="no more than its size", do=do)
         radii = np.where(tips, np.minimum(radii[self.parent], THINNEST), radii)
         return Skeleton(self.nodes, self.parent, radii)
 

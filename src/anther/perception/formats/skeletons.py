@@ -15,6 +15,7 @@ from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
+from numpy.typing import NDArray
 
 from anther.core.checks import check_array
 from anther.core.errors import bad_input
@@ -22,7 +23,7 @@ from anther.core.files import LARGEST_TEXT, read_lines, replacing, understood, w
 from anther.core.geometry import Array
 from anther.perception.cloud.ply import read_elements
 from anther.perception.formats._mtg import read_mtg, write_mtg
-from anther.perception.formats._raw_points import Units
+from anther.perception.formats._raw_points import Units, places, stated
 from anther.perception.formats.skeleton_file import LARGEST_PLANT, SkeletonFile, rooted
 from anther.perception.skeleton import Skeleton
 
@@ -69,14 +70,16 @@ def read_skeleton_ply(path: Path | str) -> SkeletonFile:
     pairs = np.column_stack([edges[end] for end in ("vertex1", "vertex2")]).astype(np.int64)
     held = {key: vertices[key] for key in ("radius", "parent", "organ") if key in vertices.dtype.names}
     tops = np.flatnonzero(held["parent"] < 0) if "parent" in held else np.zeros(0, np.int64)
-    names = _organ_names(path)
-    return rooted(
+    comments = _ply_comments(path)
+    names = next((line.split()[2:] for line in comments if line.startswith("comment organs ")), [])
+    tree = rooted(
         nodes,
         pairs,
         radius=held["radius"].astype(np.float64) if "radius" in held else None,
         root=int(tops[0]) if len(tops) == 1 else None,
         labels=[names[int(k)] for k in held["organ"]] if "organ" in held and names else None,
     )
+    return _with_stated(tree, comments)
 
 
 def _element(path: Path, elements: dict[str, Any], name: str, wanted: tuple[str, ...]) -> Any:
@@ -88,10 +91,9 @@ def _element(path: Path, elements: dict[str, Any], name: str, wanted: tuple[str,
     return data
 
 
-def _organ_names(path: Path) -> list[str]:
+def _ply_comments(path: Path) -> list[str]:
     head = path.read_bytes()[:64_000].partition(b"end_header")[0].decode("ascii", "replace")
-    told = [line.split()[2:] for line in head.splitlines() if line.startswith("comment organs ")]
-    return told[0] if told else []
+    return [line for line in head.splitlines() if line.startswith("comment ")]
 
 
 def write_graphml(path: Path | str, skeleton: Skeleton, labels: Sequence[str] | None = None) -> None:
@@ -144,6 +146,8 @@ def read_graphml(path: Path | str) -> SkeletonFile:
 
 __all__ = ["LARGEST_PLANT", "READS", "WRITES", "SkeletonFile", "Units", "read_skeleton", "write_skeleton"]
 
+_SWC = 7
+"""Columns of an SWC: id, type, x, y, z, radius, parent."""
 SWC_CUSTOM = 7
 """SWC leaves types from here on to the user (http://www.neuronland.org/NLMorphologyConverter/MorphologyFormats/SWC)."""
 
@@ -233,18 +237,30 @@ def _read_txt(path: Path) -> SkeletonFile:
         raise bad_input("skeleton text", given=f"sections {names}", allowed="*Nodes, then *Edges", do="See docs.")
     nodes = _table(lines[heads[0] + 1 : heads[1]], 3)
     edges = _table(lines[heads[1] + 1 :], 2)
-    return rooted(nodes, edges.astype(np.int64) - 1)
+    return _with_stated(rooted(nodes, edges.astype(np.int64) - 1), lines)
+
+
+def _with_stated(tree: SkeletonFile, lines: Sequence[str]) -> SkeletonFile:
+    """Return the tree with the units that comments state; an axis up that is not z is told."""
+    comments = [line for line in lines if line.lstrip().startswith(("#", "comment"))]
+    units, up = stated(comments)
+    names = [line.lstrip("# \t").split() for line in comments]
+    units = units or next((found for line in names if len(line) == _SWC and (found := places(line)[1])), None)
+    notes = (f"the file states that {up} is up and is read with z up",) if up not in (None, "z") else ()
+    return replace(tree, units=units, notes=(*tree.notes, *notes))
 
 
 def _read_swc(path: Path) -> SkeletonFile:
     lines = read_lines(path)
-    table = _table([line for line in lines if not line.lstrip().startswith("#")], 7)
-    numbers = table[:, 0].astype(np.int64)
-    index = {int(number): i for i, number in enumerate(numbers)}
-    if len(index) < len(numbers):
+    table = _table(lines, _SWC)
+    numbers, above = (_whole(table[:, column]) for column in (0, 6))
+    if len(set(numbers.tolist())) < len(numbers):
         raise bad_input("SWC", given="an id twice", allowed="distinct ids", do="Number the samples anew.")
-    above = table[:, 6].astype(np.int64)
-    root = (above == -1) | (above == numbers) | ((above == 0) & (0 not in index))  # as different programs mark it
+    root = (above == -1) | (above == numbers) | ((above == 0) & (0 not in numbers))  # as different programs mark it
+    kept = ~_of_soma(table[:, 1], numbers, above)
+    notes = (f"{np.sum(~kept)} points that only draw the soma are left out",) if not kept.all() else ()
+    table, numbers, above, root = table[kept], numbers[kept], above[kept], root[kept]
+    index = {int(number): i for i, number in enumerate(numbers)}
     lost = [int(p) for p in above[~root] if int(p) not in index]
     if lost:
         raise bad_input("SWC", given=f"unknown parent {lost[0]}", allowed="an id of the file, or -1", do="Repair it.")
@@ -253,22 +269,36 @@ def _read_swc(path: Path) -> SkeletonFile:
         raise bad_input("SWC", given=f"{len(roots)} roots", allowed="one parent -1 (or 0)", do="Keep one tree.")
     edges = np.array([(index[int(p)], i) for i, p in enumerate(above) if not root[i]]).reshape(-1, 2)
     labels = _swc_labels(lines, table[:, 1].astype(np.int64).tolist())
-    tree = rooted(table[:, 2:5], edges, radius=table[:, 5], numbers=numbers, root=int(roots[0]), labels=labels)
-    return replace(tree, units=_swc_units(lines))
+    radius, told = _swc_radius(table[:, 5], [line for line in lines if line.lstrip().startswith("#")])
+    tree = rooted(table[:, 2:5], edges, radius=radius, numbers=numbers, root=int(roots[0]), labels=labels)
+    return _with_stated(replace(tree, notes=(*tree.notes, *notes, *told)), lines)
 
 
-_WRITTEN_UNITS = re.compile(
-    r"\b(?:(m|met(?:re|er)s?)|(cm|centimet(?:re|er)s?)|(mm|millimet(?:re|er)s?))\b", re.IGNORECASE
-)
+def _whole(column: Array) -> NDArray[np.int64]:
+    if not np.array_equal(column, np.round(column)):
+        odd = column[column != np.round(column)][0]
+        raise bad_input(
+            "SWC", given=f"an id {odd:g}", allowed="whole numbers", do="Are the columns id type x y z r parent?"
+        )
+    return column.astype(np.int64)
 
 
-def _swc_units(lines: list[str]) -> Units | None:
-    """Return the units that a comment states, such as "# anther skeleton; metres; ..." or "# units: mm"."""
-    for line in (line for line in lines if line.lstrip().startswith("#")):
-        found = _WRITTEN_UNITS.findall(line) if re.search(r"unit|anther skeleton", line, re.IGNORECASE) else []
-        if len(found) == 1:
-            return "m" if found[0][0] else "cm" if found[0][1] else "mm"
-    return None
+def _of_soma(kinds: Array, numbers: NDArray[np.int64], above: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return which samples only draw a cell's body: tips of its type (1) that hang on another of it."""
+    soma = set(numbers[kinds == 1].tolist())
+    return (kinds == 1) & np.isin(above, [*soma]) & ~np.isin(numbers, above) & (above != numbers)
+
+
+def _swc_radius(values: Array, comments: list[str]) -> tuple[Array, tuple[str, ...]]:
+    """Return the radii and notes: a comment may name the column a diameter, or state a scale, which is not applied."""
+    words = [re.findall(r"[a-z]+", line.lower()) for line in comments]
+    named = any(
+        word.startswith("d") and word in ("d", "diam", "diameter") for line in words if "x" in line for word in line
+    )
+    scales = [m[1].split() for line in comments if (m := re.match(r"#\s*SCALE\s+([-+.\deE\s]+)$", line.strip()))]
+    notes = [f"its SCALE {' '.join(scale)} is not applied" for scale in scales if any(float(n) != 1 for n in scale)]
+    notes += ["column 6 is a diameter, as the file says: it is halved"] if named else []
+    return values / 2 if named else values, tuple(notes)
 
 
 def _swc_labels(lines: list[str], kinds: list[int]) -> list[str] | None:
@@ -279,7 +309,8 @@ def _swc_labels(lines: list[str], kinds: list[int]) -> list[str] | None:
 
 
 def _table(lines: list[str], columns: int) -> Array:
-    rows = [line.replace(",", " ").split() for line in lines if line.strip()]
+    bare = (line.split("#")[0].replace(",", " ").split() for line in lines)
+    rows = [row for row in bare if row]
     wrong = [row for row in rows if len(row) != columns]
     if wrong:
         allowed, do = f"{columns} numbers", "Is the file truncated?"

@@ -14,8 +14,8 @@ import numpy as np
 from anther.core.checks import check_range
 from anther.core.errors import bad_input
 
-LARGEST_ANGLE = 20.0
-"""A joint's limits are no farther from zero [rad]: three turns, more than its cables bear."""
+LARGEST_ANGLE = 13.0
+"""A joint's limits are no farther from zero [rad]: two turns, more than its cables bear; 18 are degrees."""
 LARGEST_SPEED = 30.0
 """Of a joint [rad/s]: half as much again as the quickest wrists turn (Stäubli TX2-40: 20)."""
 LARGEST_ACCELERATION = 300.0

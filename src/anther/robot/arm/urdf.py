@@ -5,8 +5,13 @@ What a URDF does not tell is given: accelerations, tool, postures. Links that ar
 
 from __future__ import annotations
 
+import os
 import re
+import shutil
+import subprocess
+import sys
 from collections.abc import Sequence
+from copy import copy
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -20,7 +25,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from anther.core.errors import bad_input
-from anther.core.files import read_lines
+from anther.core.files import named_file, read_lines, understood
 from anther.core.geometry import Array, inverse, transform
 from anther.robot.arm.model import ArmModel, Capsule, Link, Tool, completed, rpy
 from anther.robot.arm.plausible import check_joint
@@ -34,6 +39,8 @@ WIDEST = np.pi
 ENDLESS = 1e9
 """Limits from here on say that a joint turns on and on, as some exporters write it [rad]."""
 LESS = 1e-6  # rad
+DENSEST = 2e4
+"""No link is denser [kg/m^3]: tungsten."""
 MESHES = ".stl", ".obj", ".ply", ".off"
 """Formats of meshes whose numbers are metres. Collada's have a unit of their own, which trimesh does not read."""
 
@@ -55,7 +62,8 @@ def from_urdf(
 
     Args:
         name: of the arm.
-        path: of the file, or of one that defines it as a xacro macro; its arguments are then left empty.
+        path: of the file; of a xacro file, which `xacro` turns into one where it is installed; or of one that only
+            defines a xacro macro, whose arguments are left empty.
         base: link whose frame is the world.
         tip: link whose frame is the flange, or nearly so. If it is fixed to the last link that turns, it and all that
             hangs on it have no mass and no shape here: the tool takes their place.
@@ -70,12 +78,13 @@ def from_urdf(
         InputError: no such file, no XML, no chain between the links, a joint that slides, or a link without a shape.
     """
     pin: Any = import_module("pinocchio")  # of the extra `cell`, which arms that are no URDF can be shown without
-    tree = _tree_from(_robot(path), base, tip)
+    tree = _tree_from(_robot(path), base, tip, path)
     model = pin.buildModelFromXML(ElementTree.tostring(tree, encoding="unicode"))
     data = model.createData()
     pin.forwardKinematics(model, data, pin.neutral(model))
     end = model.frames[model.getFrameId(tip, pin.FrameType.BODY)]
     chain = model.supports[end.parentJoint].tolist()[1:]
+    _check_own(tree, [model.names[j] for j in chain], path)
     slides = [model.names[j] for j in chain if not model.joints[j].shortname().startswith("JointModelR")]
     if slides or not chain:
         raise bad_input("arm", given=f"joints that do not turn: {slides}", allowed="revolute", do="Choose other links.")
@@ -114,17 +123,47 @@ def from_urdf(
     return completed(arm)
 
 
+_XACRO = re.compile(r"<xacro:(?!macro\b)\w|\$\{(?!\w+\})|\$\(")
+"""What only xacro understands: its tags but a macro's, expressions and substitutions."""
+_XACRO_SECONDS = 60.0
+
+
 def _robot(path: Path) -> Any:
     """Return the tag that holds the links, without what only xacro or another program knows."""
-    text = re.sub(r"\s(?!xmlns:)[a-z]+:(?=\w+=\")", " ", "\n".join(read_lines(path)))  # prefixes that nothing declares
+    text = "\n".join(read_lines(path))
+    if _XACRO.search(re.sub(r"<xacro:macro\b.*?</xacro:macro>", "", text, flags=re.DOTALL)):
+        text = _of_xacro(path)
+    text = re.sub(r"\s(?!xmlns:)[a-z]+:(?=\w+=\")", " ", text)  # prefixes that nothing declares
     try:
-        tree = ElementTree.fromstring(re.sub(r"\$\{\w+\}", "", text))
+        tree = ElementTree.fromstring(re.sub(r"\$\{\w+\}", "", re.sub(r"^<\?xml[^>]*\?>", "", text)))
     except ElementTree.ParseError as error:
         raise bad_input(str(path), given=f"no XML ({error})", allowed="a URDF file", do="Export it again.") from error
     return next((part for part in tree.iter() if part.find("link") is not None), tree)
 
 
-def _tree_from(robot: Any, base: str, tip: str) -> Any:
+def _of_xacro(path: Path) -> str:
+    """Return the URDF that xacro makes of a file.
+
+    Raises:
+        InputError: xacro is not installed, or does not understand the file.
+    """
+    places = os.pathsep.join([os.environ.get("PATH", ""), str(Path(sys.executable).parent)])
+    program, allowed = shutil.which("xacro", path=places), "a URDF file"
+    do = f"Run xacro first, where its packages are found: xacro {path.name} > {path.name.split('.')[0]}_plain.urdf"
+    if program is None:
+        do += ", or install it: pip install 'anther[cell]'"
+        raise bad_input(str(path), given="a xacro file, and xacro is not installed", allowed=allowed, do=f"{do}.")
+    try:
+        ran = subprocess.run([program, str(path)], capture_output=True, text=True, timeout=_XACRO_SECONDS, check=True)
+    except (subprocess.SubprocessError, OSError) as error:
+        said = [line for line in (getattr(error, "stderr", None) or str(error)).splitlines() if line.strip()]
+        raise bad_input(
+            str(path), given=f"what xacro refuses ({said[0][:200]})", allowed=allowed, do=f"{do}."
+        ) from error
+    return ran.stdout
+
+
+def _tree_from(robot: Any, base: str, tip: str, path: Path) -> Any:
     """Return all that hangs on the base as a URDF of its own; of a tip that is fixed only where it is."""
     links = {link.get("name"): link for link in robot.findall("link")}
     tree, open_ = ElementTree.Element("robot", name="arm"), [base] if base in links else []
@@ -134,7 +173,7 @@ def _tree_from(robot: Any, base: str, tip: str) -> Any:
         bare.extend([part for part in links[name] if part.tag == "collision" or _weighs(part)])
         for joint in robot.findall("joint"):
             if joint.find("parent").get("link") == name:
-                tree.append(_only_what_moves(joint))
+                tree.append(_only_what_moves(joint, path))
                 child = joint.find("child").get("link")
                 if child == tip and joint.get("type") == "fixed":
                     tree.append(ElementTree.Element("link", name=tip))
@@ -148,7 +187,10 @@ def _tree_from(robot: Any, base: str, tip: str) -> Any:
 
 def _weighs(tag: Any) -> bool:
     """Return whether a link's tag is an inertial with mass; one that urdfdom would drop with a mere message raises."""
-    if tag.tag != "inertial" or float(tag.find("mass").get("value")) <= 0:
+    mass = float(tag.find("mass").get("value")) if tag.tag == "inertial" else 0.0
+    if mass < 0:
+        raise bad_input("link", given=f"mass {mass:g} kg", allowed=">= 0 kg", do="Correct its <mass value=>.")
+    if mass == 0:
         return False
     for pair in ("xx", "xy", "xz", "yy", "yz", "zz"):
         float(tag.find("inertia").attrib[f"i{pair}"])
@@ -158,18 +200,62 @@ def _weighs(tag: Any) -> bool:
     return True
 
 
-def _only_what_moves(joint: Any) -> Any:
-    """Return a joint without what is not read; one that turns on and on keeps limits that it states."""
+def _only_what_moves(joint: Any, path: Path) -> Any:
+    """Return a joint without what is not read; one that turns on and on keeps limits that it states.
+
+    Soft limits (`safety_controller`) that are narrower take the place of the others.
+    """
+    name, kind = f"{path}: joint {joint.get('name')}", joint.get("type")
     kept = ElementTree.Element("joint", joint.attrib)
-    kept.extend([part for part in joint if part.tag in ("origin", "parent", "child", "axis", "limit")])
-    if joint.get("type") not in ("fixed", "revolute", "continuous", "prismatic", "floating", "planar"):
+    kept.extend([copy(part) for part in joint if part.tag in ("origin", "parent", "child", "axis", "limit", "mimic")])
+    if kind not in ("fixed", "revolute", "continuous", "prismatic", "floating", "planar"):
         given = f"joints that do not turn: {[joint.get('name')]}"
         raise bad_input("arm", given=given, allowed="revolute", do="Choose other links.")
-    limit = kept.find("limit")
-    if joint.get("type") in ("revolute", "continuous") and limit is not None:
+    axis, limit, soft = (joint.find(tag) for tag in ("axis", "limit", "safety_controller"))
+    if axis is not None and kind != "fixed" and not np.any(_numbers(axis.get("xyz", "1 0 0"))):
+        raise bad_input(name, given="axis 0 0 0", allowed="a direction", do="Correct its <axis xyz=>.")
+    origin = joint.find("origin")
+    if origin is not None and np.abs(_numbers(origin.get("rpy", "0 0 0"))).max(initial=0) > 2 * np.pi + LESS:
+        given, do = f"rpy {origin.get('rpy')}", "Are they degrees? Correct its <origin rpy=>."
+        raise bad_input(name, given=given, allowed="angles of at most a turn [rad]", do=do)
+    if limit is None and kind == "revolute":
+        raise bad_input(name, given="no limit", allowed="<limit lower= upper= velocity= effort=>", do=_LIMIT)
+    if kind in ("revolute", "continuous") and limit is not None:
+        told = {key: _limit(name, key, text) for key, text in limit.attrib.items()}
+        told = {"lower": -ENDLESS, "upper": ENDLESS} | told
+        if soft is not None:
+            ends = {
+                key: _limit(name, f"soft_{key}_limit", soft.get(f"soft_{key}_limit", "0")) for key in ("lower", "upper")
+            }
+            if ends["lower"] < ends["upper"]:  # else none are stated
+                told["lower"] = max(told["lower"], ends["lower"])
+                told["upper"] = min(told["upper"], ends["upper"])
         kept.set("type", "revolute")
-        limit.attrib = {"lower": f"{-ENDLESS}", "upper": f"{ENDLESS}"} | limit.attrib
+        kept.find("limit").attrib = {key: repr(value) for key, value in told.items()}  # type: ignore[union-attr]
     return kept
+
+
+_LIMIT = "Write <limit lower= upper= velocity= effort=> into the joint, in rad, rad/s and N m."
+
+
+def _limit(joint: str, key: str, text: str) -> float:
+    """Return a number of a joint's limit."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if np.isnan(value) or (key in ("velocity", "effort") and value < 0):
+        given, allowed = f"{key} '{text}'", "a number" + (", >= 0" if value < 0 else "")
+        raise bad_input(joint, given=given, allowed=allowed, do=_LIMIT)
+    return value
+
+
+def _check_own(tree: Any, chain: Sequence[str], path: Path) -> None:
+    """Refuse a joint of the chain that another's motor turns."""
+    follows = [part.get("name") for part in tree.iter("joint") if part.find("mimic") is not None]
+    for name in set(follows) & set(chain):
+        do = "Choose other links, or take its <mimic> out where a motor of its own turns it."
+        raise bad_input(f"{path}: joint {name}", given="a joint that mimics another", allowed="a motor each", do=do)
 
 
 def _link(model: Any, j: int, turn_before: Array, turn: Array, body: Any, shapes: Sequence[Array]) -> Link:
@@ -183,7 +269,11 @@ def _link(model: Any, j: int, turn_before: Array, turn: Array, body: Any, shapes
     moments = (x[0], y[1], z[2], x[1], x[2], y[2])
     told: Any = [T[:3, 3], rpy(Rotation.from_matrix(T[:3, :3])), body.lever, moments]
     xyz, turned, com, inertia = (tuple(map(float, part)) for part in told)
-    return Link(name, xyz, turned, body.mass, com, inertia, capsules_around(points))  # type: ignore[arg-type]
+    capsules = capsules_around(points)
+    if body.mass > DENSEST * _volume(capsules):
+        given, allowed = f"{body.mass:g} kg in {_volume(capsules):.2g} m3", f"<= {DENSEST:g} kg/m3"
+        raise bad_input(f"link {name}", given=given, allowed=allowed, do="Masses in a URDF are kilograms.")
+    return Link(name, xyz, turned, body.mass, com, inertia, capsules)  # type: ignore[arg-type]
 
 
 def _points(link: Any, T: Array, path: Path, packages: Path | None) -> list[Array]:
@@ -208,9 +298,19 @@ def _mesh(shape: Any, path: Path, packages: Path | None) -> Any:
             return trimesh.creation.icosphere(subdivisions=3, radius=float(shape.get("radius")))
         case "cylinder":
             return trimesh.creation.cylinder(radius=float(shape.get("radius")), height=float(shape.get("length")))
-        case _:
-            mesh: Any = trimesh.load_mesh(_mesh_file(shape.get("filename"), path, packages), process=False)
-            return mesh.apply_scale(_numbers(shape.get("scale", "1 1 1")))
+        case "mesh":
+            scale = _numbers(shape.get("scale", "1 1 1"))
+            if not (np.isfinite(scale).all() and np.all(scale != 0)):
+                given = shape.get("scale")
+                raise bad_input(f"{path}: mesh scale", given=given, allowed="three numbers, not 0", do="Correct it.")
+            file = _mesh_file(shape.get("filename"), path, packages)
+            with understood(file, "a mesh", "Is it whole? Export it again."):
+                mesh: Any = trimesh.load_mesh(file, process=False)
+                if not np.ptp(mesh.vertices, axis=0).any():
+                    raise ValueError("no surface")
+            return mesh.apply_scale(scale)
+    allowed = "box, sphere, cylinder or mesh"
+    raise bad_input(f"{path}: shape", given=f"<{shape.tag}>", allowed=allowed, do="Give the link another collision.")
 
 
 def _mesh_file(told: str, path: Path, packages: Path | None) -> Path:
@@ -219,11 +319,11 @@ def _mesh_file(told: str, path: Path, packages: Path | None) -> Path:
     Raises:
         InputError: it cannot be read, or there is none.
     """
-    where, inside = told.removeprefix("file://"), told.removeprefix("package://")
+    where, inside = told.removeprefix("file://"), re.sub("^(?:package|model)://", "", told)
     if packages is None and inside != told:
         do = f'Give packages = "...", the folder in which {inside.split("/")[0]} lies.'
         raise bad_input(f"{path}: mesh", given=told, allowed="a path beside the URDF, or with the key packages", do=do)
-    file = packages / inside if packages and inside != told else path.parent / where
+    file = named_file(packages, inside) if packages and inside != told else named_file(path.parent, where)
     if file.suffix.lower() not in MESHES:
         do = "Export it as STL in metres, and name that."
         raise bad_input(f"{path}: mesh", given=told, allowed=f"{', '.join(MESHES)}", do=do)
@@ -238,8 +338,7 @@ def _limits(model: Any, j: int, path: Path) -> tuple[float, float, float, float]
     lower, upper = float(model.lowerPositionLimit[at]), float(model.upperPositionLimit[at])
     velocity, effort = float(model.velocityLimit[to]), float(model.effortLimit[to])
     told = (-WIDEST, WIDEST) if max(-lower, upper) >= ENDLESS else (lower, upper)
-    do = "Write <limit lower= upper= velocity= effort=> into the joint, in rad, rad/s and N m."
-    check_joint(f"{path}: joint {model.names[j]}", *told, velocity, effort, do)
+    check_joint(f"{path}: joint {model.names[j]}", *told, velocity, effort, _LIMIT)
     if upper - lower > 2 * WIDEST:
         lower, upper = max(lower, -WIDEST), min(upper, WIDEST)
     return lower, upper, velocity, effort

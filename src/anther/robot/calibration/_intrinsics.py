@@ -11,7 +11,7 @@ import numpy as np
 from anther.core.errors import bad_input
 from anther.core.files import read_object
 from anther.core.geometry import Array, Intrinsics
-from anther.perception.transforms import LENS_KEYS, LENS_MODELS, PIXEL_CENTRE
+from anther.perception.transforms import LENS_KEYS, LENS_MODELS, PIXEL_CENTRE, is_bent
 
 _NAMES = {
     "width": ("width", "w", "image_width"), "height": ("height", "h", "image_height"), "fx": ("fx", "fl_x"),
@@ -76,7 +76,11 @@ def _distortion(path: Path | str, stored: dict[str, Any], *, nerfstudio: bool) -
     if listed is not None and any(single.values()) and [*listed, *[0.0] * 14][:14] != [*single.values()]:
         given, do = "a list of distortion and other k1, k2, ... beside it", "Leave one of them out."
         raise bad_input(str(path), given=given, allowed="the lens once", do=do)
-    others = [n for n, value in stored.items() if n not in (*_DISTORTION, *_LISTS) and LENS_KEYS.fullmatch(n) and value]
+    others = [
+        n
+        for n, value in stored.items()
+        if n not in (*_DISTORTION, *_LISTS) and LENS_KEYS.fullmatch(n) and is_bent(n, value)
+    ]
     if nerfstudio and bent[5:6] != [] and bent[5] and not any(bent[6:8]):
         others.append("k4 (nerfstudio's is another polynomial's)")
     if strange or others or len(bent) > 14:
