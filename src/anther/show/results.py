@@ -27,10 +27,11 @@ from anther.pollination.execution import Trial
 from anther.pollination.grasp import Grasp, load_grasps
 from anther.pollination.response import Response
 from anther.pollination.shake import ShakePlan
+from anther.show.style import quantity
 
 PARAMS, TIMING = "00_params.json", "timing.json"
 """What the run was asked for; the time each stage took."""
-EXECUTED, FILM, SUMMARY, VISIT = "09_executed_shake.json", "09_shake.gif", "trial.json", "visit.json"
+EXECUTED, FILM, SUMMARY, VISIT = "09_executed_shake.json", "09_shake.webp", "trial.json", "visit.json"
 """The shake as it was carried out; its end, as the side camera saw it; the trial in numbers; what the history keeps."""
 
 
@@ -55,6 +56,7 @@ class RunResults:
         params: what the run was asked for (00_params.json).
         summary: the verdict (trial.json), or None for an offline reconstruction.
         seconds: stage -> time it took [s].
+        costs: "cpu_s" and "peak_mb" -> stage -> processor time [s] and most memory [MB], as far as they were kept.
         shake: as it was planned.
         executed: as it was carried out; other than planned where it was watched.
         trial: the execution's record.
@@ -66,6 +68,7 @@ class RunResults:
     params: dict[str, Any] = field(default_factory=dict)
     summary: dict[str, Any] | None = None
     seconds: dict[str, float] = field(default_factory=dict)
+    costs: dict[str, dict[str, float]] = field(default_factory=dict)
     capture: Capture | None = None
     masks: Masks | None = None
     cloud: Cloud | None = None
@@ -108,6 +111,11 @@ class RunResults:
     def shaken(self) -> ShakePlan | None:
         """The shake as it was carried out, or as planned."""
         return self.executed or self.shake
+
+    @property
+    def grasp(self) -> Grasp | None:
+        """The grasp that was carried out, or else the best one."""
+        return next(iter(self.grasps), None) if self.shaken is None else self.shaken.grasp
 
     @property
     def crop(self) -> Crop | None:
@@ -157,11 +165,12 @@ class RunResults:
         if summary.get("grasp_arc_length_m") is not None:
             facts.append(("grasp height along the stem", f"{100 * summary['grasp_arc_length_m']:.0f} cm"))
         if self.shaken is not None:
-            facts.append(("shake", f"{1000 * self.shaken.amplitude:.2g} mm at {self.shaken.frequency:.1f} Hz"))
-        for key, name in (("predicted", "predicted flower amplitude"), ("measured", "measured flower amplitude")):
+            how = "shake, planned" if self.executed is None else "shake, executed"
+            facts.append((how, f"{quantity(self.shaken.amplitude, 'm')} at {quantity(self.shaken.frequency, 'Hz')}"))
+        for key in ("predicted", "measured"):
             value = summary.get(f"{key}_flower_amplitude_median_m")
             if value is not None:
-                facts.append((name, f"{1000 * value:.2f} mm"))
+                facts.append((f"{key} flower amplitude (median)", quantity(value, "m")))
         return facts
 
     def notes(self) -> list[str]:
@@ -186,7 +195,7 @@ def _harm(s: dict[str, Any]) -> tuple[str, str]:
         return "not known", ""
     said = "no" if s["unharmed"] else f"yes: {s['harmed']}"
     strains = ", ".join(f"{s[f'true_{kind}_strain']:.2%} in {kind}s" for kind in ("stem", "pedicel", "base"))
-    loads = f"strain {strains}, leaves {s['true_leaf_acceleration_ms2'] / 9.81:.2f} g"
+    loads = f"strain {strains}, leaves {quantity(s['true_leaf_acceleration_ms2'], 'm/s2')}"
     return said, f"simulated: harm has a probability of {s['harm_probability']:.1%}; {loads}"
 
 
@@ -231,6 +240,7 @@ def read_run(folder: Path | str) -> RunResults:
     def there(name: str, read: Callable[[Path], Any], otherwise: Any = None) -> Any:
         return read(folder / name) if (folder / name).exists() else otherwise
 
+    seconds, costs = _timing(there(TIMING, read_object, {}))
     tree, main = there(FILES["skeleton"], Skeleton.load), there(FILES["stem"], Stem.load)
     if tree is not None and main is not None and len(main.organ) != len(tree.nodes):
         given, allowed = f"organs of {len(main.organ)} nodes", f"of the {len(tree.nodes)} of {FILES['skeleton']}"
@@ -239,7 +249,8 @@ def read_run(folder: Path | str) -> RunResults:
         folder=folder,
         params=read_object(folder / PARAMS),
         summary=there(SUMMARY, read_object),
-        seconds=there(TIMING, read_object, {}),
+        seconds=seconds,
+        costs=costs,
         grasps=tuple(there(FILES["grasp"], load_grasps, ())),
         capture=there(FILES["capture"], Capture.load),
         masks=there(FILES["masks"], Masks.load),
@@ -254,3 +265,20 @@ def read_run(folder: Path | str) -> RunResults:
         response=there(FILES["response"], Response.load),
         visit=there(VISIT, read_record),
     )
+
+
+def _timing(read: dict[str, Any]) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
+    """Return stage -> seconds, and cost -> stage -> value, of timing.json.
+
+    A stage has its seconds alone, or a table of them with its costs; costs may also be tables of their own.
+    """
+    costs = {name: dict(read[name]) if isinstance(read.get(name), dict) else {} for name in ("cpu_s", "peak_mb")}
+    seconds = dict[str, float]()
+    for stage, value in read.items():
+        if stage in costs:
+            continue
+        seconds[stage] = value["seconds"] if isinstance(value, dict) else value
+        if isinstance(value, dict):
+            for name, cost in costs.items():
+                cost |= {stage: value[name]} if value.get(name) is not None else {}
+    return seconds, costs
