@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from anther.show import read_run
 from anther.show.pictures import plant, report
+from anther.show.scene import layers_of
 
 
 def main(run: str, out: str) -> None:
@@ -26,15 +27,13 @@ def main(run: str, out: str) -> None:
     photo.imshow(report.overlay(results.capture, results.masks, int(level.argmin())))
     photo.set_axis_off()
     photo.set_title(f"one of {results.capture.views} views: plant (green), flowers (magenta)")
-    axes = (0, 2, 1)
-    plant.draw_side(tree, axes, results.cloud, results.skeleton, results.stem)
-    plant.draw_grasp(tree, axes, results.shake.grasp, 0.12)
-    tree.scatter(
-        *results.flowers.positions[:, [0, 2]].T, s=30, c=plant.FLOWER_COLOR, edgecolors="black", lw=0.5, zorder=6
-    )
-    tree.set(title="skeleton, main stem, flowers, grasp", aspect="equal", xlabel="x [m]", ylabel="z [m]")
-    report.draw_amplitudes(motion, results.shake, results.response)
-    motion.set_title(f"shaken {1000 * results.shake.amplitude:.2g} mm at {results.shake.frequency:.1f} Hz")
+    layers = {layer.name: layer for layer in layers_of(results)}
+    names = ("cloud", "main stem", "branches", "trusses", "leaves", "flowers", "gripper", "grasp")
+    plant.draw_side(tree, plant.facing(results.shake.grasp), [layers[name] for name in names if name in layers])
+    tree.set(title="skeleton, main stem, flowers, gripper")
+    report.draw_amplitudes(motion, results.executed or results.shake, results.response)
+    done = results.executed or results.shake
+    motion.set_title(f"shaken {1000 * done.amplitude:.2g} mm at {done.frequency:.1f} Hz")
     Path(out).parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(out, dpi=110)
 

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from anther.perception import Cloud, Skeleton, Stem
 from anther.plant import Crop
+from anther.show import scene
 from anther.show.pictures.plant import draw_side
 from anther.sim import SimPlant, grow
 from anther.sim.simulated_cell import USUAL_DISTANCE
@@ -26,7 +27,7 @@ def draw_ten(plants: list[tuple[Crop, int, Path]]) -> Figure:
     plots = figure.subplots(2, (len(plants) + 1) // 2, sharey=True)
     for (species, seed, folder), plot in zip(plants, plots.flat, strict=False):
         cloud, skeleton = Cloud.load(folder / "cloud.ply"), Skeleton.load(folder / "skeleton.npz")
-        draw_side(plot, FRONT, cloud, skeleton, Stem.load(folder / "stem.npz"))
+        draw_side(plot, FRONT, [*scene.cloud(cloud), *scene.organs(skeleton, Stem.load(folder / "stem.npz"))])
         _draw_truth(plot, grow(species, seed, 0.0, USUAL_DISTANCE))
         plot.set(title=f"{species} {seed}", aspect="equal")
         plot.tick_params(labelsize=7)

@@ -203,7 +203,10 @@ def _limits(results: RunResults, shake: ShakePlan) -> list[list[str]]:
     """Return a row for each limit: what was planned, what was done as far as that is known, and what is allowed."""
     done, reached = results.executed, dict[str, float]()
     if done is not None:
-        reached |= {"grip amplitude [m]": done.amplitude, "grip speed [m/s]": 2 * np.pi * done.frequency * done.amplitude}
+        reached |= {
+            "grip amplitude [m]": done.amplitude,
+            "grip speed [m/s]": 2 * np.pi * done.frequency * done.amplitude,
+        }
     steps = () if results.trial is None else results.trial.steps
     names = {WORDS[kind]: name for kind, name in (PEAKS | {"grip_force": PRESS}).items()}
     allowed = {name: limit for name, _, limit, _ in shake.limits}
@@ -388,9 +391,13 @@ def _timing(results: RunResults) -> str:
         + [quantity(values[k], COSTS[name][1]) if k in values else "" for name, values in more.items()]
         for k, s in seconds.items()
     ]
-    table = _table(["Stage", "Time", "Share", *(COSTS[n][0] for n in more)], [*rows, ["total", f"{total:.1f} s", "", *sums]])
+    table = _table(
+        ["Stage", "Time", "Share", *(COSTS[n][0] for n in more)], [*rows, ["total", f"{total:.1f} s", "", *sums]]
+    )
     for k in seconds:
-        table = table.replace(f"<td>{escape(k)}</td>", f"<td><span class=key style='background:{colour[k]}'></span>{escape(k)}</td>")
+        table = table.replace(
+            f"<td>{escape(k)}</td>", f"<td><span class=key style='background:{colour[k]}'></span>{escape(k)}</td>"
+        )
     return f"<div class=bar>{bar}</div>{table}"
 
 

@@ -24,7 +24,7 @@ from anther.pollination.grasp import Grasp
 from anther.pollination.shake import ShakePlan
 from anther.robot.arm import ArmName
 from anther.robot.arm.arms import in_simulated_cell, named
-from anther.robot.arm.model import ArmModel, Capsule, Solid, Tool
+from anther.robot.arm.model import ArmModel, Capsule, Tool
 from anther.robot.cells import read_cell
 from anther.robot.devices import JointTrajectory
 from anther.show import style
@@ -102,7 +102,7 @@ def layers_of(results: RunResults) -> list[Layer]:
     if arm is not None and grasp is not None:
         found.append(gripper(arm.tool, grasp, opening))
         if grasp.joints is not None:
-            found.append(arm_at(arm, grasp.joints))
+            found.append(arm_at(arm, grasp.joints, shown=results.trial is not None))
     if shake is not None:
         found.append(shaking(shake))
     return found
@@ -190,14 +190,15 @@ def keep_out(boxes: Sequence[Box]) -> Layer:
 
 def gripper(tool: Tool, grasp: Grasp, opening: float) -> Layer:
     """Return the gripper at a grasp, its pads so far open [m]."""
-    return Layer("gripper", style.GRIPPER_COLOR, solids=[s.apply_transform(grasp.T_world_flange) for s in hand(tool, opening)])
+    solids = [solid.apply_transform(grasp.T_world_flange) for solid in hand(tool, opening)]
+    return Layer("gripper", style.GRIPPER_COLOR, solids=solids)
 
 
-def arm_at(arm: ArmModel, joints: Array) -> Layer:
+def arm_at(arm: ArmModel, joints: Array, *, shown: bool = True) -> Layer:
     """Return the arm without its gripper at joints (J,) [rad]."""
     poses = [np.eye(4), *arm.link_poses(joints)]
     shapes = (solid.apply_transform(T) for T, link in zip(poses, limbs(arm), strict=False) for solid in link)
-    return Layer("arm", style.ROBOT_COLOR, solids=list(shapes))
+    return Layer("arm", style.ROBOT_COLOR, solids=list(shapes), shown=shown)
 
 
 def limbs(arm: ArmModel) -> Iterator[list[Any]]:

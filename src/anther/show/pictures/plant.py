@@ -54,7 +54,7 @@ def draw_layers(layers: Sequence[Layer], grasp: Grasp | None = None, *, narrow: 
     """
     shown = sorted((x for x in layers if x.shown and x.name in _DRAWN), key=lambda x: _DRAWN.index(x.name))
     views = [*_SIDES.items(), *([("at the grasp", facing(grasp))] if grasp is not None else [])]
-    figure = Figure(figsize=(3.6, 5.4) if narrow else (13, 5.2), layout="constrained")
+    figure = Figure(figsize=(3.6, 6.2) if narrow else (13, 4.7), layout="compressed")
     plots = figure.subplots(2, 2) if narrow else figure.subplots(1, len(views))
     for plot in plots.flat[len(views) :]:
         plot.set_axis_off()
@@ -94,7 +94,9 @@ def _draw(plot: Axes, axes: Sides, layer: Layer, order: int) -> None:
         plot.add_patch(Polygon(hull, alpha=0.25, lw=0.8, ec=(*(c / 255 for c in rgb(layer.colour)), 1), **style))
     if layer.lines is not None:
         lines: Any = layer.lines[:, :, flat]
-        plot.add_collection(LineCollection(lines, linewidths=0.3 + _WIDE * layer.width * 0.7, capstyle="round", **style))
+        plot.add_collection(
+            LineCollection(lines, linewidths=0.3 + _WIDE * layer.width * 0.7, capstyle="round", **style)
+        )
     if layer.balls is not None:
         plot.scatter(*layer.balls[:, flat].T, s=32, edgecolors="black", lw=0.5, **style)
     for start, end in () if layer.arrows is None else layer.arrows[:, :, flat]:
@@ -120,4 +122,4 @@ def _close_up(plot: Axes, grasp: Grasp) -> None:
     for sign in (-1, 1):
         ends = centre + sign * aside + 2 * grasp.stem_diameter * np.array([[-1], [1]]) * along
         plot.plot(*ends.T, color=STEM_COLOR, lw=1, ls="--", zorder=20)
-    plot.set_title(f"at the grasp: {1e3 * grasp.stem_diameter:.1f} mm (dashed)")
+    plot.set_title(f"at the grasp:\n{1e3 * grasp.stem_diameter:.1f} mm (dashed)")

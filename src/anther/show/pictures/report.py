@@ -148,7 +148,7 @@ def _draw_track(axes: Any, shake: ShakePlan, response: Response) -> None:
     for sign in (-1, 1):
         axes.axhline(sign * 1000 * shake.predicted_amplitude[flower], color=GREEN, ls="--", lw=1.2)
     axes.set(xlabel="time [s]", ylabel=f"displacement along {'xyz'[clearest]} [mm]")
-    axes.set_title(f"flower {flower + 1} without slow sway: measured (dots), predicted amplitude (dashed)")
+    axes.set_title(f"flower {flower + 1} without slow sway: measured (dots),\npredicted amplitude (dashed)", fontsize=9)
 
 
 def draw_plan(plan: ShakePlan) -> Figure:
@@ -191,8 +191,8 @@ def draw_steps(steps: Sequence[Step], start: float, target: float | None = None,
     _draw_tones(tones, steps, start)
     middle = [(step.begin + step.end) / 2 - start for step in steps]
     most = [max((a for a in step.flowers if np.isfinite(a)), default=np.nan) for step in steps]
-    flowers.plot(middle, most, "^-", color=MAGENTA, lw=1, label="most of any flower")
-    flowers.plot(middle, [step.median for step in steps], "o-", color=ORANGE, label="median of those measured")
+    flowers.plot(middle, most, "^-", color=MAGENTA, lw=1, label="most")
+    flowers.plot(middle, [step.median for step in steps], "o-", color=ORANGE, label="median")
     if target is not None:
         flowers.axhline(target, color=GREEN, ls="--", lw=1.2, label="target")
     flowers.set(ylabel="flowers\n[m/s²]", ylim=(0, None))
