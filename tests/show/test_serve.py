@@ -73,7 +73,7 @@ def test_a_day(history: str, tmp_path: Path) -> None:
     said = text_of(pages.get(f"/?day={day}").text)
     # by the hour of the day, the visit of 25 hours ago may be of the day before
     slipped = (NOW - timedelta(hours=25)).date() == day
-    for part in ("held, flowers not measured", "1.2 mm at 8.0 Hz, 3.0 s", "5.0 m/s²", "row 1", "What failed, and why"):
+    for part in ("held, flowers not measured", "1.25 mm at 8.00 Hz, 3.00 s", "5.00 m/s²", "row 1", "What failed, and why"):
         assert part in said, part
     assert ("slipped 1" in said) == slipped
     failed = text_of(pages.get(f"/?day={(NOW - timedelta(hours=25)).date()}&result=failed").text)
@@ -85,7 +85,7 @@ def test_a_day(history: str, tmp_path: Path) -> None:
 def test_trends_and_robots(history: str, tmp_path: Path) -> None:
     pages = client(history, tmp_path)
     page = pages.get("/trends?days=7").text
-    assert page.count("<svg") == 4
+    assert page.count("<svg") == 5
     assert f"{(NOW - timedelta(days=3)).date()}: 1<" in page
     said = text_of(pages.get("/robots").text)
     assert "arm 1" in said
@@ -117,7 +117,7 @@ def test_a_plant_and_its_visits(history: str, tmp_path: Path) -> None:
     for part in ("row 1", "160 MPa", "row 1's own, learned in 5 trials", "75 %", "slipped", "No visit left a run"):
         assert part in said, part
     said = text_of(pages.get("/visits/1").text)
-    for part in ("1.2 mm", "31 cm", "main stem", "1.50 mm", "not measurable", "6.0 m/s²", "arm 1"):
+    for part in ("1.25 mm", "31 cm", "main stem", "1.50 mm", "not measured", "6.00 m/s²", "arm 1"):
         assert part in said, part
 
 

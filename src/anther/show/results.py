@@ -279,6 +279,6 @@ def _timing(read: dict[str, Any]) -> tuple[dict[str, float], dict[str, dict[str,
             continue
         seconds[stage] = value["seconds"] if isinstance(value, dict) else value
         if isinstance(value, dict):
-            for name, cost in costs.items():
-                cost |= {stage: value[name]} if value.get(name) is not None else {}
+            for name, stages in costs.items():
+                stages.update({stage: value[name]} if value.get(name) is not None else {})
     return seconds, costs

@@ -54,7 +54,8 @@ b.yes, b.pollinated { color:var(--leaf) } b.held { color:var(--fair) } b.no, b.f
 .bar { display:flex; height:26px; border-radius:6px; overflow:hidden; margin-bottom:14px } .bar i { display:block }
 .key { display:inline-block; width:10px; height:10px; border-radius:2px; margin-right:8px }
 li { margin-bottom:4px } footer { margin-top:28px; color:var(--soft); font-size:14px }
-.wide { overflow-x:auto; margin-bottom:12px } img.film { width:420px; max-width:100% } summary { cursor:pointer; color:var(--soft) }
+.wide { overflow-x:auto; margin-bottom:12px }
+img.film { width:420px; max-width:100% } summary { cursor:pointer; color:var(--soft) }
 tr.chosen td { background:#eef6f0 } td { overflow-wrap:break-word }
 @media @narrow { main { padding:16px 10px 32px } section { padding:14px 12px } h1 { font-size:22px }
   .answer b { font-size:20px } .facts b { font-size:18px } .facts { grid-template-columns:1fr 1fr }
