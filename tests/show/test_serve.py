@@ -73,7 +73,13 @@ def test_a_day(history: str, tmp_path: Path) -> None:
     said = text_of(pages.get(f"/?day={day}").text)
     # by the hour of the day, the visit of 25 hours ago may be of the day before
     slipped = (NOW - timedelta(hours=25)).date() == day
-    for part in ("held, flowers not measured", "1.25 mm at 8.00 Hz, 3.00 s", "5.00 m/s²", "row 1", "What failed, and why"):
+    for part in (
+        "held, flowers not measured",
+        "1.25 mm at 8.00 Hz, 3.00 s",
+        "5.00 m/s²",
+        "row 1",
+        "What failed, and why",
+    ):
         assert part in said, part
     assert ("slipped 1" in said) == slipped
     failed = text_of(pages.get(f"/?day={(NOW - timedelta(hours=25)).date()}&result=failed").text)

@@ -45,7 +45,7 @@ def save_film(path: Path, frames: Sequence[Frame], *, seconds: float = SECONDS) 
 def with_robot(frames: Sequence[Frame], trial: Trial, robot: Robot, arm: ArmModel) -> list[Frame]:
     """Return the last frames of a simulated side camera with arm and gripper drawn where they are in front.
 
-    The simulated camera sees the plant alone; the arm stands in a frame as it read itself then. Motions keep their size.
+    That camera sees the plant alone; the arm stands in a frame as it read itself then. Motions keep their size.
     """
     from anther.sim.render import Scene  # noqa: PLC0415 - the simulator is an extra
 

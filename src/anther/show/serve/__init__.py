@@ -408,7 +408,7 @@ def _report(house: House, run: str) -> Path | None:
 
 
 def _over_predicted(visit: TrialRecord | None) -> tuple[float, int] | None:
-    """Return the median of measured over predicted flower motion of a visit, and of how many flowers; None if of none."""
+    """Return the median of measured over predicted flower motion of a visit, and of how many; None: nothing was."""
     motions = None if visit is None or not visit.flowers else visit.motions()
     if motions is None:
         return None
