@@ -36,7 +36,7 @@ bench: $(DEV)  ## speed
 
 docs: $(DEV) demo  ## measure again what docs/reports shows, at one commit (90 minutes; goes on where it was stopped)
 	$(BIN)/python -m evaluation.record docs/reports/*.md
-	$(BIN)/python tools/film_shake.py docs/pictures/shake.gif
+	$(BIN)/python tools/film_shake.py docs/pictures/shake.webp
 	$(BIN)/python tools/draw_readme.py runs/demo docs/pictures/trial.png
 
 site: $(SITE)  ## the documentation site in build/site; its tutorials are run, every warning is an error

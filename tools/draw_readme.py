@@ -33,7 +33,7 @@ def main(run: str, out: str) -> None:
     tree.set(title="skeleton, main stem, flowers, gripper")
     report.draw_amplitudes(motion, results.executed or results.shake, results.response)
     done = results.executed or results.shake
-    motion.set_title(f"shaken {1000 * done.amplitude:.2g} mm at {done.frequency:.1f} Hz")
+    motion.set_xlabel(f"flower; shaken {1000 * done.amplitude:.2g} mm at {done.frequency:.1f} Hz")
     Path(out).parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(out, dpi=110)
 

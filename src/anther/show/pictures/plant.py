@@ -91,7 +91,7 @@ def _draw(plot: Axes, axes: Sides, layer: Layer, order: int) -> None:
     for solid in layer.solids:
         corners = np.asarray(solid.vertices)[:, flat]
         hull = corners[ConvexHull(corners).vertices]
-        plot.add_patch(Polygon(hull, alpha=0.25, lw=0.8, ec=(*(c / 255 for c in rgb(layer.colour)), 1), **style))
+        plot.add_patch(Polygon(hull, alpha=0.4, lw=0.8, ec=(*(c / 255 for c in rgb(layer.colour)), 1), **style))
     if layer.lines is not None:
         lines: Any = layer.lines[:, :, flat]
         plot.add_collection(
