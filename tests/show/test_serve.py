@@ -110,6 +110,12 @@ def test_each_of_the_three_results_is_counted_filtered_and_said(where: str, tmp_
     assert "held, flowers hardly moved" in said["held"]
     assert "held, flowers not measured" in said["held"]
     assert "40.0 % 20.0 %" in text_of(pages.get("/robots").text)
+    trends = text_of(pages.get("/trends?days=7").text)
+    for share in ("40.0 % pollinated: 2 of 5 visits", "40.0 % held, flowers hardly", "20.0 % failed: 1 of 5 visits"):
+        assert share in trends
+    listed = {name: text_of(pages.get(f"/trends?days=7&result={name}").text) for name in said}
+    assert {name: [k for k in range(5) if f"plant {k}" in text] for name, text in listed.items()} == shown
+    assert pages.get("/trends?days=7&result=held").text.count("<svg") == 3, "one result of the three"
     page = pages.get("/visits/3").text
     assert 'class="verdict held"' in page
     assert "Held, flowers hardly moved" in page
@@ -120,7 +126,8 @@ def test_a_plant_and_its_visits(history: str, tmp_path: Path) -> None:
     assert text_of(pages.get("/plants?q=OW 1").text).count("tomato") == 1
     assert "No plant whose label contains “%”" in text_of(pages.get("/plants?q=%25").text)
     said = text_of(pages.get("/plants/1").text)
-    for part in ("row 1", "160 MPa", "row 1's own, learned in 5 trials", "75 %", "slipped", "No visit left a run"):
+    for part in ("row 1", "160 MPa", "row 1's own, learned in 5 trials", "75 %", "slipped", "No visit left a run",
+                 "1.50 measured over predicted flower motion at the last visit (median of 1)"):  # fmt: skip
         assert part in said, part
     said = text_of(pages.get("/visits/1").text)
     for part in ("1.25 mm", "31 cm", "main stem", "1.50 mm", "not measured", "6.00 m/s²", "arm 1"):

@@ -12,6 +12,7 @@ import secrets
 import tempfile
 from collections.abc import Callable, Sequence
 from datetime import UTC, date, datetime, timedelta
+from functools import partial
 from pathlib import Path
 from threading import BoundedSemaphore
 from typing import Annotated, Any, Literal, NamedTuple
@@ -275,15 +276,7 @@ def _overviews(app: FastAPI, house: House, page: Callable[..., HTMLResponse]) ->
         until = datetime.now(UTC).date()
         since = until - timedelta(days=days - 1)
 
-        def ask(session: Session) -> dict[str, Any]:
-            tallies = overview.days(session, since, until)
-            return {
-                "charts": charts(tallies, since, until, result),
-                "counts": {kind: sum(counted(t)[kind] for t in tallies) for kind in RESULTS},
-                "failures": overview.failures(session, since, until),
-                "visits": overview.visits(session, result=result, before=before) if result else [],
-            }
-
+        ask = partial(_trends, span=(since, until), result=result, before=before)
         found = _read(house, ask, {"charts": [], "counts": {}, "failures": [], "visits": []})
         return page(request, "trends.html", days=days, result=result, **found)
 
@@ -304,6 +297,17 @@ def _overviews(app: FastAPI, house: House, page: Callable[..., HTMLResponse]) ->
     def sweeps(request: Request) -> HTMLResponse:
         found = _read(house, lambda session: {"sweeps": overview.sweeps(session)}, {"sweeps": []})
         return page(request, "sweeps.html", **found)
+
+
+def _trends(session: Session, span: tuple[date, date], result: Result | None, before: int | None) -> dict[str, Any]:
+    """Return what the page of trends shows of some days; with a result also the last visits that had it."""
+    tallies = overview.days(session, *span)
+    return {
+        "charts": charts(tallies, *span, result),
+        "counts": {kind: sum(counted(t)[kind] for t in tallies) for kind in RESULTS},
+        "failures": overview.failures(session, *span),
+        "visits": overview.visits(session, result=result, before=before) if result else [],
+    }
 
 
 def _details(app: FastAPI, house: House, page: Callable[..., HTMLResponse]) -> None:
