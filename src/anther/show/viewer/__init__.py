@@ -96,7 +96,7 @@ class Player:
     def __init__(self, server: Any, results: RunResults, motion: Replay, handles: Handles) -> None:
         assert results.plant is not None
         self.motion, self._handles, self._plant, scene = motion, handles, results.plant, server.scene
-        for name in ("arm", "gripper", "flowers"):  # they move from now on
+        for name in ("arm", "gripper", "flowers", "grasp"):  # they move from now on, and the gripper shows the grasp
             handles.remove(name)
         base, *links = limbs(motion.arm)
         robot = [add_mesh(scene, "/robot/base", base, rgb(ROBOT_COLOR))] if base else []
@@ -105,7 +105,7 @@ class Player:
         for i, (shapes, colour) in enumerate(parts):
             self._links.append(scene.add_frame(f"/robot/{i}", show_axes=False))
             robot += [add_mesh(scene, f"/robot/{i}/shape", shapes, rgb(colour))] if shapes else []
-        handles.layers["arm and gripper"] = robot
+        handles.layers["arm and gripper"], handles.colours["arm and gripper"] = robot, GRIPPER_COLOR
 
         def balls(name: str, count: int, colour: str) -> list[Any]:
             style = {"radius": 0.6 * FLOWER_RADIUS, "color": rgb(colour), "subdivisions": 1}

@@ -44,7 +44,7 @@ class Handles:
         rest: (N, 3) the skeleton's nodes at rest [m].
         joints: the balls at the skeleton's nodes, to be clicked.
         said: of each node, what is there.
-        legend: which colour is what, as Markdown.
+        colours: name of a layer that is seen at first -> "#rrggbb".
     """
 
     layers: dict[str, list[Any]] = field(default_factory=dict)
@@ -52,7 +52,13 @@ class Handles:
     rest: Array = field(default_factory=lambda: np.zeros((0, 3)))
     joints: Any = None
     said: list[str] = field(default_factory=list)
-    legend: str = ""
+    colours: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def legend(self) -> str:
+        """Which colour is what, as Markdown, of the layers that are there."""
+        there = ((name, colour) for name, colour in self.colours.items() if name in self.layers)
+        return " ".join(f'<span style="color:{colour}">●</span> {name}' for name, colour in there)
 
     def bend(self, moved: Array) -> None:
         """Draw the skeleton with its nodes displaced by (N, 3) [m]."""
@@ -78,9 +84,7 @@ def build_scene(server: viser.ViserServer, results: RunResults, most_points: int
     ]
     for layer in layers:
         handles.layers[layer.name] = _add(scene, layer, handles, most_points)
-    handles.legend = " ".join(
-        f'<span style="color:{layer.colour}">●</span> {layer.name}' for layer in layers if layer.shown
-    )
+    handles.colours |= {layer.name: layer.colour for layer in layers if layer.shown}
     tree = results.skeleton
     if tree is not None:
         organ = results.stem.organ if results.stem is not None else np.full(len(tree.nodes), BRANCH)
