@@ -141,7 +141,9 @@ def pink(page: Any, time: float) -> Any:
     seen: list[Any] = []
     for _ in range(30):  # a busy machine draws late
         page.wait_for_timeout(1500)
-        image = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR).astype(int)
+        image = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR).astype(int)[
+            :-60
+        ]  # without the legend
         b, g, r = image[..., 0], image[..., 1], image[..., 2]
         rows, columns = np.nonzero((r > 120) & (b > 90) & (r > 2 * g) & (b > 1.5 * g))
         seen.append(np.array([columns.mean(), rows.mean()]) if len(rows) > 10 else np.full(2, np.nan))

@@ -16,13 +16,13 @@ from anther.core.files import write_text
 from anther.core.geometry import Array
 from anther.show.results import RunResults
 from anther.show.scene import FLOWER_RADIUS, hand, limbs
-from anther.show.style import GRASP_COLOR, GRIPPER_COLOR, ROBOT_COLOR, SHAKE_COLOR, rgb
+from anther.show.style import GRIPPER_COLOR, PREDICTED_COLOR, ROBOT_COLOR, SHAKE_COLOR, rgb
 from anther.show.viewer._motion import RATE, Replay, motion_of
 from anther.show.viewer._scene import POINTS_IN_FILE, Handles, add_mesh, build_scene, placed
 
 __all__ = ["serve", "write_html"]
 
-MEASURED, PREDICTED = SHAKE_COLOR, GRASP_COLOR
+MEASURED, PREDICTED = SHAKE_COLOR, PREDICTED_COLOR
 SPEEDS = {"real time": 1.0, "half": 0.5, "a tenth": 0.1}
 SECONDS = 8.0
 """Of play at most in an HTML file [s]: it grows with them."""
