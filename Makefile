@@ -37,7 +37,7 @@ bench: $(DEV)  ## speed
 docs: $(DEV) demo  ## measure again what docs/reports shows, at one commit (90 minutes; goes on where it was stopped)
 	$(BIN)/python -m evaluation.record docs/reports/*.md
 	$(BIN)/python -m evaluation.numbers
-	$(BIN)/python tools/film_shake.py docs/pictures/shake.gif
+	$(BIN)/python tools/film_shake.py docs/pictures/shake.webp
 
 site: $(SITE)  ## the documentation site in build/site; its tutorials are run, every warning is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet

@@ -72,7 +72,13 @@ def test_a_day(history: str, tmp_path: Path) -> None:
     said = text_of(pages.get(f"/?day={day}").text)
     # by the hour of the day, the visit of 25 hours ago may be of the day before
     slipped = (NOW - timedelta(hours=25)).date() == day
-    for part in ("held, flowers not measured", "1.2 mm at 8.0 Hz, 3.0 s", "5.0 m/s²", "row 1", "What failed, and why"):
+    for part in (
+        "held, flowers not measured",
+        "1.25 mm at 8.00 Hz, 3.00 s",
+        "5.00 m/s²",
+        "row 1",
+        "What failed, and why",
+    ):
         assert part in said, part
     assert ("slipped 1" in said) == slipped
     failed = text_of(pages.get(f"/?day={(NOW - timedelta(hours=25)).date()}&result=failed").text)
@@ -84,7 +90,7 @@ def test_a_day(history: str, tmp_path: Path) -> None:
 def test_trends_and_robots(history: str, tmp_path: Path) -> None:
     pages = client(history, tmp_path)
     page = pages.get("/trends?days=7").text
-    assert page.count("<svg") == 4
+    assert page.count("<svg") == 5
     assert f"{(NOW - timedelta(days=3)).date()}: 1<" in page
     said = text_of(pages.get("/robots").text)
     assert "arm 1" in said
@@ -103,6 +109,12 @@ def test_each_of_the_three_results_is_counted_filtered_and_said(where: str, tmp_
     assert "held, flowers hardly moved" in said["held"]
     assert "held, flowers not measured" in said["held"]
     assert "40.0 % 20.0 %" in text_of(pages.get("/robots").text)
+    trends = text_of(pages.get("/trends?days=7").text)
+    for share in ("40.0 % pollinated: 2 of 5 visits", "40.0 % held, flowers hardly", "20.0 % failed: 1 of 5 visits"):
+        assert share in trends
+    listed = {name: text_of(pages.get(f"/trends?days=7&result={name}").text) for name in said}
+    assert {name: [k for k in range(5) if f"plant {k}" in text] for name, text in listed.items()} == shown
+    assert pages.get("/trends?days=7&result=held").text.count("<svg") == 3, "one result of the three"
     page = pages.get("/visits/3").text
     assert 'class="verdict held"' in page
     assert "Held, flowers hardly moved" in page
@@ -113,10 +125,11 @@ def test_a_plant_and_its_visits(history: str, tmp_path: Path) -> None:
     assert text_of(pages.get("/plants?q=OW 1").text).count("tomato") == 1
     assert "No plant whose label contains “%”" in text_of(pages.get("/plants?q=%25").text)
     said = text_of(pages.get("/plants/1").text)
-    for part in ("row 1", "160 MPa", "row 1's own, learned in 5 trials", "75 %", "slipped", "No visit left a run"):
+    for part in ("row 1", "160 MPa", "row 1's own, learned in 5 trials", "75 %", "slipped", "No visit left a run",
+                 "1.50 measured over predicted flower motion at the last visit (median of 1)"):  # fmt: skip
         assert part in said, part
     said = text_of(pages.get("/visits/1").text)
-    for part in ("1.2 mm", "31 cm", "main stem", "1.50 mm", "not measurable", "6.0 m/s²", "arm 1"):
+    for part in ("1.25 mm", "31 cm", "main stem", "1.50 mm", "not measured", "6.00 m/s²", "arm 1"):
         assert part in said, part
 
 

@@ -28,8 +28,9 @@ from anther.pollination.response import Response
 from anther.pollination.shake import Pads
 from anther.robot.arm import sawyer
 from anther.show.results import RunResults
+from anther.show.scene import arm_of
 from anther.show.viewer import write_html
-from anther.show.viewer._motion import RATE, _arm, motion_of
+from anther.show.viewer._motion import RATE, motion_of
 from anther.show.viewer._scene import VIEW_FROM, build_scene
 
 FREQUENCY, SECONDS, SWING = 4.0, 2.0, 0.01
@@ -88,7 +89,9 @@ def test_the_plant_goes_where_the_arm_takes_it(tmp_path: Path) -> None:
 
 def test_an_arm_of_ones_own_is_read_from_the_runs_cell_file_while_it_is_there(tmp_path: Path) -> None:
     told = {"arm": "my_arm", "cell": str(CELL)}
-    assert _arm(RunResults(tmp_path, told)).name == "my_arm"
+    arm = arm_of(RunResults(tmp_path, told))
+    assert arm is not None
+    assert arm.name == "my_arm"
     assert motion_of(replace(shaken(tmp_path), params=told | {"cell": str(tmp_path / "gone.toml")})) is None
 
 
@@ -139,7 +142,9 @@ def pink(page: Any, time: float) -> Any:
     seen: list[Any] = []
     for _ in range(30):  # a busy machine draws late
         page.wait_for_timeout(1500)
-        image = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR).astype(int)
+        image = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR).astype(int)[
+            :-60
+        ]  # without the legend
         b, g, r = image[..., 0], image[..., 1], image[..., 2]
         rows, columns = np.nonzero((r > 120) & (b > 90) & (r > 2 * g) & (b > 1.5 * g))
         seen.append(np.array([columns.mean(), rows.mean()]) if len(rows) > 10 else np.full(2, np.nan))

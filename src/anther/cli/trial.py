@@ -47,7 +47,7 @@ def run(args: Args) -> int:
         1 if not; 2 if it never came to that. The verdict in words, trial.json and the history tell pollinated from
         held.
     """
-    from anther.show.pictures.report import save_film  # Matplotlib takes a second
+    from anther.show.film import save_film, with_robot  # the simulator and trimesh take a second
 
     check_range("seed", args.seed, 0, 2**31 - 1)
     check_range("viewpoint", args.viewpoint, -360, 360, "degrees")
@@ -76,7 +76,9 @@ def run(args: Args) -> int:
             print(*notes, sep="\n", end="\n" * bool(notes), flush=True)
             done = pollinate(cell.robot_side, belief.material, run, args.params, find_masks, earlier)
             done.shake.save(run.folder / EXECUTED)
-            save_film(run.folder / FILM, done.trial.frames)
+            side, world = cell.robot_side.robot, cell.world
+            frames = done.trial.frames if world is None else with_robot(done.trial.frames, done.trial, side, world.arm)
+            save_film(run.folder / FILM, frames)
             verdict = None if cell.world is None else run.timed("judge", lambda _: _judge(cell, done))
         except StageFailure as stopped:
             failure = stopped

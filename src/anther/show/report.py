@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -15,13 +15,17 @@ from matplotlib.figure import Figure
 from anther.core.files import write_text
 from anther.core.geometry import Array
 from anther.history.fruit_set import worth
-from anther.plant.limits import like_breeze
+from anther.plant.limits import PEAKS, like_breeze
 from anther.plant.model import LEARNED, Material
-from anther.pollination.response import Response
-from anther.show.pictures.plant import draw_plant
+from anther.pollination.escalation import WORDS
+from anther.pollination.grasp import OBSTACLE_CLEARANCE, STEM_CLEARANCE
+from anther.pollination.shake import ShakePlan
+from anther.pollination.shake.choice import PRESS
+from anther.show.pictures.plant import draw_layers
 from anther.show.pictures.report import draw_motion, draw_response_map, draw_steps, draw_views
 from anther.show.results import FILM, RunResults, watched_words
-from anther.show.style import STYLE
+from anther.show.scene import layers_of
+from anther.show.style import NARROW, NOT_MEASURED, STYLE, quantity
 
 SPREADS = {"youngs": "youngs_spread"} | {name: spread for name, spread in LEARNED.items() if name != "scanned_youngs"}
 """Attribute of `plant.Material` -> its spread."""
@@ -51,26 +55,38 @@ def write_report(path: Path, results: RunResults) -> None:
     )
 
 
-def _image(figure: Figure, alt: str) -> str:
-    """Return a figure as an embedded PNG, and free its memory."""
+def _image(draw: Callable[[bool], Figure], alt: str) -> str:
+    """Return a figure as an embedded picture, drawn (narrow or not) for a desk's screen and for a phone's."""
+    wide, narrow = (_embedded(draw(on_phone), 2.0 if on_phone else 1.0) for on_phone in (False, True))
+    media = f"<source media='(max-width:{NARROW}px)' srcset='{narrow}'>"
+    return f"<picture>{media}<img alt='{escape(alt)}' src='{wide}'></picture>"
+
+
+def _embedded(figure: Figure, finer: float) -> str:
+    """Return a figure as a PNG within an address, and free its memory."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110)
+    figure.savefig(buffer, format="png", dpi=110 * finer)
     figure.clear()
-    return f"<img alt='{escape(alt)}' src='data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}'>"
+    return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"
 
 
 def _table(header: list[str], rows: list[list[str]], text_columns: int = 1, chosen: int | None = None) -> str:
-    """Return rows of text, `chosen` marked; the first columns and "Why" or "Then" are aligned left, others right."""
+    """Return rows of text, `chosen` marked; the first columns and "Why" or "Then" are aligned left, others right.
+
+    On a phone each row is a card, whose values have their column's name beside them.
+    """
     align = ["" if i < text_columns or name in ("Why", "Then") else " class=n" for i, name in enumerate(header)]
     head = "".join(f"<th{a}>{escape(h)}</th>" for a, h in zip(align, header, strict=True))
     body = "".join(
         f"<tr{' class=chosen' if i == chosen else ''}>"
-        + "".join(f"<td{a}>{escape(c)}</td>" for a, c in zip(align, row, strict=True))
+        + "".join(
+            f"<td{a}{f' data-name={chr(34)}{escape(h)}{chr(34)}' if h and i else ''}>{escape(c)}</td>"
+            for i, (a, h, c) in enumerate(zip(align, header, row, strict=True))
+        )
         + "</tr>"
         for i, row in enumerate(rows)
     )
-    least = 110 * len(header)  # px; narrower screens scroll the table, not the page
-    return f"<div class=wide><table style='min-width:{least}px'><tr>{head}</tr>{body}</table></div>"
+    return f"<div class=wide><table class=cards><tr>{head}</tr>{body}</table></div>"
 
 
 def _verdict(results: RunResults) -> str:
@@ -98,7 +114,8 @@ def _views(results: RunResults) -> str:
     text = f"{results.capture.views} RGB-D views. "
     if results.masks is not None:
         text += f"Green: pixels taken for plant; magenta: flowers ({results.masks.source})."
-    picture = _image(draw_views(results.capture, results.masks), "camera views with masks")
+    capture = results.capture
+    picture = _image(lambda narrow: draw_views(capture, results.masks, narrow), "camera views with masks")
     return f"<p>{escape(text)}</p>{picture}"
 
 
@@ -115,17 +132,19 @@ def _plant(results: RunResults) -> str:
     if results.flowers is not None:
         parts.append(f"{len(results.flowers.positions)} flowers")
     text = f"<p>{escape(', '.join(parts))}.</p>"
-    if results.skeleton is None or results.stem is None:
+    stem = results.stem
+    if results.skeleton is None or stem is None:
         return text
-    grasp = results.shake.grasp if results.shake is not None else next(iter(results.grasps), None)
-    figure = draw_plant(results.cloud, results.skeleton, results.stem, grasp, flowers=results.flowers)
-    return text + _image(figure, "cloud, skeleton, main stem and grasp")
+    layers = layers_of(results)
+    alt = "cloud, skeleton, main stem, flowers, gripper and grasp"
+    return text + _image(lambda narrow: draw_layers(layers, results.grasp, narrow=narrow), alt)
 
 
 def _grasp(results: RunResults) -> str:
     if not results.grasps:
         return ""
     held = None if results.shaken is None else results.shaken.grasp_index
+    listed = [(rank, g) for rank, g in enumerate(results.grasps) if rank < SHOWN or rank == held]
     rows = [
         [
             f"{rank + 1}{' (carried out)' if rank == held else ''}",
@@ -136,25 +155,72 @@ def _grasp(results: RunResults) -> str:
             " ".join(f"{x:.3f}" for x in g.pose7),
             g.reason,
         ]
-        for rank, g in enumerate(results.grasps)
-        if rank < SHOWN or rank == held
+        for rank, g in listed
     ]
     header = ["Rank", "Height along stem", "Stem diameter", "Clearance", "Confidence", "Flange pose", "Why"]
-    return _table(header, rows, chosen=None if held is None else min(held, SHOWN))
+    text = "<p>Confidence is the probability that the main stem closes between the pads, whatever is beside it."
+    if any(g.clearance < 0 for _, g in listed):
+        text += f" {CLEARANCE}"
+    return f"{text}</p>{_table(header, rows, chosen=None if held is None else min(held, SHOWN))}"
+
+
+CLEARANCE = (
+    "Clearance is the least distance of the open gripper, on its way in, from anything. Where it is negative the "
+    "gripper pushes leaves, petioles or flowers aside, so deep at most; they give way, and the rank pays for them. "
+    f"From the stem it keeps {1e3 * STEM_CLEARANCE:.0f} mm, from pot and bench {1e3 * OBSTACLE_CLEARANCE:.0f} mm."
+)
 
 
 def _shake(results: RunResults) -> str:
-    shake = results.shake
+    shake, executed = results.shake, results.executed
     if shake is None:
         return ""
-    limits = [
-        [name, f"{value:.3g}", f"{limit:.3g}", like_breeze(name, limit, results.crop), f"{100 * share:.0f} %"]
-        for name, value, limit, share in shake.limits
-    ]
-    picture = _image(draw_response_map(shake), "flower response over grip height and frequency")
-    header = ["Limit", "Planned", "Allowed", "Allowed is as in a breeze of", "Used"]
+    both = [("Planned", shake)] + ([("Executed", executed)] if executed is not None else [])
+    rows = [[name, *(told(plan) for _, plan in both)] for name, told in SHAKE_ROWS]
+    if executed is not None and results.trial is not None and len(results.trial.shake_times):
+        lasted = float(np.ptp(results.trial.shake_times))
+        rows.append(["Duration", quantity(shake.duration, "s"), quantity(lasted, "s")])
+    text = _table(["", *(name for name, _ in both)], rows) + f"<p>{escape(f'The plan. {shake.reason}')}</p>"
+    alt = "flower response over grip height and frequency"
+    picture = _image(lambda narrow: draw_response_map(shake, executed, narrow), alt)
+    header = ["Limit", "Planned", "Executed", "Allowed", "Allowed is as in a breeze of", "Used by the plan"]
     heading = "<h2 style='margin-top:16px'>How close each limit is</h2>"
-    return f"<p>{escape(shake.reason)}</p>{picture}{heading}{_table(header, limits)}"
+    return f"{text}{picture}{heading}{_table(header, _limits(results, shake))}"
+
+
+SHAKE_ROWS: tuple[tuple[str, Callable[[ShakePlan], str]], ...] = (
+    ("Grip height along the stem", lambda plan: f"{100 * plan.grasp.arc_length:.0f} cm"),
+    ("Amplitude of the grip", lambda plan: quantity(plan.amplitude, "m")),
+    ("Frequency", lambda plan: quantity(plan.frequency, "Hz")),
+    ("Direction", lambda plan: " ".join(f"{x:+.2f}" for x in plan.direction)),
+    ("Force of the pads", lambda plan: quantity(plan.press, "N")),
+    ("Median flower, predicted", lambda plan: quantity(float(np.median(plan.predicted_acceleration)), "m/s2")),
+)
+"""What the planned and the executed shake are compared by -> how it is written."""
+
+
+def _limits(results: RunResults, shake: ShakePlan) -> list[list[str]]:
+    """Return a row for each limit: what was planned, what was done as far as that is known, and what is allowed."""
+    done, reached = results.executed, dict[str, float]()
+    if done is not None:
+        reached |= {
+            "grip amplitude [m]": done.amplitude,
+            "grip speed [m/s]": 2 * np.pi * done.frequency * done.amplitude,
+        }
+    steps = () if results.trial is None else results.trial.steps
+    names = {WORDS[kind]: name for kind, name in (PEAKS | {"grip_force": PRESS}).items()}
+    allowed = {name: limit for name, _, limit, _ in shake.limits}
+    for words, share in steps[-1].loads.items() if steps else ():
+        if names.get(words) in allowed:
+            reached[names[words]] = share * allowed[names[words]]
+    rows = []
+    for name, planned, limit, share in shake.limits:
+        label, unit = name.removesuffix("]").split(" [")
+        unit = "-" if unit.startswith("share") else unit
+        breeze = like_breeze(name, limit, results.crop)
+        done_ = quantity(reached[name], unit) if name in reached else ""
+        rows.append([label, quantity(planned, unit), done_, quantity(limit, unit), breeze, f"{100 * share:.0f} %"])
+    return rows
 
 
 def _steps(results: RunResults) -> str:
@@ -166,14 +232,15 @@ def _steps(results: RunResults) -> str:
         return text
     steps, start = results.trial.steps, float(results.trial.shake_times[0])
     target = results.params.get("params", {}).get("escalation", {}).get("target")
-    picture = _image(draw_steps(steps, start, target), "commanded, measured and allowed, step by step")
+    alt = "commanded, measured and allowed, step by step"
+    picture = _image(lambda narrow: draw_steps(steps, start, target, narrow), alt)
     rows = [
         [
             f"{step.begin - start:.1f} to {step.end - start:.1f} s",
             ", ".join(
                 f"{1e3 * a:.2f} mm at {f:.3g} Hz" for a, f in zip(step.amplitudes, step.frequencies, strict=True)
             ),
-            _number(step.median),
+            quantity(step.median, "m/s2"),
             f"{np.isfinite(step.flowers).sum()} of {len(step.flowers)}",
             f"{step.used:.0%} {step.binds}",
             f"{step.seconds:.2f} s",
@@ -189,53 +256,85 @@ def _motion(results: RunResults) -> str:
     shake, response = results.shaken, results.response
     if shake is None or response is None:
         return ""
-    picture = _image(draw_motion(shake, response), "predicted and measured flower motion")
-    measured = response.felt(results.trial.steps if results.trial else ())
+    picture = _image(lambda narrow: draw_motion(shake, response, narrow), "predicted and measured flower motion")
+    steps = () if results.trial is None else results.trial.steps
+    measured = response.felt(steps)
     rows = [
         [
             f"Flower {i + 1}",
-            f"{_milli(shake.predicted_amplitude[i])} ({1e3 * low:.2f} to {1e3 * high:.2f})",
-            _measured(response, i),
-            _number(shake.predicted_acceleration[i]),
-            _number(measured[i]),
+            f"{quantity(shake.predicted_amplitude[i], 'm')} ({1e3 * low:.2f} to {1e3 * high:.2f})",
+            amplitude,
+            quantity(shake.predicted_acceleration[i], "m/s2"),
+            acceleration,
         ]
-        for i, (low, high) in enumerate(shake.predicted_amplitude_interval)
+        for i, ((low, high), (amplitude, acceleration)) in enumerate(
+            zip(shake.predicted_amplitude_interval, _measured(results, measured), strict=True)
+        )
     ]
     low, high = shake.predicted_amplitude_interval.T
     held = response.visible & (response.amplitude >= low) & (response.amplitude < high)
     felt = np.where(np.isfinite(measured), measured, shake.predicted_acceleration)
     text = f"<p>{held.sum()} of {response.visible.sum()} measured amplitudes lie within the predicted interval.</p>"
     text += f"<p>{escape(worth(felt, results.crop or ''))}</p>"
-    text += _beside(results, measured)
+    text += _medians(results, measured)
     header = ["", "Predicted (nine in ten)", "Measured", "Predicted acceleration", "Measured acceleration"]
+    return text + picture + _film(results) + _table(header, rows)
+
+
+def _film(results: RunResults) -> str:
     film = results.folder / FILM
-    if film.is_file():
-        told = base64.b64encode(film.read_bytes()).decode()
-        alt = "the end of the shake, at half its speed"
-        picture += f"<p><img class=film alt='{alt}' src='data:image/gif;base64,{told}'></p>"
-    return text + picture + _table(header, rows)
+    if not film.is_file():
+        return ""
+    data = base64.b64encode(film.read_bytes()).decode()
+    alt = "the end of the shake, at half its speed"
+    return f"<p><img class=film alt='{alt}' src='data:image/{film.suffix[1:]};base64,{data}'></p>"
 
 
-def _beside(results: RunResults, measured: Array) -> str:
-    """Return the median flower as predicted, measured and, in simulation, as it truly moved."""
+def _medians(results: RunResults, measured: Array) -> str:
+    """Return the median flower as predicted, measured and, in simulation, as it truly moved; and why these differ."""
     shake, truth = results.shaken, results.visit and results.visit.truth
     assert shake is not None
     seen = measured[np.isfinite(measured)]
-    cells = {"Predicted": _number(float(np.median(shake.predicted_acceleration)))}
-    cells[f"Measured ({len(seen)} of {len(measured)} flowers)"] = (
-        _number(float(np.median(seen))) if len(seen) else "nothing"
-    )
+    cells = {"Predicted": quantity(float(np.median(shake.predicted_acceleration)), "m/s2")}
+    of = f"Measured ({len(seen)} of {len(measured)} flowers)"
+    cells[of] = quantity(float(np.median(seen)), "m/s2") if len(seen) else NOT_MEASURED
+    why = ""
     if truth and truth.true_flower_acceleration_median is not None:
-        cells["True (simulated; all flowers)"] = _number(truth.true_flower_acceleration_median)
-    return _table(["Median flower", *cells], [["peak acceleration", *cells.values()]])
+        cells["True (simulated; all flowers)"] = quantity(truth.true_flower_acceleration_median, "m/s2")
+        why = f"<p class=soft>{MEASURED_AND_TRUE}</p>"
+    return _table(["Median flower", *cells], [["peak acceleration", *cells.values()]]) + why
 
 
-def _measured(response: Response, flower: int) -> str:
-    """Return a flower's measured amplitude with its deviation, or what is known instead."""
-    if np.isfinite(response.at_most[flower]):
-        return f"less than {_milli(response.at_most[flower])}"
-    value = _milli(response.amplitude[flower])
-    return value if not response.visible[flower] else f"{value} ± {1e3 * response.amplitude_std[flower]:.2f}"
+MEASURED_AND_TRUE = (
+    "Measured is what the side camera tells: the motion across its line of sight, of the flowers that it followed, at "
+    "the shake's frequency. True is what the simulator moved: in all three directions, with all overtones, all "
+    "flowers. What comes towards the camera, overtones and hidden flowers are in the second alone, which is mostly "
+    "the larger one."
+)
+
+
+def _measured(results: RunResults, felt: Array) -> Iterator[tuple[str, str]]:
+    """Yield each flower's measured amplitude and acceleration (F,) [m/s2] in words, from one and the same source.
+
+    A flower that was lost after the last step has what that step says; of a single frequency, its amplitude follows.
+    """
+    response, shake = results.response, results.shaken
+    assert response is not None
+    assert shake is not None
+    squared = (2 * np.pi * shake.frequency) ** 2
+    steps = () if results.trial is None else results.trial.steps
+    alone = bool(steps) and len(steps[-1].frequencies) == 1
+    for i, acceleration in enumerate(felt.tolist()):
+        if response.visible[i]:
+            amplitude = f"{quantity(response.amplitude[i], 'm')} ± {1e3 * response.amplitude_std[i]:.2f}"
+            yield amplitude, quantity(acceleration, "m/s2")
+        elif acceleration > 0:
+            size = f"{quantity(acceleration / squared, 'm')} (last step)" if alone else "see acceleration"
+            yield size, f"{quantity(acceleration, 'm/s2')} (last step)"
+        else:
+            most = float(response.at_most[i])
+            at_most = (quantity(most, "m"), quantity(squared * most, "m/s2"))
+            yield tuple(f"less than {x}" if np.isfinite(most) else x for x in at_most)  # type: ignore[misc]
 
 
 LEARNED_ROWS = (
@@ -243,7 +342,7 @@ LEARNED_ROWS = (
     ("Damping ratio", "damping_ratio", 1.0, ""),
     ("Bending over twisting stiffness", "bend_over_twist", 1.0, ""),
     ("True over scanned radius", "radius_scale", 1.0, ""),
-    ("True over modelled flower motion", "response_gain", 1.0, ""),
+    ("Flower motion over the model's, with all of the above", "response_gain", 1.0, ""),
 )
 """Name, attribute of `plant.Material`, factor to the shown unit, unit."""
 
@@ -270,40 +369,38 @@ def _belief(material: Material, attribute: str, factor: float, unit: str) -> str
     return f"{middle:.3g} ({low:.3g} to {high:.3g}) {unit}".strip()
 
 
-def _milli(value: float) -> str:
-    return f"{1000 * value:.2f} mm" if np.isfinite(value) else "not measurable"
-
-
-def _number(value: float) -> str:
-    return f"{value:.1f} m/s²" if np.isfinite(value) else "not measurable"
-
-
 def _notes(results: RunResults) -> str:
     notes = results.notes()
     return "<ul>" + "".join(f"<li>{escape(n)}</li>" for n in notes) + "</ul>" if notes else ""
 
 
 def _timing(results: RunResults) -> str:
+    """Return a bar of the stages' times, and a table of them; with processor time and memory where these are known."""
     seconds = results.seconds
     total = sum(seconds.values())
     if not total:
         return ""
     colour = dict(zip(seconds, PALETTE * 2, strict=False))
     bar = "".join(f"<i style='width:{100 * s / total:.2f}%;background:{colour[k]}'></i>" for k, s in seconds.items())
-    rows = "".join(
-        f"<tr><td><span class=key style='background:{colour[k]}'></span>{escape(k)}</td>"
-        f"<td class=n>{s:.1f} s</td><td class=n>{100 * s / total:.0f} %</td>"
-        f"<td class=n>{_number(results.cpu_seconds.get(k), 1)}</td>"
-        f"<td class=n>{_number(results.peak_mb.get(k), 0)}</td></tr>"
+    more = {name: values for name in COSTS if (values := getattr(results, name))}
+    sums = [quantity(COSTS[name][2](values.values()), COSTS[name][1]) for name, values in more.items()]
+    rows = [
+        [k, f"{s:.1f} s", f"{100 * s / total:.0f} %"]
+        + [quantity(values[k], COSTS[name][1]) if k in values else "" for name, values in more.items()]
         for k, s in seconds.items()
+    ]
+    table = _table(
+        ["Stage", "Time", "Share", *(COSTS[n][0] for n in more)], [*rows, ["total", f"{total:.1f} s", "", *sums]]
     )
-    head = "<tr><th>stage</th><th>time</th><th></th><th>CPU [s]</th><th>peak memory [MB]</th></tr>"
-    last = f"<tr><td>total</td><td class=n>{total:.1f} s</td><td></td></tr>"
-    return f"<div class=bar>{bar}</div><table>{head}{rows}{last}</table>"
+    for k in seconds:
+        table = table.replace(
+            f"<td>{escape(k)}</td>", f"<td><span class=key style='background:{colour[k]}'></span>{escape(k)}</td>"
+        )
+    return f"<div class=bar>{bar}</div>{table}"
 
 
-def _number(value: float | None, digits: int) -> str:
-    return "" if value is None else f"{value:.{digits}f}"
+COSTS = {"cpu_seconds": ("Processor time", "s", sum), "peak_mb": ("Most memory", "MB", max)}
+"""Costs in timing.json -> heading, unit, and how stages make the whole."""
 
 
 def _parameters(results: RunResults) -> str:

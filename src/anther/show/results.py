@@ -27,10 +27,11 @@ from anther.pollination.execution import Trial
 from anther.pollination.grasp import Grasp, load_grasps
 from anther.pollination.response import Response
 from anther.pollination.shake import ShakePlan
+from anther.show.style import quantity
 
 PARAMS, TIMING, ARM = "00_params.json", "timing.json", "arm.json"
 """What the run was asked for; time and memory of each stage; the arm and gripper of a cell file, its keep-out boxes."""
-EXECUTED, FILM, SUMMARY = "09_executed_shake.json", "09_shake.gif", "trial.json"
+EXECUTED, FILM, SUMMARY = "09_executed_shake.json", "09_shake.webp", "trial.json"
 """The shake as it was carried out; its end, as the side camera saw it; the visit in numbers."""
 
 
@@ -111,6 +112,11 @@ class RunResults:
         return self.executed or self.shake
 
     @property
+    def grasp(self) -> Grasp | None:
+        """The grasp that was carried out, or else the best one."""
+        return next(iter(self.grasps), None) if self.shaken is None else self.shaken.grasp
+
+    @property
     def crop(self) -> Crop | None:
         """What was shaken, if it is known."""
         name = self.params.get("plant")
@@ -157,12 +163,13 @@ class RunResults:
         if grasp and grasp.arc_length is not None:
             facts.append(("grasp height along the stem", f"{100 * grasp.arc_length:.0f} cm"))
         if self.shaken is not None:
-            facts.append(("shake", f"{1000 * self.shaken.amplitude:.2g} mm at {self.shaken.frequency:.1f} Hz"))
+            how = "shake, planned" if self.executed is None else "shake, executed"
+            facts.append((how, f"{quantity(self.shaken.amplitude, 'm')} at {quantity(self.shaken.frequency, 'Hz')}"))
         if self.visit is not None:
             motions = {"predicted": self.visit.predicted_amplitude, "measured": self.visit.measured_amplitude}
             medians = {how: median(amplitude) for how, amplitude in motions.items()}
             known = {how: value for how, value in medians.items() if value is not None}
-            facts += [(f"{how} flower amplitude", f"{1000 * value:.2f} mm") for how, value in known.items()]
+            facts += [(f"{how} flower amplitude (median)", quantity(value, "m")) for how, value in known.items()]
         return facts
 
     def notes(self) -> list[str]:
@@ -183,7 +190,7 @@ def _harm(truth: TruthRecord | None) -> tuple[str, str]:
     said = f"yes: {truth.harmed}" if truth.harmed else "no"
     strains = {"stem": truth.true_stem_strain, "pedicel": truth.true_pedicel_strain, "base": truth.true_base_strain}
     words = ", ".join(f"{strain:.2%} in {kind}s" for kind, strain in strains.items())
-    loads = f"strain {words}, leaves {truth.true_leaf_acceleration / 9.81:.2f} g"
+    loads = f"strain {words}, leaves {quantity(truth.true_leaf_acceleration, 'm/s2')}"
     return said, f"simulated: harm has a probability of {truth.harm_probability:.1%}; {loads}"
 
 

@@ -39,7 +39,7 @@ from anther.pollination.shake.params import FLOWER_SPREAD
 from anther.robot.devices import LEAD, ArmSample, Frame
 from anther.robot.swing import Swing
 
-__all__ = ["SHORTEST", "Escalation", "Foresight", "Params", "foresee", "watch_points"]
+__all__ = ["SHORTEST", "WORDS", "Escalation", "Foresight", "Params", "foresee", "watch_points"]
 
 
 DEFAULTS = Params()

@@ -35,12 +35,16 @@ from anther import __version__
 from anther.core.geometry import Array, Intrinsics, inverse, pose7, transform
 from anther.perception.capture import Capture
 from anther.perception.cloud import Cloud
+from anther.perception.flowers import Flowers
 from anther.perception.skeleton import Skeleton
 from anther.perception.stem import Stem
 from anther.pollination.execution import Step, Trial
+from anther.pollination.grasp import Grasp
 from anther.pollination.shake import ShakePlan
 from anther.robot.devices import ArmSample, Frame, GripperState, JointTrajectory, Robot, SafetyLimits
+from anther.show import scene
 from anther.show.log import _scene
+from anther.show.style import ROBOT_COLOR
 
 LARGEST = 256_000_000
 """A log grows no further than about this [bytes]; a simulated trial makes 3 MB."""
@@ -113,6 +117,8 @@ CHUNK = 262_144
 """Bytes that are compressed together."""
 QUALITY = 80
 """Of JPEG images, 0..100."""
+ARM_THINNED = 3
+"""Of the balls of the arm's outline, which overlap, every third is drawn."""
 ARM_DRAWN = 0.1
 """The arm's shape and place are shown so often [s]; its joints as often as they are read."""
 VIEW_APART = 0.2
@@ -159,7 +165,7 @@ class Scribe:
             case "arm", ArmSample():
                 self._arm(when, value)
             case "motion", JointTrajectory():
-                self._scene(when, "motion", _scene.motion(value, self._forward))
+                self._scene(when, "motion", scene.motion(value, self._forward))
             case "gripper", (asked, GripperState() as state):
                 self._gripper(when, asked, state)
             case (("wrist_camera" | "side_camera"), Frame()):
@@ -199,6 +205,8 @@ class Scribe:
         for name, camera in ((WRIST, robot.wrist_camera), (SIDE, robot.side_camera)):
             if camera is not None:
                 self._put(f"/{name}/calibration", calibration(name, camera.intrinsics, when), when)
+        if self._limits is not None and self._limits.keep_out:
+            self._scene(when, "keep_out", scene.keep_out(self._limits.keep_out))
         self._stand(when, FLANGE, WRIST, self._T_flange_cam)
         if robot.T_world_side_camera is not None:
             self._stand(when, WORLD, SIDE, robot.T_world_side_camera)
@@ -212,7 +220,8 @@ class Scribe:
             self._drawn = when
             place = self._limits.forward(sample.measured[None])[0]
             self._put("/tf", FrameTransforms(transforms=[moved(WORLD, FLANGE, place, when)]), when)
-            self._scene(when, "arm", _scene.arm(self._limits.outline(sample.measured[None])[0]))
+            balls = self._limits.outline(sample.measured[None])[0]
+            self._scene(when, "arm", scene.outline(balls[::ARM_THINNED]))
 
     def _gripper(self, when: float, asked: float | None, state: GripperState) -> None:
         told = {"opening_m": state.opening, "force_n": state.force}
@@ -240,25 +249,29 @@ class Scribe:
             case Capture():
                 self._views(when, value)
             case Cloud():
-                self._put("/cloud", _scene.points(value, stamp(when), WORLD), when)
+                plant, *others = scene.cloud(value)
+                self._put("/cloud", _scene.points(plant, stamp(when), WORLD), when)
+                for pot in others:
+                    self._put("/pot_and_bench", _scene.points(pot, stamp(when), WORLD), when)
             case Skeleton():
                 self._nodes = value.nodes
                 self._stand(when, WORLD, PLANT, transform(np.eye(3), value.nodes[0]))
-                self._scene(when, "skeleton", _scene.skeleton(value))
+                self._scene(when, "skeleton", *scene.organs(value))
             case Stem():
-                self._scene(when, "stem", _scene.stem(self._nodes[value.node_ids]))
+                self._scene(when, "stem", scene.main_stem(self._nodes[value.node_ids]))
+            case Flowers():
+                self._scene(when, "flowers", scene.flowers(value))
+            case [Grasp() as best, *others] if what == "grasp":
+                rest = [scene.grasps("other grasps", others, ROBOT_COLOR)] if others else []
+                self._scene(when, "grasp", scene.grasps("grasp", [best]), *rest)
             case ShakePlan():
-                self._scene(when, "shake", _scene.shake(value))
+                self._scene(when, "shake", scene.shaking(value))
                 self._json("/plan", PLAN, plan(value), when)
                 said = value.reason
             case Trial():
                 said = value.stop_reason
-            case _:
-                found = _scene.found(what, value)
-                if found is not None:
-                    self._scene(when, what, found)
-                elif isinstance(value, str):
-                    said = value
+            case str():
+                said = value
         self._event(when, Level.Info, what, said)
 
     def _views(self, when: float, capture: Capture) -> None:
@@ -282,8 +295,8 @@ class Scribe:
         self._static[child] = moved(parent, child, T_parent_child, when)
         self._put("/tf_static", FrameTransforms(transforms=list(self._static.values())), when)
 
-    def _scene(self, when: float, name: str, entity: _scene.Entity) -> None:
-        self._put(f"/scene/{name.replace(' ', '_')}", _scene.update(name, entity, stamp(when), WORLD), when)
+    def _scene(self, when: float, name: str, *layers: scene.Layer) -> None:
+        self._put(f"/scene/{name}", _scene.update(name, layers, stamp(when), WORLD), when)
 
     def _event(self, when: float, level: Level, name: str, message: str) -> None:
         self._put("/events", Event(timestamp=stamp(when), level=level, name=name, message=message), when)

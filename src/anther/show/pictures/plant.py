@@ -1,94 +1,125 @@
-"""One picture of a plant: cloud, skeleton, main stem, flowers and grasp, from several sides."""
+"""One picture of a plant: cloud, skeleton, main stem, flowers, gripper and grasp, from several sides."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Polygon
+from matplotlib.ticker import MaxNLocator
+from scipy.spatial import ConvexHull
 
 from anther.core.geometry import Array
 from anther.perception.cloud import Cloud
 from anther.perception.flowers import Flowers
 from anther.perception.skeleton import Skeleton
-from anther.perception.stem import BRANCH, LEAF, STEM, TRUSS, Stem
+from anther.perception.stem import Stem
 from anther.pollination.grasp import Grasp
+from anther.show import scene
+from anther.show.scene import ORGAN_COLORS, Layer
+from anther.show.style import BRANCH_COLOR, GRASP_COLOR, STEM_COLOR, rgb
 
-STEM_COLOR, BRANCH_COLOR, GRASP_COLOR, FLOWER_COLOR, LEAF_COLOR = "#7a3b12", "#1f6fb2", "#c2389a", "#e0a100", "#9db89f"
-ORGAN_COLORS = {STEM: STEM_COLOR, BRANCH: BRANCH_COLOR, TRUSS: "#d05a00", LEAF: "#2e8540"}
+__all__ = ["BRANCH_COLOR", "GRASP_COLOR", "ORGAN_COLORS", "STEM_COLOR", "draw_layers", "draw_plant", "draw_side"]
 
-_SIDES = {"front (x, z)": (0, 2, 1), "side (y, z)": (1, 2, 0), "top (x, y)": (0, 1, 2)}
+Sides = tuple[int, int, int]
+"""Which world axes go across, up, and into the picture."""
+_SIDES: dict[str, Sides] = {"front": (0, 2, 1), "side": (1, 2, 0), "top": (0, 1, 2)}
 _MOST_POINTS = 40_000
+_DRAWN = ("cloud", *(name for name, _, _ in scene.ORGANS.values()), "skeleton", "flowers", "gripper", "grasp")
+"""Layers of these pictures, the later ones above; the arm would make the plant small."""
+_WIDE = 600.0
+"""Points of a line's width in the picture for a metre of it in the scene; a hand's guess."""
 
 
 def draw_plant(
     cloud: Cloud, skeleton: Skeleton, stem: Stem, grasp: Grasp | None = None, *, flowers: Flowers | None = None
 ) -> Figure:
-    """Return a figure of the plant from the front, the side, the top, and close up around the grasp.
+    """Return a figure of the plant from the front, the side, the top, and close up around the grasp."""
+    layers = [*scene.cloud(cloud), *scene.organs(skeleton, stem)]
+    layers += [] if flowers is None else [scene.flowers(flowers)]
+    layers += [] if grasp is None else [scene.grasps("grasp", [grasp])]
+    return draw_layers(layers, grasp)
 
-    Lengths are drawn to scale, axes in metres. Grey-green or photographed colours: cloud; brown: main stem, with dots
-    where something leaves it; blue: branches; orange: trusses; green: leaves; magenta: the gripper's approach and its
-    closing line; yellow: flowers; star: root.
+
+def draw_layers(layers: Sequence[Layer], grasp: Grasp | None = None, *, narrow: bool = False) -> Figure:
+    """Return a figure of a scene's plant from three sides, and close up around the grasp if there is one.
+
+    Lengths are drawn to scale, axes in metres; the legend says which colour is what. The cloud has its photographed
+    colours if there are any. Narrow: for a phone, two by two.
     """
-    figure = Figure(figsize=(13, 5.2), layout="constrained")
-    views = [*_SIDES.items(), *([("at the grasp", _facing(grasp))] if grasp is not None else [])]
-    sizes = [max(float(np.ptp(cloud.points[:, axes[0]])), 1e-6) for _, axes in _SIDES.items()]
-    for (title, axes), plot in zip(views, np.atleast_1d(figure.subplots(1, len(views))), strict=True):
-        draw_side(plot, axes, cloud, skeleton, stem)
-        if flowers is not None and len(flowers.positions):
-            plot.scatter(*flowers.positions[:, axes[:2]].T, s=45, c=FLOWER_COLOR, edgecolors="black", lw=0.6, zorder=6)
-        if grasp is not None:
-            draw_grasp(plot, axes, grasp, 0.12 * max(sizes))
-        plot.set(title=title, aspect="equal")
-        plot.tick_params(labelsize=7)
+    shown = sorted((x for x in layers if x.shown and x.name in _DRAWN), key=lambda x: _DRAWN.index(x.name))
+    views = [*_SIDES.items(), *([("at the grasp", facing(grasp))] if grasp is not None else [])]
+    figure = Figure(figsize=(3.6, 6.2) if narrow else (13, 4.7), layout="compressed")
+    plots = figure.subplots(2, 2) if narrow else figure.subplots(1, len(views))
+    for plot in plots.flat[len(views) :]:
+        plot.set_axis_off()
+    for (title, axes), plot in zip(views, plots.flat, strict=False):
+        draw_side(plot, axes, shown)
+        plot.set_title(title)
     if grasp is not None:
-        _close_up(figure.axes[-1], grasp, skeleton, stem)
+        _close_up(plots.flat[len(views) - 1], grasp)
+    handles = [Line2D([], [], color=x.colour, lw=4, label=x.name) for x in shown]
+    figure.legend(handles=handles, loc="outside lower center", ncols=3 if narrow else len(handles), frameon=False)
     return figure
 
 
-def _facing(grasp: Grasp) -> tuple[int, int, int]:
+def facing(grasp: Grasp) -> Sides:
     """Return the side view in which the grasp's approach is seen from its side."""
-    along_x = abs(grasp.approach[0]) >= abs(grasp.approach[1])
-    return (0, 2, 1) if along_x else (1, 2, 0)
+    return _SIDES["front" if abs(grasp.approach[0]) >= abs(grasp.approach[1]) else "side"]
 
 
-def draw_side(plot: Axes, axes: tuple[int, int, int], cloud: Cloud, skeleton: Skeleton, stem: Stem) -> None:
-    across, up, depth = axes
-    some = np.random.default_rng(0).permutation(len(cloud.points))[:_MOST_POINTS]
-    some = some[np.argsort(cloud.points[some, depth])]
-    color = LEAF_COLOR if cloud.colors is None else cloud.colors[some] / 255
-    plot.scatter(*cloud.points[some][:, [across, up]].T, s=0.4, c=color, lw=0, alpha=0.6, rasterized=True)
-    flat = skeleton.nodes[:, [across, up]]
-    lines: Any = flat[skeleton.edges]
-    colors = [ORGAN_COLORS[int(organ)] for organ in stem.organ[1:]]
-    plot.add_collection(LineCollection(lines, colors=colors, linewidths=1.0, zorder=3))
-    plot.plot(*flat[stem.node_ids].T, color=STEM_COLOR, lw=2.6, zorder=4)
-    plot.plot(*flat[stem.node_ids[stem.attachments]].T, "o", ms=3, mfc="white", mec=STEM_COLOR, mew=0.8, zorder=5)
-    plot.plot(*flat[0], "*", ms=11, color="black", zorder=6)
+def draw_side(plot: Axes, axes: Sides, layers: Sequence[Layer]) -> None:
+    """Draw layers as they are seen along an axis, to scale."""
+    for order, layer in enumerate(layers):
+        _draw(plot, axes, layer, order)
+    across, up, _ = axes
+    plot.set(xlabel=f"{'xyz'[across]} [m]", ylabel=f"{'xyz'[up]} [m]", aspect="equal")
+    plot.autoscale_view()
+    for axis in (plot.xaxis, plot.yaxis):
+        axis.set_major_locator(MaxNLocator(3, steps=[1, 2, 5, 10]))
 
 
-def draw_grasp(plot: Axes, axes: tuple[int, int, int], grasp: Grasp, length: float) -> None:
-    keep = list(axes[:2])
-    start, end = (grasp.point - grasp.approach * length)[keep], grasp.point[keep]
-    arrow = {"arrowstyle": "-|>", "color": GRASP_COLOR, "lw": 2.2, "shrinkA": 0, "shrinkB": 0}
-    plot.annotate("", xy=(end[0], end[1]), xytext=(start[0], start[1]), arrowprops=arrow, zorder=7)
-    fingers: Array = np.array(grasp.T_world_flange[:3, 1])
-    ends = np.stack([grasp.point - fingers * 0.3 * length, grasp.point + fingers * 0.3 * length])[:, keep]
-    plot.plot(*ends.T, color=GRASP_COLOR, lw=3.5, solid_capstyle="butt", zorder=7)
+def _draw(plot: Axes, axes: Sides, layer: Layer, order: int) -> None:
+    flat, style = list(axes[:2]), {"color": layer.colour, "zorder": order + 2.0}
+    if layer.points is not None:
+        _draw_points(plot, axes, layer)
+    for solid in layer.solids:
+        corners = np.asarray(solid.vertices)[:, flat]
+        hull = corners[ConvexHull(corners).vertices]
+        plot.add_patch(Polygon(hull, alpha=0.4, lw=0.8, ec=(*(c / 255 for c in rgb(layer.colour)), 1), **style))
+    if layer.lines is not None:
+        lines: Any = layer.lines[:, :, flat]
+        plot.add_collection(
+            LineCollection(lines, linewidths=0.3 + _WIDE * layer.width * 0.7, capstyle="round", **style)
+        )
+    if layer.balls is not None:
+        plot.scatter(*layer.balls[:, flat].T, s=32, edgecolors="black", lw=0.5, **style)
+    for start, end in () if layer.arrows is None else layer.arrows[:, :, flat]:
+        arrow = {"arrowstyle": "-|>", "color": layer.colour, "lw": 1.8, "shrinkA": 0, "shrinkB": 0}
+        plot.annotate("", xy=end, xytext=start, arrowprops=arrow, zorder=style["zorder"])
 
 
-def _close_up(plot: Axes, grasp: Grasp, skeleton: Skeleton, stem: Stem) -> None:
-    across, up, _ = _facing(grasp)
-    half = max(12 * grasp.stem_diameter, 0.12 * float(stem.arc_length[-1]), 1e-4)
-    centre = grasp.point
-    plot.set_xlim(centre[across] - half, centre[across] + half)
-    plot.set_ylim(centre[up] - half, centre[up] + half)
-    flat = skeleton.nodes[stem.node_ids][:, [across, up]]
-    radius = skeleton.radius[stem.node_ids]
-    step = np.gradient(flat, axis=0)
-    normal = np.stack([-step[:, 1], step[:, 0]], axis=1) / np.maximum(np.linalg.norm(step, axis=1), 1e-12)[:, None]
+def _draw_points(plot: Axes, axes: Sides, layer: Layer) -> None:
+    points: Array = layer.points  # type: ignore[assignment]
+    some = np.random.default_rng(0).permutation(len(points))[:_MOST_POINTS]
+    some = some[np.argsort(points[some, axes[2]])]
+    colour = layer.colour if layer.colours is None else layer.colours[some] / 255
+    plot.scatter(*points[some][:, list(axes[:2])].T, s=0.4, c=colour, lw=0, alpha=0.6, rasterized=True)
+
+
+def _close_up(plot: Axes, grasp: Grasp) -> None:
+    """Look at the surroundings of a grasp, with the stem's thickness as it was measured there."""
+    flat = list(facing(grasp)[:2])
+    half = max(12 * grasp.stem_diameter, 0.05)
+    centre, along = grasp.point[flat], grasp.tangent[flat]
+    plot.set(xlim=centre[0] + np.array([-half, half]), ylim=centre[1] + np.array([-half, half]))
+    aside = grasp.stem_diameter / 2 * np.array([-along[1], along[0]]) / max(float(np.linalg.norm(along)), 1e-9)
     for sign in (-1, 1):
-        plot.plot(*(flat + sign * normal * radius[:, None]).T, color=STEM_COLOR, lw=1, ls="--", zorder=4)
-    plot.set_title(f"at the grasp: {grasp.stem_diameter * 1e3:.1f} mm (dashed)")
+        ends = centre + sign * aside + 2 * grasp.stem_diameter * np.array([[-1], [1]]) * along
+        plot.plot(*ends.T, color=STEM_COLOR, lw=1, ls="--", zorder=20)
+    plot.set_title(f"at the grasp:\n{1e3 * grasp.stem_diameter:.1f} mm (dashed)")

@@ -1,9 +1,8 @@
-"""The report's figures: views, plant, response map, motion, the shake step by step, and the film of its end."""
+"""The report's figures: views, response map, motion, the shake step by step. Narrow ones are for a phone."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -11,33 +10,33 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from PIL import Image
 from scipy.ndimage import uniform_filter1d
 
-from anther.core.files import written
 from anther.perception.capture import Capture
 from anther.perception.masks import FLOWER, PLANT, Masks
 from anther.pollination.execution import Step
 from anther.pollination.response import Response
 from anther.pollination.shake import ShakePlan
-from anther.robot.devices import Frame
+from anther.show.style import GREEN, INK, MAGENTA, ORANGE
 
 mpl.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "figure.facecolor": "white"})
 
-GREEN, MAGENTA, ORANGE, INK = "#2f7d4f", "#c2389a", "#d9772b", "#1d2a22"
 SHOWN_VIEWS = 8
-SECONDS, WIDTH, COLOURS, SLOWER = 1.5, 320, 96, 2.0
-"""Of the film's last frames, its width [px], colours, and times slower than it was."""
+NARROW = 3.6
+"""Width of a figure for a phone [inches]."""
 
 
-def draw_views(capture: Capture, masks: Masks | None) -> Figure:
+def draw_views(capture: Capture, masks: Masks | None, narrow: bool = False) -> Figure:
     """Return a contact sheet of eight views, evenly picked, with the mask outlined."""
     chosen = np.unique(np.linspace(0, capture.views - 1, SHOWN_VIEWS).round().astype(int))
-    rows = -(-len(chosen) // 4)
-    figure = Figure(figsize=(11, 1.68 * rows))
+    columns, width = (2, NARROW) if narrow else (4, 11)
+    rows = -(-len(chosen) // columns)
+    figure = Figure(figsize=(width, 0.61 * width / columns * rows))
     dark = {"facecolor": "black", "alpha": 0.5, "pad": 1.5, "lw": 0}
     for place, view in enumerate(chosen):
-        axes = figure.add_axes((place % 4 / 4 + 0.003, 1 - (place // 4 + 1) / rows + 0.006, 0.244, 0.98 / rows))
+        axes = figure.add_axes(
+            (place % columns / columns + 0.003, 1 - (place // columns + 1) / rows + 0.006, 0.976 / columns, 0.98 / rows)
+        )
         axes.imshow(overlay(capture, masks, int(view)))
         axes.set_axis_off()
         axes.text(0.02, 0.04, f"{view}", transform=axes.transAxes, color="white", fontsize=8, bbox=dark)
@@ -71,32 +70,44 @@ def _depth_colours(depth: NDArray[Any]) -> NDArray[Any]:
     return colours
 
 
-def draw_response_map(shake: ShakePlan) -> Figure:
-    """Draw mean flower acceleration over grip height and frequency, with the chosen shake marked."""
-    figure = Figure(figsize=(10, 3.6), layout="constrained")
-    _draw_response_map(figure, figure.subplots(), shake)
+def draw_response_map(shake: ShakePlan, executed: ShakePlan | None = None, narrow: bool = False) -> Figure:
+    """Draw mean flower acceleration over grip height and frequency, with the planned and the executed shake marked."""
+    figure = Figure(figsize=(NARROW, 4.2) if narrow else (10, 3.9), layout="constrained")
+    _draw_response_map(figure, figure.subplots(), shake, executed, narrow)
     return figure
 
 
-def _draw_response_map(figure: Figure, axes: Any, shake: ShakePlan) -> None:
-    """Draw the response map into axes, with its colours beside it."""
+def _draw_response_map(
+    figure: Figure, axes: Any, shake: ShakePlan, executed: ShakePlan | None = None, narrow: bool = False
+) -> None:
+    """Draw the response map into axes, with its colours beside it, or below."""
     response = shake.response_map
     allowed = np.where(response.acceleration > 0, response.acceleration, np.nan)
     axes.set_facecolor("#d9dedb")
     mesh = axes.pcolormesh(response.frequencies, 100 * response.arc_length, allowed, shading="nearest", cmap="viridis")
-    axes.plot(shake.frequency, 100 * shake.grasp.arc_length, "o", mfc="none", mec="white", ms=11, mew=2)
+    marked = [("planned", shake, "o")] + ([("executed", executed, "x")] if executed is not None else [])
+    for name, one, mark in marked:
+        at = (one.frequency, 100 * one.grasp.arc_length)
+        axes.plot(*at, mark, mfc="none", color="black", ms=12, mew=4)
+        axes.plot(*at, mark, mfc="none", color="white", ms=11, mew=2, label=name)
+    axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, facecolor="#777777", labelcolor="white")
     axes.set(xscale="log", xlabel="frequency [Hz]", ylabel="grip height along the stem [cm]")
     ticks = [f for f in (1, 2, 3, 5, 10, 20, 30, 50) if response.frequencies[0] <= f <= response.frequencies[-1]]
     axes.set_xticks(ticks, [str(f) for f in ticks])
     axes.minorticks_off()
-    figure.colorbar(mesh, ax=axes, label="mean flower acceleration\nat the largest allowed shake [m/s²]")
-    axes.set_title("grey: no shake that is allowed and large enough to be trusted", fontsize=9, loc="left")
+    label = "mean flower acceleration\nat the largest allowed shake [m/s²]"
+    figure.colorbar(mesh, ax=axes, label=label, location="bottom" if narrow else "right")
+    words = "grey: no shake that is allowed\nand large enough to be trusted" if narrow else GREY
+    axes.set_title(words, fontsize=9, loc="left", pad=26 if narrow else 6)
 
 
-def draw_motion(shake: ShakePlan, response: Response) -> Figure:
+GREY = "grey: no shake that is allowed and large enough to be trusted"
+
+
+def draw_motion(shake: ShakePlan, response: Response, narrow: bool = False) -> Figure:
     """Return the best-seen flower's track and, per flower, predicted against measured amplitude."""
-    figure = Figure(figsize=(11, 3.4), layout="constrained")
-    left, right = figure.subplots(1, 2, width_ratios=[3, 2])
+    figure = Figure(figsize=(NARROW, 5.2) if narrow else (11, 3.4), layout="constrained")
+    left, right = figure.subplots(2, 1) if narrow else figure.subplots(1, 2, width_ratios=[3, 2])
     _draw_track(left, shake, response)
     draw_amplitudes(right, shake, response)
     return figure
@@ -137,7 +148,7 @@ def _draw_track(axes: Any, shake: ShakePlan, response: Response) -> None:
     for sign in (-1, 1):
         axes.axhline(sign * 1000 * shake.predicted_amplitude[flower], color=GREEN, ls="--", lw=1.2)
     axes.set(xlabel="time [s]", ylabel=f"displacement along {'xyz'[clearest]} [mm]")
-    axes.set_title(f"flower {flower + 1} without slow sway: measured (dots), predicted amplitude (dashed)")
+    axes.set_title(f"flower {flower + 1} without slow sway: measured (dots),\npredicted amplitude (dashed)", fontsize=9)
 
 
 def draw_plan(plan: ShakePlan) -> Figure:
@@ -170,25 +181,27 @@ def _draw_flowers(axes: Any, plan: ShakePlan) -> None:
     axes.set_xticks(index, [str(k + 1) for k in order])
 
 
-def draw_steps(steps: Sequence[Step], start: float, target: float | None = None) -> Figure:
+def draw_steps(steps: Sequence[Step], start: float, target: float | None = None, narrow: bool = False) -> Figure:
     """Return a figure of three panels over time: amplitude of each tone, flowers, share of each limit that was closest.
 
     The shake began at `start` [s], on the clock of the steps; `target` is what the flowers should feel [m/s2].
     """
-    figure = Figure(figsize=(10, 5.4), layout="constrained")
+    figure = Figure(figsize=(NARROW, 6.8) if narrow else (10, 5.4), layout="constrained")
     tones, flowers, limits = figure.subplots(3, 1, sharex=True)
     _draw_tones(tones, steps, start)
     middle = [(step.begin + step.end) / 2 - start for step in steps]
     most = [max((a for a in step.flowers if np.isfinite(a)), default=np.nan) for step in steps]
-    flowers.plot(middle, most, "^-", color=MAGENTA, lw=1, label="most of any flower")
-    flowers.plot(middle, [step.median for step in steps], "o-", color=ORANGE, label="median of those measured")
+    flowers.plot(middle, most, "^-", color=MAGENTA, lw=1, label="most")
+    flowers.plot(middle, [step.median for step in steps], "o-", color=ORANGE, label="median")
     if target is not None:
         flowers.axhline(target, color=GREEN, ls="--", lw=1.2, label="target")
     flowers.set(ylabel="flowers\n[m/s²]", ylim=(0, None))
     _draw_use(limits, steps, start)
     limits.set(xlabel="time since the shake began [s]", xlim=(0, None))
     for axes in (tones, flowers, limits):
-        axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8)
+        beside: Any = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5)}
+        above: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": 2, "columnspacing": 1.0}
+        axes.legend(frameon=False, **(above if narrow else beside))
     return figure
 
 
@@ -216,21 +229,3 @@ def _draw_use(axes: Any, steps: Sequence[Step], start: float) -> None:
         axes.bar(begins, [100 * step.used for step in near], spans, align="edge", color=colour, label=name or "none")
     axes.axhline(100, color=INK, lw=1)
     axes.set(ylabel="of the closest\nlimit [%]", ylim=(0, None))
-
-
-def save_film(path: Path, frames: Sequence[Frame]) -> None:
-    """Write the end of a recording, in order of time, as an animated GIF; nothing of fewer than two frames.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    last = [frame for frame in frames if frame.time >= frames[-1].time - SECONDS]
-    if len(last) < 2:
-        return
-    height = round(WIDTH * last[0].rgb.shape[0] / last[0].rgb.shape[1])
-    pictures = [Image.fromarray(frame.rgb).resize((WIDTH, height)) for frame in last]
-    palette = pictures[0].quantize(COLOURS, method=Image.Quantize.MAXCOVERAGE)
-    shown = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
-    apart = 1000 * SLOWER * (last[-1].time - last[0].time) / (len(last) - 1)
-    with written(path, "a folder that can be written"):
-        shown[0].save(path, save_all=True, append_images=shown[1:], duration=round(apart), loop=0, optimize=True)

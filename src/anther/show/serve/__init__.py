@@ -12,10 +12,12 @@ import secrets
 import tempfile
 from collections.abc import Callable, Sequence
 from datetime import UTC, date, datetime, timedelta
+from functools import partial
 from pathlib import Path
 from threading import BoundedSemaphore
 from typing import Annotated, Any, Literal, NamedTuple
 
+import numpy as np
 from fastapi import FastAPI, Form, Query, Request, Response
 from fastapi import Path as Path_
 from fastapi.exceptions import RequestValidationError
@@ -39,8 +41,8 @@ from anther.history import (
 )
 from anther.history import starting_material as believed
 from anther.history.overview import Tally
-from anther.plant.visit import Result, result_of, result_words
-from anther.show.style import STYLE
+from anther.plant.visit import Result, Visit, result_of, result_words
+from anther.show.style import STYLE, quantity
 
 __all__ = ["make_app"]
 
@@ -59,8 +61,12 @@ class Bar(NamedTuple):
 
 
 class Chart(NamedTuple):
-    """A chart over days: what its top stands for, the last known value, and a bar for every day that has one."""
+    """A chart over days: what its top stands for, the last known value, and a bar for every day that has one.
 
+    Its kind is the result that it counts, which gives it its colour; "" for what is no result.
+    """
+
+    kind: Result | Literal[""]
     title: str
     top: str
     last: str
@@ -69,22 +75,57 @@ class Chart(NamedTuple):
     bars: tuple[Bar, ...]
 
 
-def charts(days: Sequence[Tally], since: date, until: date) -> list[Chart]:
-    """Return visits a day, shares pollinated and failed, and the flowers' mean acceleration, from daily tallies."""
+RESULTS: dict[Result, str] = {
+    "pollinated": "Pollinated",
+    "held": "Held, flowers hardly moved or not measured",
+    "failed": "Failed",
+}
+"""The three results of a visit, in words."""
+
+
+def counted(tally: Tally) -> dict[Result, int]:
+    """Return how many visits had each of the three results."""
+    return {
+        "pollinated": tally.pollinated,
+        "held": tally.held - tally.pollinated,
+        "failed": tally.visits - tally.held,
+    }
+
+
+def charts(days: Sequence[Tally], since: date, until: date, only: Result | None = None) -> list[Chart]:
+    """Return visits a day, the share of each result (or of one only), and the flowers' mean acceleration."""
     by_day = {day.name: day for day in days}
     visits = {day: float(t.visits) for day, t in by_day.items()}
-    pollinated = {day: 100 * t.pollinated / t.visits for day, t in by_day.items()}
-    failed = {day: 100 * (1 - t.held / t.visits) for day, t in by_day.items()}
     felt = {day: t.acceleration for day, t in by_day.items() if t.acceleration is not None}
+    shares = [
+        _chart(
+            words,
+            {day: 100 * counted(t)[kind] / t.visits for day, t in by_day.items()},
+            "{:.1f} %",
+            (since, until),
+            kind,
+            top=100.0,
+        )
+        for kind, words in RESULTS.items()
+        if only in (None, kind)
+    ]
     return [
-        _chart("Visits a day", visits, "{:.0f}", since, until),
-        _chart("Pollinated", pollinated, "{:.1f} %", since, until, top=100.0),
-        _chart("Failed", failed, "{:.1f} %", since, until, top=100.0),
-        _chart("Flowers' acceleration, daily mean", felt, "{:.1f} m/s²", since, until),
+        _chart("Visits a day", visits, "{:.0f}", (since, until)),
+        *shares,
+        _chart("Flowers' acceleration, daily mean", felt, "{:.1f} m/s²", (since, until)),
     ]
 
 
-def _chart(title: str, values: dict[date, float], form: str, since: date, until: date, top: float = 0.0) -> Chart:
+def _chart(
+    title: str,
+    values: dict[date, float],
+    form: str,
+    span: tuple[date, date],
+    kind: Result | Literal[""] = "",
+    *,
+    top: float = 0.0,
+) -> Chart:
+    since, until = span
     count = (until - since).days + 1
     top = top or max(values.values(), default=0.0) or 1.0
     step = WIDTH / count
@@ -94,7 +135,7 @@ def _chart(title: str, values: dict[date, float], form: str, since: date, until:
         if (day := since + timedelta(days=k)) in values and (said := form.format(values[day]))
     ]
     last = form.format(values[max(values)]) if values else "nothing yet"
-    return Chart(title, form.format(top), last, since, until, tuple(bars))
+    return Chart(kind, title, form.format(top), last, since, until, tuple(bars))
 
 
 HERE = Path(__file__).parent
@@ -143,7 +184,7 @@ def make_app(history: str, runs: Path, token: str | None = None, *, local: bool 
     app = FastAPI(title="Anther", docs_url=None, redoc_url=None, openapi_url=None)
     house = House(history, runs.resolve(), token)
     templates = Jinja2Templates(HERE / "templates")
-    templates.env.globals.update(result_of=result_of, result_words=result_words)
+    templates.env.globals.update(result_of=result_of, result_words=result_words, quantity=quantity, results=RESULTS)
     templates.env.globals.update(
         {"today": lambda: datetime.now(UTC).date(), "place": shown(history), "writes": token is not None}
     )
@@ -223,15 +264,18 @@ def _overviews(app: FastAPI, house: House, page: Callable[..., HTMLResponse]) ->
         return page(request, "day.html", day=shown_day, result=result, step=timedelta(days=1), **values)
 
     @app.get("/trends")
-    def trends(request: Request, days: Annotated[int, Query(ge=2, le=90)] = 30) -> HTMLResponse:
+    def trends(
+        request: Request,
+        days: Annotated[int, Query(ge=2, le=90)] = 30,
+        result: Result | None = None,
+        before: Before = None,
+    ) -> HTMLResponse:
         until = datetime.now(UTC).date()
         since = until - timedelta(days=days - 1)
 
-        def ask(session: Session) -> dict[str, Any]:
-            drawn = charts(overview.days(session, since, until), since, until)
-            return {"charts": drawn, "failures": overview.failures(session, since, until)}
-
-        return page(request, "trends.html", days=days, **_read(house, ask, {"charts": [], "failures": []}))
+        ask = partial(_trends, span=(since, until), result=result, before=before)
+        found = _read(house, ask, {"charts": [], "counts": {}, "failures": [], "visits": []})
+        return page(request, "trends.html", days=days, result=result, **found)
 
     @app.get("/robots")
     def robots(request: Request) -> HTMLResponse:
@@ -252,6 +296,17 @@ def _overviews(app: FastAPI, house: House, page: Callable[..., HTMLResponse]) ->
         return page(request, "sweeps.html", **found)
 
 
+def _trends(session: Session, span: tuple[date, date], result: Result | None, before: int | None) -> dict[str, Any]:
+    """Return what the page of trends shows of some days; with a result also the last visits that had it."""
+    tallies = overview.days(session, *span)
+    return {
+        "charts": charts(tallies, *span, result),
+        "counts": {kind: sum(counted(t)[kind] for t in tallies) for kind in RESULTS},
+        "failures": overview.failures(session, *span),
+        "visits": overview.visits(session, result=result, before=before) if result else [],
+    }
+
+
 def _details(app: FastAPI, house: House, page: Callable[..., HTMLResponse]) -> None:
     """Add the pages about one plant and one visit."""
 
@@ -269,9 +324,10 @@ def _details(app: FastAPI, house: House, page: Callable[..., HTMLResponse]) -> N
         if found["plant"] is None:
             raise HTTPException(404, f"There is no plant {number} in this history.")
         belief = believed(found["plant"].species, found["plant"].label, house.history)
+        newest = find_visit(found["visits"][0].id, house.history) if found["visits"] else None
         last = found["last"]
         report = None if last is None or _report(house, last.run) is None else last.id
-        return page(request, "plant.html", belief=belief, report=report, **found)
+        return page(request, "plant.html", belief=belief, report=report, over=_over_predicted(newest), **found)
 
     @app.get("/visits/{number}")
     def a_visit(request: Request, number: Number) -> HTMLResponse:
@@ -350,3 +406,13 @@ def _report(house: House, run: str) -> Path | None:
         return path if path.is_relative_to(house.runs) and path.is_file() else None
     except (OSError, ValueError, RuntimeError):  # a name too long, a null character, a link to itself: no path
         return None
+
+
+def _over_predicted(visit: Visit | None) -> tuple[float, int] | None:
+    """Return the median of measured over predicted flower motion of a visit, and of how many; None: nothing was."""
+    motions = None if visit is None or not visit.flowers else visit.motions()
+    if motions is None:
+        return None
+    ratio = np.array(motions["measured_amplitude"]) / np.array(motions["predicted_amplitude"])
+    seen = ratio[np.isfinite(ratio)]
+    return (float(np.median(seen)), len(seen)) if len(seen) else None

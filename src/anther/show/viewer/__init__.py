@@ -5,26 +5,24 @@ from __future__ import annotations
 import html
 import io
 import time
-from collections.abc import Sequence
 from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 import viser
 
 from anther.core.files import write_text
 from anther.core.geometry import Array
-from anther.robot.arm.model import Capsule, Solid
 from anther.show.results import RunResults
+from anther.show.scene import FLOWER_RADIUS, hand, limbs
+from anther.show.style import GRIPPER_COLOR, PREDICTED_COLOR, ROBOT_COLOR, SHAKE_COLOR, rgb
 from anther.show.viewer._motion import RATE, Replay, motion_of
-from anther.show.viewer._scene import FLOWER_RADIUS, POINTS_IN_FILE, Handles, build_scene, placed
+from anther.show.viewer._scene import POINTS_IN_FILE, Handles, add_mesh, build_scene, placed
 
 __all__ = ["serve", "write_html"]
 
-GREY, DARK = (165, 168, 175), (70, 72, 80)
-MEASURED, PREDICTED = (40, 90, 235), (240, 60, 200)
+MEASURED, PREDICTED = SHAKE_COLOR, PREDICTED_COLOR
 SPEEDS = {"real time": 1.0, "half": 0.5, "a tenth": 0.1}
 SECONDS = 8.0
 """Of play at most in an HTML file [s]: it grows with them."""
@@ -46,10 +44,33 @@ def write_html(path: Path, results: RunResults, *, exaggeration: float) -> None:
                 for i in range(max(0, len(motion.times) - int(SECONDS * RATE)), len(motion.times)):
                     player.show(i, exaggeration)
                     page.insert_sleep(1 / RATE)
-            title = f"<title>Anther: {html.escape(results.title)}</title>"
-            write_text(path, page.as_html().replace("<title>Viser</title>", title, 1))
+            text = _entitled(page.as_html(), results.title, handles.legend + (f"<br>{PLAYED}" if motion else ""))
+            write_text(path, text)
         finally:
             server.stop()
+
+
+PLAYED = (
+    f'<span style="color:{MEASURED}">●</span> flowers as filmed '
+    f'<span style="color:{PREDICTED}">●</span> as the model follows the grip'
+)
+
+
+OPENED = """<script>const waiting = setInterval(() => { if (document.querySelector("canvas")) {
+  clearInterval(waiting); setTimeout(() => document.getElementById("opens").remove(), 1500) } }, 200)</script>"""
+"""Takes the word away when the scene, which viser fades in, can be seen."""
+
+
+def _entitled(page: str, title: str, legend: str) -> str:
+    """Return a page of viser's with a title, a legend, and a word to those who wait for its scene."""
+    font = "font:13px/1.5 system-ui,sans-serif;color:#1d2a22"
+    over = "position:fixed;left:10px;bottom:10px;right:10px;pointer-events:none;z-index:9"
+    middle = f"{over};top:10px;display:grid;place-items:center"
+    wait = f"<div id=opens style='{middle};{font}'>The scene opens …</div>{OPENED}"
+    below = f"<div style='{over};{font}'><span style='background:#fffc;padding:4px 8px'>{legend}</span></div>"
+    page = page.replace("<title>Viser</title>", f"<title>Anther: {html.escape(title)}</title>", 1)
+    head, body, rest = page.partition("<body>")
+    return f"{head}{body}{wait}{below}{rest}"
 
 
 def serve(results: RunResults, port: int, *, exaggeration: float) -> None:
@@ -75,17 +96,19 @@ class Player:
     def __init__(self, server: Any, results: RunResults, motion: Replay, handles: Handles) -> None:
         assert results.plant is not None
         self.motion, self._handles, self._plant, scene = motion, handles, results.plant, server.scene
-        arm, parts = motion.arm, [([_capsule(c) for c in link.capsules], GREY) for link in motion.arm.links]
-        _add(scene, "/robot/base", [*map(_capsule, arm.base_capsules), *map(_box, arm.base_solids)], GREY)
+        for name in ("arm", "gripper", "flowers", "grasp"):  # they move from now on, and the gripper shows the grasp
+            handles.remove(name)
+        base, *links = limbs(motion.arm)
+        robot = [add_mesh(scene, "/robot/base", base, rgb(ROBOT_COLOR))] if base else []
         self._links = []
-        for i, (shapes, colour) in enumerate([*parts, ([_box(s) for s in arm.tool.solids(motion.opening)], DARK)]):
+        parts = [*((link, ROBOT_COLOR) for link in links), (hand(motion.arm.tool, motion.opening), GRIPPER_COLOR)]
+        for i, (shapes, colour) in enumerate(parts):
             self._links.append(scene.add_frame(f"/robot/{i}", show_axes=False))
-            _add(scene, f"/robot/{i}/shape", shapes, colour)
-        for rest in handles.layers.pop("flowers at rest", []):
-            rest.remove()
+            robot += [add_mesh(scene, f"/robot/{i}/shape", shapes, rgb(colour))] if shapes else []
+        handles.layers["arm and gripper"], handles.colours["arm and gripper"] = robot, GRIPPER_COLOR
 
-        def balls(name: str, count: int, colour: tuple[int, int, int]) -> list[Any]:
-            style = {"radius": 0.6 * FLOWER_RADIUS, "color": colour, "subdivisions": 1}
+        def balls(name: str, count: int, colour: str) -> list[Any]:
+            style = {"radius": 0.6 * FLOWER_RADIUS, "color": rgb(colour), "subdivisions": 1}
             return [scene.add_icosphere(f"/{name}/{f + 1}", **style) for f in range(count)]
 
         tracked = motion.flowers.shape[1]
@@ -115,27 +138,6 @@ def _middle(track: Array) -> Array:
     return np.median(seen, axis=0) if len(seen) else np.zeros(3)
 
 
-def _add(scene: Any, name: str, shapes: Sequence[Any], colour: tuple[int, int, int]) -> None:
-    whole: Any = trimesh.util.concatenate(list(shapes))
-    vertices, faces = np.asarray(whole.vertices, np.float32), np.asarray(whole.faces, np.uint32)
-    scene.add_mesh_simple(name, vertices, faces, color=colour)
-
-
-def _capsule(capsule: Capsule) -> Any:
-    start, end = np.array(capsule.start), np.array(capsule.end)
-    height = float(np.linalg.norm(end - start))
-    mesh = trimesh.creation.capsule(height=height, radius=capsule.radius, count=(12, 12))
-    mesh.apply_transform(trimesh.geometry.align_vectors([0, 0, 1], (end - start) / height))
-    mesh.apply_translation((start + end) / 2 - mesh.bounds.mean(axis=0))
-    return mesh
-
-
-def _box(solid: Solid) -> Any:
-    mesh = trimesh.creation.box(2 * np.array(solid.half))
-    mesh.apply_translation(solid.center)
-    return mesh
-
-
 class Controls:
     """The panel's part that plays the shake."""
 
@@ -146,7 +148,7 @@ class Controls:
             self._time = server.gui.add_slider("time [s]", 0.0, float(times[-1]), float(times[1] - times[0]), 0.0)
             self._speed = server.gui.add_dropdown("speed", list(SPEEDS), initial_value="a tenth")
             self._larger = server.gui.add_slider("motions larger", 1.0, 20.0, 0.5, exaggeration)
-            server.gui.add_markdown("Blue: flowers as filmed. Pink: as the model follows the grip.")
+            server.gui.add_markdown(PLAYED)
         self._time.on_update(lambda _: self._show())
         self._larger.on_update(lambda _: self._show())
         self._show()

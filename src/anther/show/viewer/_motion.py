@@ -6,24 +6,19 @@ T times, N rod nodes, F flowers.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.core.errors import InputError
 from anther.core.geometry import Array
 from anther.plant.model import PlantModel
 from anther.pollination.execution import Trial
 from anther.pollination.shake import ShakePlan
 from anther.pollination.shake.pads import grip_rows, pad_nodes
-from anther.robot.arm import ArmName
-from anther.robot.arm.arms import in_simulated_cell, named
 from anther.robot.arm.model import ArmModel
-from anther.robot.arm.saved import load_arm
-from anther.robot.cells import read_cell
 from anther.rods import Drive, steady_motion
-from anther.show.results import ARM, RunResults
+from anther.show.results import RunResults
+from anther.show.scene import arm_of
 
 RATE = 30.0
 """Pictures a second of play."""
@@ -63,9 +58,8 @@ def motion_of(results: RunResults) -> Replay | None:
     trial, plant, shake = results.trial, results.plant, results.shaken
     if trial is None or plant is None or shake is None or len(trial.shake_times) < 10:
         return None
-    try:
-        arm = _arm(results)
-    except InputError:
+    arm = arm_of(results)
+    if arm is None:
         return None
     begin, end = float(trial.shake_times[0]), float(trial.shake_times[-1])
     frequency = trial.steps[-1].frequencies[0] if trial.steps else shake.frequency
@@ -75,15 +69,6 @@ def motion_of(results: RunResults) -> Replay | None:
     return Replay(
         arm, times - begin, joints, opening, _swayed(arm, plant, shake, trial, times), _filmed(results, times)
     )
-
-
-def _arm(results: RunResults) -> ArmModel:
-    """Return the run's arm: as it was kept; of runs of older versions by its name, or from the run's cell file."""
-    if (results.folder / ARM).exists():
-        return load_arm(results.folder / ARM)[0]
-    if results.simulated:
-        return in_simulated_cell(results.arm)
-    return named(results.arm) if results.arm in get_args(ArmName) else read_cell(str(results.params["cell"])).model
 
 
 def _swayed(arm: ArmModel, plant: PlantModel, shake: ShakePlan, trial: Trial, times: Array) -> Array:

@@ -1,4 +1,4 @@
-"""What stands in the scene: cloud, obstacles, cameras, skeleton, flowers, grasps. N skeleton nodes."""
+"""The scene's layers as viser draws them. N skeleton nodes."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from anther.core.geometry import Array
 from anther.perception.skeleton import Skeleton
-from anther.perception.stem import BRANCH, LEAF, ORGAN_NAMES, STEM, TRUSS
-from anther.robot.arm.saved import load_arm
-from anther.show.results import ARM, RunResults
+from anther.perception.stem import BRANCH, ORGAN_NAMES, STEM
+from anther.show.results import RunResults
+from anther.show.scene import ORGAN_COLORS, Layer, layers_of
+from anther.show.style import rgb
 
 
 def placed(T: Array) -> tuple[Any, Any]:
@@ -23,19 +24,14 @@ def placed(T: Array) -> tuple[Any, Any]:
     return T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
 
 
-POINT_SIZE = 0.0015
-"""[m]"""
-FLOWER_RADIUS = 0.008
-"""[m]"""
+POINT_SIZE = 0.0006
+"""[m]: through the gaps between the cloud's points the skeleton is seen."""
 PALE = 0.45
-"""Share of white in the cloud's colours, so that the skeleton shows through it."""
+"""Share of white in the cloud's colours, before which the skeleton stands out."""
 VIEW_FROM = np.array([0.4, -0.6, 0.2])
 """From where the plant is seen first, from its middle [m]: across the arm, which comes along +x."""
-POINTS_IN_FILE = 150_000
-"""Of the cloud at most, where the scene is written to one file."""
-COLOURS = {STEM: (210, 40, 40), BRANCH: (230, 140, 40), TRUSS: (200, 60, 200), LEAF: (60, 150, 60)}
-WIDTHS = {STEM: 0.004, BRANCH: 0.0015, TRUSS: 0.0015, LEAF: 0.001}
-"""Organ -> how thick its lines are drawn [m]."""
+POINTS_IN_FILE = 40_000
+"""Of the cloud at most, where the scene is written to one file: it opens at once, and shows what is within."""
 
 
 @dataclass
@@ -44,11 +40,11 @@ class Handles:
 
     Attributes:
         layers: name -> viser's handles.
-        lines: (handle, the edges (E, 2) it draws) of each organ of the skeleton.
+        lines: (handle, the edges (E, 2) it draws) of each layer that follows the skeleton.
         rest: (N, 3) the skeleton's nodes at rest [m].
         joints: the balls at the skeleton's nodes, to be clicked.
         said: of each node, what is there.
-        legend: which colour is what, as Markdown.
+        colours: name of a layer that is seen at first -> "#rrggbb".
     """
 
     layers: dict[str, list[Any]] = field(default_factory=dict)
@@ -56,7 +52,13 @@ class Handles:
     rest: Array = field(default_factory=lambda: np.zeros((0, 3)))
     joints: Any = None
     said: list[str] = field(default_factory=list)
-    legend: str = ""
+    colours: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def legend(self) -> str:
+        """Which colour is what, as Markdown, of the layers that are there."""
+        there = ((name, colour) for name, colour in self.colours.items() if name in self.layers)
+        return " ".join(f'<span style="color:{colour}">●</span> {name}' for name, colour in there)
 
     def bend(self, moved: Array) -> None:
         """Draw the skeleton with its nodes displaced by (N, 3) [m]."""
@@ -66,17 +68,29 @@ class Handles:
         if self.joints is not None:
             self.joints.batched_positions = nodes
 
+    def remove(self, name: str) -> None:
+        """Take a layer out of the scene."""
+        for part in self.layers.pop(name, []):
+            part.remove()
+
 
 def build_scene(server: viser.ViserServer, results: RunResults, most_points: int | None = None) -> Handles:
     """Add what a run holds to a viser scene; of the cloud at most so many points, None: all."""
-    scene, handles = server.scene, Handles()
+    scene, handles, layers = server.scene, Handles(), layers_of(results)
     scene.set_up_direction("+z")
-    scene.add_frame("/world", axes_length=0.1, axes_radius=0.002)
-    _add_cloud(scene, results, handles, most_points)
-    _add_cameras(scene, results, handles)
-    _add_keep_out(scene, results, handles)
-    _add_skeleton(scene, results, handles)
-    _add_grasps(scene, results, handles)
+    scene.world_axes.visible = False
+    handles.layers["axes of the world"] = [
+        scene.add_frame("/world axes", axes_length=0.1, axes_radius=0.002, visible=False)
+    ]
+    for layer in layers:
+        handles.layers[layer.name] = _add(scene, layer, handles, most_points)
+    handles.colours |= {layer.name: layer.colour for layer in layers if layer.shown}
+    tree = results.skeleton
+    if tree is not None:
+        organ = results.stem.organ if results.stem is not None else np.full(len(tree.nodes), BRANCH)
+        handles.rest, handles.said = tree.nodes, _said(tree, organ, results)
+        handles.joints = _add_joints(scene, tree, organ)
+        handles.layers["thickness"] = [handles.joints]
     points = results.cloud.points if results.cloud is not None else handles.rest
     if len(points):
         middle = points.mean(axis=0)
@@ -85,86 +99,57 @@ def build_scene(server: viser.ViserServer, results: RunResults, most_points: int
     return handles
 
 
-def _add_cloud(scene: Any, results: RunResults, handles: Handles, most: int | None) -> None:
-    cloud = results.cloud
-    if cloud is None:
-        return
-    step = 1 if most is None else max(1, -(-len(cloud.points) // most))
-    points = cloud.points[::step].astype(np.float32)
-    colours = cloud.colors[::step] if cloud.colors is not None else np.tile([90, 150, 90], (len(points), 1))
+def _add(scene: Any, layer: Layer, handles: Handles, most: int | None) -> list[Any]:
+    """Add all that a layer holds, and return viser's handles of it."""
+    name, colour, shown, parts = f"/{layer.name}", rgb(layer.colour), {"visible": layer.shown}, list[Any]()
+    if layer.points is not None:
+        parts.append(_add_points(scene, name, layer, most))
+    if layer.lines is not None:
+        lines = layer.lines.astype(np.float32)
+        parts.append(scene.add_line_segments(f"{name}/lines", lines, colour, thickness=layer.width, **shown))
+        if layer.edges is not None:
+            handles.lines.append((parts[-1], layer.edges))
+    for i, (*centre, radius) in enumerate(() if layer.balls is None else layer.balls):
+        style = {"radius": radius, "color": colour, "opacity": 0.6}
+        parts.append(scene.add_icosphere(f"{name}/{i + 1}", **style, position=centre, **shown))
+    if layer.arrows is not None:
+        parts.append(scene.add_arrows(f"{name}/arrows", layer.arrows.astype(np.float32), colour, **ARROW, **shown))
+    if layer.solids:
+        parts.append(add_mesh(scene, f"{name}/solids", list(layer.solids), colour, **shown))
+    k = layer.camera
+    for i, T in enumerate(() if layer.poses is None or k is None else layer.poses):
+        assert k is not None
+        (position, wxyz), fov = placed(T), 2 * np.arctan(k.height / (2 * k.fy))
+        style = {"aspect": k.width / k.height, "color": colour, "scale": 0.03, "thickness": 0.001} | shown
+        parts.append(scene.add_camera_frustum(f"{name}/{i:02d}", fov, position=position, wxyz=wxyz, **style))
+    return parts
+
+
+ARROW = {"shaft_radius": 0.002, "head_radius": 0.005, "head_length": 0.015}
+"""[m]"""
+
+
+def _add_points(scene: Any, name: str, layer: Layer, most: int | None) -> Any:
+    assert layer.points is not None
+    step = 1 if most is None else max(1, -(-len(layer.points) // most))
+    points = layer.points[::step].astype(np.float32)
+    colours = np.tile(rgb(layer.colour), (len(points), 1)) if layer.colours is None else layer.colours[::step]
     colours = (PALE * 255 + (1 - PALE) * colours).astype(np.uint8)
-    size = POINT_SIZE * np.sqrt(step)
-    plant = scene.add_point_cloud("/plant", points, colours, point_size=size, point_shape="circle")
-    handles.layers["cloud"] = [plant]
-    if len(cloud.obstacles):
-        grey = np.full((len(cloud.obstacles), 3), 120, np.uint8)
-        pot = scene.add_point_cloud("/pot and bench", cloud.obstacles.astype(np.float32), grey, point_size=0.005)
-        handles.layers["pot and bench"] = [pot]
+    style = {"point_size": POINT_SIZE, "point_shape": "circle", "point_shading": "flat"}
+    return scene.add_point_cloud(name, points, colours, **style, visible=layer.shown)
 
 
-def _add_keep_out(scene: Any, results: RunResults, handles: Handles) -> None:
-    """Add the boxes of the run's cell file that the arm keeps out of."""
-    if not (results.folder / ARM).exists():
-        return
-    style = {"color": (150, 110, 70), "opacity": 0.15}
-    shown = [
-        scene.add_box(
-            f"/keep out/{i}", dimensions=tuple(b.upper - b.lower), position=tuple((b.lower + b.upper) / 2), **style
-        )
-        for i, b in enumerate(load_arm(results.folder / ARM)[1])
-    ]
-    if shown:
-        handles.layers["keep-out boxes"] = shown
-
-
-def _add_cameras(scene: Any, results: RunResults, handles: Handles) -> None:
-    if results.capture is None:
-        return
-    k = results.capture.intrinsics
-    style = {"fov": 2 * np.arctan(k.height / (2 * k.fy)), "aspect": k.width / k.height, "color": (90, 110, 170)}
-    handles.layers["views"] = [
-        scene.add_camera_frustum(
-            f"/views/{i:02d}", **style, scale=0.03, thickness=0.001, position=position, wxyz=wxyz, visible=False
-        )
-        for i, (position, wxyz) in enumerate(map(placed, results.capture.T_world_cam))
-    ]
-
-
-def _add_skeleton(scene: Any, results: RunResults, handles: Handles) -> None:
-    skeleton, stem = results.skeleton, results.stem
-    if skeleton is None:
-        return
-    handles.rest = skeleton.nodes
-    organ = stem.organ if stem is not None else np.full(len(skeleton.nodes), BRANCH)
-    shown = []
-    for kind, colour in COLOURS.items():
-        edges = skeleton.edges[organ[1:] == kind]  # edge j - 1 ends at node j
-        if len(edges):
-            points = skeleton.nodes[edges].astype(np.float32)
-            line = scene.add_line_segments(f"/skeleton/{ORGAN_NAMES[kind]}", points, colour, thickness=WIDTHS[kind])
-            handles.lines.append((line, edges))
-            shown.append(line)
-    handles.layers["skeleton"] = shown
-    handles.legend = " ".join(
-        f'<span style="color:rgb{COLOURS[kind]}">●</span> {ORGAN_NAMES[kind]}'
-        for kind in COLOURS
-        if (organ == kind).any()
-    )
-    handles.joints = _add_joints(scene, skeleton, organ)
-    handles.said = _said(skeleton, organ, results)
-    handles.layers["thickness"] = [handles.joints]
-    if results.flowers is not None:
-        style = {"radius": FLOWER_RADIUS, "color": (240, 60, 200), "opacity": 0.35}
-        handles.layers["flowers at rest"] = [
-            scene.add_icosphere(f"/flowers/{i + 1}", position=tuple(p), **style)
-            for i, p in enumerate(results.flowers.positions)
-        ]
+def add_mesh(scene: Any, name: str, shapes: list[Any], colour: tuple[int, int, int], **shown: bool) -> Any:
+    """Add meshes as one part of a scene."""
+    whole: Any = trimesh.util.concatenate(shapes)
+    vertices, faces = np.asarray(whole.vertices, np.float32), np.asarray(whole.faces, np.uint32)
+    return scene.add_mesh_simple(name, vertices, faces, color=colour, **shown)
 
 
 def _add_joints(scene: Any, skeleton: Skeleton, organ: NDArray[Any]) -> Any:
     """Add a ball as thick as the plant at every node: they can be clicked."""
     ball = trimesh.creation.icosphere(subdivisions=1, radius=1.0)
-    colours = np.array([COLOURS.get(int(kind), (128, 128, 128)) for kind in organ], np.uint8)
+    colours = np.array([rgb(ORGAN_COLORS[int(kind)]) for kind in organ], np.uint8)
     count = len(skeleton.nodes)
     return scene.add_batched_meshes_simple(
         "/thickness",
@@ -187,15 +172,3 @@ def _said(skeleton: Skeleton, organ: NDArray[Any], results: RunResults) -> list[
         f"`--root={x:.3f},{y:.3f},{z:.3f}`, or `--stem-tip=` the same"
         for j, (x, y, z), r, kind in zip(numbers, skeleton.nodes, skeleton.radius, organ, strict=True)
     ]
-
-
-def _add_grasps(scene: Any, results: RunResults, handles: Handles) -> None:
-    chosen = results.shaken.grasp_index if results.shaken is not None else 0
-    frames = []
-    for rank, grasp in enumerate(results.grasps):
-        position, wxyz = placed(grasp.T_world_flange)
-        size = 0.08 if rank == chosen else 0.03
-        name = f"/grasps/{rank + 1}{' (chosen)' if rank == chosen else ''}"
-        frames.append(scene.add_frame(name, position=position, wxyz=wxyz, axes_length=size, axes_radius=size / 25))
-    if frames:
-        handles.layers["grasps"] = frames

@@ -1,0 +1,135 @@
+"""What the report says of one trial does not contradict itself."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from html import unescape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from test_viewer import shaken
+
+from anther.pollination.execution import Step
+from anther.pollination.response import Response
+from anther.show.report import write_report
+from anther.show.results import PARAMS, RunResults, read_run
+
+NAN = float("nan")
+F = 6
+LAST = Step(0.5, 1.5, (4.0,), (0.002,), (0.0, 1.0, 0.0), (NAN, 6.0, *[NAN] * 4), {"slip": 0.5}, "Held.", 0.1)
+
+
+def trial(folder: Path, **more: Any) -> RunResults:
+    """A run whose plan was raised from 5 mm to 8 mm, and whose first flower alone was followed to the end."""
+    results = shaken(folder)
+    assert results.shake is not None
+    assert results.trial is not None
+    seen = np.arange(F) == 0
+    size, none = np.where(seen, 0.004, NAN), np.full(F, NAN)
+    at_most = np.where(np.arange(F) == 2, 0.0005, NAN)
+    times = np.linspace(0, 1, 20)
+    tracks = np.tile(0.004 * np.sin(25 * times)[:, None, None], (1, F, 3))
+    response = Response(
+        times,
+        tracks,
+        size,
+        0.1 * size,
+        none,
+        none,
+        none,
+        none,
+        np.where(seen, 3.0, NAN),
+        at_most,
+        np.ones((F, 3)),
+        seen,
+    )
+    done = replace(results.shake, amplitude=0.008)
+    stepped = replace(results.trial, steps=(LAST,))
+    return replace(results, executed=done, trial=stepped, response=response, **more)
+
+
+def said(results: RunResults, section: str, folder: Path) -> list[list[str]]:
+    """Return the rows of the tables in a section of the report, each its cells, without markup."""
+    write_report(folder / "report.html", results)
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    begin = page.index(f"<h2>{section}</h2>")
+    part = page[begin : page.index("</section>", begin)]
+    rows = re.findall(r"<tr[^>]*>(.*?)</tr>", part)
+    return [[unescape(re.sub("<[^>]+>", "", c)) for c in re.findall(r"<t[dh][^>]*>(.*?)</t[dh]>", r)] for r in rows]
+
+
+def test_plan_and_execution_stand_in_one_table_in_one_unit(tmp_path: Path) -> None:
+    rows = said(trial(tmp_path), "The shake", tmp_path)
+    assert rows[0] == ["", "Planned", "Executed"]
+    assert ["Amplitude of the grip", "5.00 mm", "8.00 mm"] in rows
+    assert ["Frequency", "4.00 Hz", "4.00 Hz"] in rows
+    alone = said(replace(trial(tmp_path), executed=None), "The shake", tmp_path)
+    assert alone[0] == ["", "Planned"]
+
+
+def test_a_flower_has_amplitude_and_acceleration_from_the_same_look(tmp_path: Path) -> None:
+    rows = {
+        row[0]: row[2::2] for row in said(trial(tmp_path), "How the flowers moved", tmp_path) if row[0][:6] == "Flower"
+    }
+    assert rows["Flower 1"] == ["4.00 mm ± 0.40", "3.00 m/s²"]
+    of_the_step = 1e3 * 6.0 / (2 * np.pi * 4.0) ** 2
+    assert rows["Flower 2"] == [f"{of_the_step:.2f} mm (last step)", "6.00 m/s² (last step)"]
+    assert rows["Flower 3"] == ["less than 0.500 mm", "less than 0.316 m/s²"]
+    assert rows["Flower 4"] == ["not measured", "not measured"]
+
+
+def test_what_a_negative_clearance_means_is_said_where_there_is_one(tmp_path: Path) -> None:
+    results = trial(tmp_path)
+    assert results.shake is not None
+    grasp = results.shake.grasp
+    for clearance, told in ((0.005, False), (-0.015, True)):
+        write_report(tmp_path / "report.html", replace(results, grasps=(replace(grasp, clearance=clearance),)))
+        page = (tmp_path / "report.html").read_text(encoding="utf-8")
+        assert ("pushes leaves, petioles or flowers aside" in page) == told
+
+
+@pytest.mark.parametrize("true", [None, 13.4])
+def test_measured_and_true_are_explained_in_simulation_alone(true: float | None, tmp_path: Path) -> None:
+    summary = {} if true is None else {"true_flower_acceleration_median_ms2": true}
+    write_report(tmp_path / "report.html", trial(tmp_path, summary=summary))
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert ("Measured is what the side camera tells" in page) == (true is not None)
+
+
+@pytest.mark.parametrize(
+    ("timing", "header"),
+    [
+        ({"cloud": 2.0, "stem": 1.0}, ["Stage", "Time", "Share"]),
+        (
+            {"cloud": {"seconds": 2.0, "cpu_s": 3.5, "peak_mb": 800}, "stem": {"seconds": 1.0, "cpu_s": 0.5}},
+            ["Stage", "Time", "Share", "Processor time", "Most memory"],
+        ),
+        (
+            {"cloud": 2.0, "stem": 1.0, "cpu_s": {"cloud": 3.5, "stem": 0.5}},
+            ["Stage", "Time", "Share", "Processor time"],
+        ),
+    ],
+)
+def test_processor_time_and_memory_have_a_column_where_they_are_known(
+    timing: dict[str, Any], header: list[str], tmp_path: Path
+) -> None:
+    (tmp_path / PARAMS).write_text("{}")
+    (tmp_path / "timing.json").write_text(json.dumps(timing))
+    results = read_run(tmp_path)
+    assert results.seconds == {"cloud": 2.0, "stem": 1.0}
+    rows = said(results, "Where the time went", tmp_path)
+    assert rows[0] == header
+    assert rows[-1][:2] == ["total", "3.0 s"]
+    if len(header) > 3:
+        assert rows[-1][3] == "4.00 s"
+
+
+def test_each_picture_is_there_for_a_desk_and_for_a_phone(tmp_path: Path) -> None:
+    write_report(tmp_path / "report.html", trial(tmp_path))
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert page.count("<picture>") == page.count("<source media='(max-width:640px)'") >= 3
+    assert 'data-name="Predicted acceleration"' in page, "a card of a phone names its values"
