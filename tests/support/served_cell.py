@@ -33,7 +33,7 @@ from served_controller import Aim, along, catching_up, references
 from served_franka import ServedFranka
 from served_world import World
 
-from anther.plant.limits import Crop
+from anther.core.choices import Crop
 from anther.robot.arm import ArmName
 from anther.robot.arm.arms import in_simulated_cell
 from anther.robot.arm.model import ArmModel

@@ -190,7 +190,7 @@ def _parsed(name: str, words: list[str]) -> Any:
         asked = shared.tuned(asked)
     words = ["--help" if word == "--help-all" else word for word in words]
     try:
-        args = tyro.cli(asked, prog=f"anther {name}", description=_description(name, module.__doc__), args=words)
+        args = tyro.cli(asked, prog=f"anther {name}", description=_description(name, module.__doc__ or ""), args=words)
     finally:
         if short and more:
             print(f"Options of {', '.join(more)}: anther {name} --help-all")

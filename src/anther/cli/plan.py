@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from typing import Any, get_args
+from typing import Any, cast, get_args
 
 from rich.console import Console
 from rich.table import Table
@@ -80,7 +80,8 @@ def read(args: Args) -> tuple[SourcePlant, Skeleton | None, Stem | None, Cloud |
     """Return what `read_plant` does of what is asked."""
     given = {name: getattr(args.rods, name) for name in MATERIAL}
     changes = {name: value for name, value in given.items() if value is not None}
-    species = was if (was := _asked(args).get("plant")) in get_args(Crop) else args.species
+    was = _asked(args).get("plant")
+    species = cast(Crop, was) if was in get_args(Crop) else args.species
     measured = None if args.material is None else read_material(args.material)
     return read_plant(
         args.source,

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from anther.cli.args.trial import Args
-from anther.cli.run_folder import ARM, TrialLog, finish, open_run, parameters, remember
+from anther.cli.run_folder import TrialLog, finish, open_run, parameters, remember
 from anther.core.checks import check_range
 from anther.core.errors import StageFailure, bad_input
 from anther.core.runs import WHERE_IT_STOPPED, stage_under_way
@@ -23,7 +23,7 @@ from anther.robot.arm.gripper_shape import GripperShape
 from anther.robot.arm.saved import save_arm
 from anther.robot.cells import read_cell
 from anther.robot.devices import Tap, untapped
-from anther.show.results import EXECUTED, FILM
+from anther.show.results import ARM, EXECUTED, FILM
 from anther.show.summary import print_summary, summarise
 
 if TYPE_CHECKING:

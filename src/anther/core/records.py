@@ -113,7 +113,7 @@ class Field:
     @property
     def rows(self) -> bool:
         """Whether it holds any number of records."""
-        inner = get_args(self.kind) if get_origin(self.kind) is tuple else ()
+        inner: tuple[Any, ...] = get_args(self.kind) if get_origin(self.kind) is tuple else ()
         return inner[1:] == (...,) and is_dataclass(inner[0])
 
     @property
@@ -293,7 +293,7 @@ def encode(value: Any) -> Any:
     if is_dataclass(value):
         return {f.name: encode(getattr(value, f.name)) for f in fields_of(type(value)) if f.saved}
     if isinstance(value, tuple) and hasattr(value, "_asdict"):
-        value = value._asdict()
+        value = cast(Any, value)._asdict()
     if isinstance(value, dict):
         return {str(key): encode(part) for key, part in value.items()}
     if isinstance(value, tuple | list):
@@ -325,7 +325,7 @@ def decode(value: Any, kind: Any, name: str = "") -> Any:
     if _is_union(kind):
         return _first_that_fits(value, get_args(kind), name)
     if is_dataclass(kind) or hasattr(kind, "_fields"):
-        return _decoded_record(value, cast(type, kind), name or kind.__name__)
+        return _decoded_record(value, cast(type, kind), name or cast(type, kind).__name__)
     if get_origin(kind) in (tuple, dict):
         return _decoded_parts(value, get_origin(kind), get_args(kind), name)
     return _decoded_scalar(value, kind, name)
@@ -357,7 +357,7 @@ def _decoded_parts(value: Any, origin: Any, kinds: tuple[Any, ...], name: str) -
     if not isinstance(value, wanted):
         allowed = "an object" if origin is dict else "a list"
         raise bad_input(name, given=repr(value)[:40], allowed=allowed, do="Correct it.")
-    if origin is dict:
+    if isinstance(value, dict):
         return {key: decode(part, kinds[1], name) for key, part in value.items()}
     kinds = (kinds[0],) * len(value) if kinds[1:] == (...,) else kinds
     return tuple(decode(part, kind, name) for part, kind in zip(value, kinds, strict=True))

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError, cKDTree
+from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from anther.core.choices import Species
 from anther.core.errors import StageFailure
@@ -196,7 +196,7 @@ def measure_cloud(cloud: Cloud) -> CloudTraits:
         ) from error
     rim = points[flat.vertices, :2]
     sample = points[:: max(len(points) // SAMPLED, 1)]
-    cell = 2 * float(np.median(cKDTree(points).query(sample, k=2)[0][:, 1])) or LEAST_CELL
+    cell = 2 * float(np.median(KDTree(points).query(sample, k=2)[0][:, 1])) or LEAST_CELL
     taken = np.unique(np.floor(points[:, :2] / cell).astype(np.int64), axis=0)
     colours = (None, None) if cloud.colors is None else _colour_indices(cloud.colors.astype(np.float64))
     width = float(np.linalg.norm(rim[:, None] - rim[None], axis=-1).max())

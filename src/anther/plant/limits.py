@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from anther.core.checks import check_range
-from anther.core.choices import Crop, Preset  # noqa: F401 - the room gives them too
+from anther.core.choices import Crop as Crop  # noqa: PLC0414 - the door gives it
 from anther.core.geometry import Array
 from anther.core.records import Range, Record
 

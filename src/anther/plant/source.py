@@ -194,7 +194,7 @@ def _of_run(folder: Path, made: Made) -> tuple[SourcePlant, Skeleton | None, Ste
     radius = skeleton.radius if made.radius is None else np.full(len(skeleton.nodes), made.radius)
     skeleton = replace(skeleton, radius=np.maximum(radius, made.least_radius))
     cloud = Cloud.load(there["cloud"]) if "cloud" in there else None
-    flowers = Flowers.load(there["flowers"]) if "flowers" in there else Flowers(np.zeros((0, 3)), np.zeros(0))
+    flowers = Flowers.load(there["flowers"]) if "flowers" in there else Flowers(np.zeros((0, 3)), np.zeros(0, np.int64))
     return _modelled(skeleton, stem, flowers, cloud, made), skeleton, stem, cloud
 
 

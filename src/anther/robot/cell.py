@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from anther.core.choices import ActuatorName  # noqa: F401 - the room gives it too
 from anther.core.geometry import Array, Box
 from anther.core.runs import Advance
 from anther.perception.capture import Capture

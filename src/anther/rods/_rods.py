@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.core.checks import check_array
-from anther.core.choices import Discretisation
+from anther.core.choices import Discretisation as Discretisation  # noqa: PLC0414 - the door gives it
 from anther.core.errors import bad_input
 from anther.core.records import Range, Record, Shape
 

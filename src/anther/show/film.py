@@ -54,7 +54,7 @@ def with_robot(frames: Sequence[Frame], trial: Trial, robot: Robot, arm: ArmMode
         return list(frames)
     opening = float(trial.gripper[0, 0]) if len(trial.gripper) else 0.0
     parts = [*((solids, ROBOT_COLOR) for solids in limbs(arm)), (hand(arm.tool, opening), GRIPPER_COLOR)]
-    parts = [([trimesh.util.concatenate(solids)] if solids else [], colour) for solids, colour in parts]
+    parts: list[Any] = [([trimesh.util.concatenate(solids)] if solids else [], colour) for solids, colour in parts]
     meshes = [(i, mesh, colour) for i, (solids, colour) in enumerate(parts) for mesh in solids]
     starts = np.cumsum([0, *(len(mesh.vertices) for _, mesh, _ in meshes)])
     faces = np.concatenate([mesh.faces + at for (_, mesh, _), at in zip(meshes, starts, strict=False)])

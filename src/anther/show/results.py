@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from anther.core.choices import Crop
 from anther.core.errors import bad_input
 from anther.core.files import existing, read_object
 from anther.core.runs import FILES
@@ -20,7 +21,6 @@ from anther.perception.masks import Masks
 from anther.perception.skeleton import Skeleton
 from anther.perception.stem import Stem
 from anther.perception.stem.confidence import doubt
-from anther.plant.limits import Crop
 from anther.plant.model import PlantModel
 from anther.plant.visit import Result, TruthRecord, Visit, median
 from anther.pollination.execution import Trial

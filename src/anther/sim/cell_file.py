@@ -14,18 +14,18 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from anther.core.choices import ActuatorName, Crop
 from anther.core.errors import bad_input
 from anther.core.geometry import Array, Box, Intrinsics, pose7, transform
 from anther.core.runs import Advance
 from anther.perception.capture import Capture
 from anther.perception.cloud import Cloud
-from anther.plant.limits import Crop
 from anther.robot.arm.model import ArmModel
 from anther.robot.arm.planner import Planner
 from anther.robot.arm.sawyer import SAWYER
 from anther.robot.arm.views import Params as ViewParams
 from anther.robot.arm.views import plan_views
-from anther.robot.cell import ActuatorName, Cell
+from anther.robot.cell import Cell
 from anther.robot.cells import CellFile, Simulation, read_cell
 from anther.robot.cells.hardware import motion_params, planner_around
 from anther.robot.devices import Tap, untapped

@@ -174,8 +174,8 @@ class SimPlant:
     def moved(self, way: ArrayLike) -> SimPlant:
         """Return the plant and its pot elsewhere, `way` (3,) from here [m]."""
         names = ("start", "end", "lump_centre", "flower_position", "vertices")
-        places: dict[str, Any] = {name: getattr(self, name) + way for name in names}
-        return replace(self, **places, pot=replace(self.pot, centre=self.pot.centre + way))
+        places: dict[str, Any] = {name: getattr(self, name) + np.asarray(way) for name in names}
+        return replace(self, **places, pot=replace(self.pot, centre=self.pot.centre + np.asarray(way)))
 
     def carried(self, values: Array) -> Array:
         """Return values (K, ...) summed over each segment and all that grows on it."""

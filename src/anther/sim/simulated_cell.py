@@ -7,18 +7,18 @@ from functools import cache, partial
 
 import numpy as np
 
+from anther.core.choices import ActuatorName, Crop
 from anther.core.geometry import Array, Box, Intrinsics, look_at
 from anther.core.runs import Advance
 from anther.perception.capture import Capture
 from anther.perception.cloud import Cloud
-from anther.plant.limits import Crop
 from anther.robot.arm.model import ArmModel, outline
 from anther.robot.arm.planner import Params as MotionParams
 from anther.robot.arm.planner import Planner
 from anther.robot.arm.sawyer import SAWYER
 from anther.robot.arm.views import Params as ViewParams
 from anther.robot.arm.views import Views, capture_time, plan_views
-from anther.robot.cell import ActuatorName, Cell
+from anther.robot.cell import Cell
 from anther.robot.devices import SafetyLimits, Tap, untapped
 from anther.robot.safety import guard
 from anther.sim import arm_model

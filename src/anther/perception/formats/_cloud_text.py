@@ -156,7 +156,7 @@ def _by_names(path: Path, table: Array, names: list[str]) -> RawPoints:
         given = f"columns {', '.join(name or 'without name' for name in names)}"
         raise bad_input(str(path), given=given, allowed="x, y and z among them", do="Name the columns in line 1.")
     keys = [re.sub(r"\W*[\[(].*", "", name.lower()).strip() for name in names]
-    words = np.isnan(table).all(axis=0)
+    words = np.atleast_1d(np.isnan(table).all(axis=0))
     rest = [key for k, key in enumerate(keys) if k not in at and not words[k]]
     colors, taken = ply.find_colors(rest, lambda key: _whole(table[:, keys.index(key)]))
     unused = [names[k] or "a column without name" for k, key in enumerate(keys) if k not in at and key not in taken]
@@ -164,7 +164,7 @@ def _by_names(path: Path, table: Array, names: list[str]) -> RawPoints:
 
 
 def _by_place(path: Path, table: Array, *, counted: bool) -> RawPoints:
-    words = np.isnan(table).all(axis=0)
+    words = np.atleast_1d(np.isnan(table).all(axis=0))
     words &= (~words).sum() >= 3  # else there are no words, but points that are no numbers
     notes = unused_note([f"column {k + 1}" for k in np.flatnonzero(words)])
     table = table[:, ~words]

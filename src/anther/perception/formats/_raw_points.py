@@ -82,7 +82,7 @@ def places(names: Sequence[str]) -> tuple[list[int] | None, Units | None]:
     if not all(found.values()):
         return None, None
     best = [min(some) for some in found.values()]
-    units = {unit_of(unit) for _, _, unit in best}
+    units: set[Units | None] = {unit_of(unit) for _, _, unit in best}
     if len(units) > 1:
         given = f"columns {', '.join(names[column] for _, column, _ in best)}"
         raise bad_input("columns", given=given, allowed="x, y and z in one unit", do="Scale them alike, and name them.")
@@ -99,10 +99,10 @@ def stated(comments: Sequence[str]) -> tuple[Units | None, Axis | None]:
     units: set[Units] = set()
     for line in filter(_TELLS.search, comments):
         words = re.findall(r"[^\W\d_]+", re.sub(r"\bin(?= \w)", "", line))
-        found = {unit for unit in map(unit_of, words) if unit}
+        found: set[Units] = {unit for unit in map(unit_of, words) if unit}
         units |= found if len(found) == 1 else set()
     axes = {(match[1] or match[2]).lower() for line in comments for match in _UP.finditer(line)}
-    up = next((axis for axis in TO_Z_UP if axes == {axis}), None)
+    up: Axis | None = next((axis for axis in TO_Z_UP if axes == {axis}), None)
     return units.pop() if len(units) == 1 else None, up
 
 

@@ -15,11 +15,12 @@ from typing import Any
 
 import numpy as np
 
+from anther.core.choices import Units
 from anther.core.errors import AntherError, MissingExtra, bad_input
 from anther.core.files import understood, whole_file
 from anther.core.geometry import Array
 from anther.perception.cloud import ply
-from anther.perception.formats._raw_points import MOST_POINTS, RawPoints, Units, unit_of, unused_note
+from anther.perception.formats._raw_points import MOST_POINTS, RawPoints, unit_of, unused_note
 
 INSTALL = "pip install 'anther[scans]'"
 _GEO_LINEAR, _GEO_UNITS = 3076, {9001: "m", 9002: "ft", 9003: "ft"}
@@ -54,7 +55,7 @@ def _las_unit(vlrs: Any) -> Units | None:
             if key.id == _GEO_LINEAR:
                 return unit_of(_GEO_UNITS.get(key.value_offset, ""))
         told = re.findall(r'UNIT\["(?:US survey )?(\w+)"', str(getattr(vlr, "string", "")), re.IGNORECASE)
-        units = {unit for word in told if (unit := unit_of(word.lower().replace("_us", "")))}
+        units: set[Units] = {unit for word in told if (unit := unit_of(word.lower().replace("_us", "")))}
         if len(units) == 1:
             return units.pop()
     return None

@@ -16,25 +16,24 @@ from numpy.typing import NDArray
 from small_gicp import voxelgrid_sampling
 
 from anther.core.checks import check_array
+from anther.core.choices import Axis, Units
 from anther.core.errors import AntherError, bad_input
 from anther.core.files import existing, load_npz, understood, whole_file
 from anther.core.geometry import Array
 from anther.perception.cloud import Cloud, ply
 from anther.perception.formats._cloud_text import read_text
-from anther.perception.formats._raw_points import (
+from anther.perception.formats._raw_points import (  # fmt: skip
     LARGEST,
     LIKELY,
     METRES,
     MOST_POINTS,
     SMALLEST,
     TO_Z_UP,
-    Axis,
     RawPoints,
-    Units,
     other_units,
     stated,
     unused_note,
-)  # fmt: skip
+)
 from anther.perception.formats._scans import read_e57, read_las
 from anther.perception.skeleton import skeletonize
 from anther.perception.stem import find_stem

@@ -13,10 +13,11 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anther.core.choices import Units
 from anther.core.errors import bad_input
 from anther.core.geometry import Array
 from anther.core.records import Range, Record, Shape
-from anther.perception.formats._raw_points import LIKELY, METRES, SMALLEST, Units, other_units
+from anther.perception.formats._raw_points import LIKELY, METRES, SMALLEST, other_units
 from anther.perception.skeleton import Skeleton
 
 LARGEST_PLANT = 20.0  # [m], a tall tree; a larger number is most likely in millimetres

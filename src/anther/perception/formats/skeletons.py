@@ -18,12 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.core.checks import check_array
+from anther.core.choices import Units
 from anther.core.errors import bad_input
 from anther.core.files import LARGEST_TEXT, read_lines, replacing, understood, whole_file, write_text
 from anther.core.geometry import Array
 from anther.perception.cloud.ply import read_elements
 from anther.perception.formats._mtg import read_mtg, write_mtg
-from anther.perception.formats._raw_points import Units, places, stated
+from anther.perception.formats._raw_points import places, stated
 from anther.perception.formats.skeleton_file import LARGEST_PLANT, SkeletonFile, rooted
 from anther.perception.skeleton import Skeleton
 

@@ -111,7 +111,7 @@ def plan_shake(
         predicted_acceleration=acceleration,
         predicted_acceleration_interval=acceleration[:, None] * done.spread,
         score=score,
-        limits=done.limits,
+        limits=tuple(done.limits),
         runner_up=other,
         reason=_reason(done, other, float(grips.arc_length[g]), pressed, score, kept=params.keeps_limits),
         response_map=_map(found, len(grasps)),

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from anther.core.checks import check_range
+from anther.core.choices import Preset
 from anther.core.geometry import Array
 from anther.core.records import Range, Record
-from anther.plant.limits import PRESETS, PlantLimits, Preset
+from anther.plant.limits import PRESETS, PlantLimits
 from anther.pollination.shake.pads import PADS, Pads
 
 FAST = 14.0

@@ -43,7 +43,7 @@ ARRAYS = {field.name for kind in (ArmModel, Tool) for field in fields(kind) if f
 """Names of what are arrays of an arm and its tool; `slows` may be missing."""
 
 
-def _arm(told: dict[str, Any]) -> ArmModel:
+def _arm(told: Any) -> ArmModel:
     told = _arrays(told)
     told["links"] = tuple(map(_link, told["links"]))
     told["riders"] = tuple((int(on), _link(rider)) for on, rider in told["riders"])
@@ -58,18 +58,18 @@ def _arm(told: dict[str, Any]) -> ArmModel:
     return ArmModel(**told)
 
 
-def _arrays(told: dict[str, Any]) -> dict[str, Any]:
+def _arrays(told: Any) -> Any:
     return {name: np.array(value) if name in ARRAYS else value for name, value in told.items()}
 
 
-def _link(told: dict[str, Any]) -> Link:
+def _link(told: Any) -> Link:
     shapes = {"capsules": tuple(map(_capsule, told["capsules"])), "solids": tuple(map(_solid, told["solids"]))}
     return Link(**told | {name: tuple(told[name]) for name in ("xyz", "rpy", "com", "inertia")} | shapes)
 
 
-def _capsule(told: dict[str, Any]) -> Capsule:
+def _capsule(told: Any) -> Capsule:
     return Capsule(**told | {name: tuple(told[name]) for name in ("start", "end")})
 
 
-def _solid(told: dict[str, Any]) -> Solid:
+def _solid(told: Any) -> Solid:
     return Solid(**told | {name: tuple(told[name]) for name in ("center", "half")})

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
 from anther.core.checks import check_transform
+from anther.core.choices import HandEyeMethod as Method
 from anther.core.errors import InputError, bad_input
 from anther.core.geometry import Array, Intrinsics, inverse, pose7, transform_from_pose7
 from anther.robot.calibration._hand_eye import (
@@ -23,7 +24,6 @@ from anther.robot.calibration._hand_eye import (
     ODD,
     EyeToHand,
     HandEye,
-    Method,
     MethodError,
     Moved,
     camera_moved,

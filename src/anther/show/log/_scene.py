@@ -39,7 +39,7 @@ def update(name: str, layers: Sequence[Layer], when: Timestamp, frame: str) -> S
     parts = {
         "lines": [line for layer in layers if (line := _lines(layer)) is not None],
         "spheres": [_ball(ball, _colour(layer)) for layer in layers if layer.balls is not None for ball in layer.balls],
-        "arrows": [_arrow(*ends, _colour(x)) for x in layers if x.arrows is not None for ends in x.arrows],
+        "arrows": [_arrow(ends[0], ends[1], _colour(x)) for x in layers if x.arrows is not None for ends in x.arrows],
         "triangles": [_triangles(solid, _colour(layer, 0.3)) for layer in layers for solid in layer.solids],
     }
     return SceneUpdate(entities=[SceneEntity(timestamp=when, frame_id=frame, id=name, **parts)])
