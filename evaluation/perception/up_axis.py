@@ -20,8 +20,10 @@ import numpy as np
 import trimesh
 
 from anther.core import Array
+from anther.core.choices import Axis
+from anther.core.geometry import TO_Z_UP
 from anther.perception import read_cloud
-from anther.perception.formats.clouds import TO_Z_UP, Axis, axis_notes
+from anther.perception.formats.clouds import axis_notes
 from anther.sim import grow_pepper, grow_tomato
 from evaluation.harness import finish, options, progress
 from evaluation.perception.real.plants import TRACKPLANT

@@ -15,9 +15,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from anther.core.checks import check_array, check_range, check_transform
+from anther.core.choices import Axis
 from anther.core.errors import bad_input
 
 Array = NDArray[np.float64]
+TO_Z_UP: dict[Axis, list[int]] = {"x": [1, 2, 0], "y": [2, 0, 1], "z": [0, 1, 2]}
+"""Axis that is up -> in which order a file's axes are x, y, z with z up."""
 
 
 def pose7(T_a_b: ArrayLike) -> Array:

@@ -10,8 +10,7 @@ import numpy as np
 from anther.core.checks import check_range
 from anther.core.choices import Axis, Crop, Units
 from anther.core.errors import bad_input
-from anther.core.geometry import Array
-from anther.perception.formats._raw_points import TO_Z_UP
+from anther.core.geometry import TO_Z_UP, Array
 from anther.perception.formats.skeleton_file import supposed_radius
 from anther.perception.formats.skeletons import SkeletonFile, read_skeleton
 from anther.perception.skeleton import Params, Skeleton, nearest_node

@@ -10,13 +10,11 @@ from numpy.typing import NDArray
 
 from anther.core.choices import Axis, Units
 from anther.core.errors import bad_input
-from anther.core.geometry import Array
+from anther.core.geometry import TO_Z_UP, Array
 
 METRES: dict[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "0.01mm": 1e-5, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
 _COMMON = ("m", "cm", "mm", "0.01mm")
 """Units that are advised; who has others knows it."""
-TO_Z_UP: dict[Axis, list[int]] = {"x": [1, 2, 0], "y": [2, 0, 1], "z": [0, 1, 2]}
-"""Axis that is up -> in which order a file's axes are x, y, z with z up."""
 SMALLEST, LARGEST = 0.005, 20.0
 """What is smaller or larger is no plant [m]: a 0.6 m plant in mm, read as metres, measures 600 m."""
 MOST_POINTS = 20_000_000

@@ -19,7 +19,7 @@ from anther.core.checks import check_array
 from anther.core.choices import Axis, Units
 from anther.core.errors import AntherError, bad_input
 from anther.core.files import existing, load_npz, understood, whole_file
-from anther.core.geometry import Array
+from anther.core.geometry import TO_Z_UP, Array
 from anther.perception.cloud import Cloud, ply
 from anther.perception.formats._cloud_text import read_text
 from anther.perception.formats._raw_points import (  # fmt: skip
@@ -28,7 +28,6 @@ from anther.perception.formats._raw_points import (  # fmt: skip
     METRES,
     MOST_POINTS,
     SMALLEST,
-    TO_Z_UP,
     RawPoints,
     other_units,
     stated,
