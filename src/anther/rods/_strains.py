@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from anther.rods import _springs
-from anther.rods._model import Model, build_model, joint_ends
+from anther.rods._model import Frames, Model, build_model, joint_ends
 from anther.rods._rods import Array, Rods
 from anther.rods._vectors import add, compiled, cross, load, norm, scale, store
 
@@ -63,7 +63,19 @@ def strain_changes(rods: Rods, positions: Array, directors: Array, planted: bool
 
 def joint_stiffness(model: Model) -> Array:
     """Return (N, 3, 3) the joints' stiffness on (kappa1, kappa2, twist) [N m]."""
-    w11, w12, w22, w13, w23, w33 = model.joint.T
+    return stiffness_of(model.joint)
+
+
+def joint_strains(model: Model, x: Array, frames: Frames) -> Array:
+    """Return (N, 3) the curvatures and the twist of every joint at positions x (N, 3), the twist on its own branch."""
+    out = np.zeros((1, len(x), 3))
+    _strains(model, x[None], frames.m1[None], out)
+    return np.column_stack([out[0, :, :2], frames.twist])
+
+
+def stiffness_of(entries: Array) -> Array:
+    """Return (N, 3, 3) the symmetric matrices of entries (N, 6) 11, 12, 22, 13, 23, 33."""
+    w11, w12, w22, w13, w23, w33 = entries.T
     return np.moveaxis(np.array([[w11, w12, w13], [w12, w22, w23], [w13, w23, w33]]), 2, 0)
 
 
