@@ -177,7 +177,7 @@ class FunctionDrive(Motion):
     """Any motion, given as a function of the time.
 
     Attributes:
-        node: the grip node; a clamped one moves the base, see `simulate`.
+        node: the grip node, or of a base a clamped one, see `simulate`.
         move: from (T,) times [s] to (T, 3) displacements [m] from the start; 0 at time 0.
         turn: from (T,) times [s] to (T, 3) rotation vectors [rad] about the node, from the start; None means none.
         also: further nodes between the pads, which move with the first as one body.

@@ -20,7 +20,6 @@ from scipy.sparse import csr_array
 
 from anther.core.checks import check_array, check_range, check_room
 from anther.rods._assembly import new_blocks
-from anther.rods._grip import ends_of_grip, stiffer_joints
 from anther.rods._linear import Linear, checked_hertz, linearise, set_dynamic
 from anther.rods._model import Model
 from anther.rods._motion import (
@@ -34,7 +33,7 @@ from anther.rods._motion import (
     unit_direction,
 )
 from anther.rods._rods import GRAVITY, Array, Rods
-from anther.rods._strains import joint_slopes
+from anther.rods._strains import ends_of_grip, joint_slopes, stiffer_joints
 from anther.rods._tree_solver import factor, solve_columns, substitute_columns
 from anther.rods._vectors import compiled
 
@@ -195,8 +194,8 @@ def observed_response(
             strains of edges: at the ends of a grip a joint's moment belongs to a larger strain than its own, since the
             gripped edge bends no more. None: they are motions.
 
-    Each frequency is factored once, without any grip; what a grip then takes and stiffens is in `_Hold`. All cores share the
-    frequencies.
+    Each frequency is factored once, without any grip; what a grip then takes and stiffens is in `_Hold`. All cores
+    share the frequencies.
 
     Raises:
         InputError: the rods are divided so finely that the memory does not suffice.

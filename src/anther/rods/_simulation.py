@@ -15,7 +15,6 @@ from anther.core.errors import StageFailure, bad_input
 from anther.core.files import read_npz, understood, write_npz
 from anther.rods._assembly import elastic_energy, move_frames, new_blocks, new_lanes
 from anther.rods._equilibrium import loaded_state, warn_of_twist
-from anther.rods._grip import held
 from anther.rods._loads import History, Loads
 from anther.rods._model import Model, build_model
 from anther.rods._motion import Clamp, Motion, gripped_edges
@@ -32,6 +31,7 @@ from anther.rods._stepping import (
     new_state,
     record,
 )
+from anther.rods._strains import held
 
 SCHEMA = 3
 
@@ -112,6 +112,7 @@ def simulate(
     integrator: Literal["midpoint", "implicit_euler"] = "midpoint",
     start: Literal["equilibrium", "scanned", "plucked"] = "equilibrium",
     loads: Loads | History | None = None,
+    base: Motion | None = None,
     tolerance: float = 1e-8,
     record_every: int = 1,
     predictor: Literal["inertia", "guess displacement", "none"] = "inertia",
@@ -122,9 +123,7 @@ def simulate(
     Args:
         rods: the rods, N nodes.
         clamp: what never moves.
-        drive: prescribed motion of the grip, relative to where it starts; None lets it be free. Of a clamped node it is
-            that of the base: all that is clamped, and the soil, move and turn with it as one body, and the grip's
-            force, moment and work are those of the base, but for the moment and the viscous work of turning soil.
+        drive: prescribed motion of the grip, relative to where it starts; None lets it be free.
         duration: simulated time [s], rounded to whole steps.
         dt: step [s].
         gravity: (3,) [m/s^2].
@@ -134,6 +133,9 @@ def simulate(
             t = 0; or plucked: in equilibrium under gravity and loads, which let go at t = 0.
         loads: forces and torques of one's own, steady, or as a function of the time [s] (at 0: of the start), which is
             asked in the middle of each step. They count in `work`, not in `energy`.
+        base: prescribed motion of a clamped node, as of a shaking table: all that is clamped, and the soil, move and
+            turn with it as one body. There is no other drive then, and the grip's force, moment and work are those of
+            the base, but for the moment and the viscous work of turning soil.
         tolerance: accepted norm of the residual force [N]; a step is also accepted when Newton's correction has
             fallen to rounding noise (1e-12 m).
         record_every: keep every k-th step.
@@ -155,21 +157,22 @@ def simulate(
         raise bad_input("start", given=start, allowed="equilibrium, scanned or plucked", do="Check the spelling.")
     if predictor not in PREDICTORS:
         raise bad_input("predictor", given=predictor, allowed=", ".join(PREDICTORS), do="Check the spelling.")
-    shaken = drive is not None and drive.node in clamp.nodes
-    nodes = () if drive is None else _with_clamp(drive, clamp) if shaken else drive.nodes
+    nodes = () if drive is None else drive.nodes
+    if base is not None:
+        if drive is not None:
+            raise bad_input("drive", given="one beside a base", allowed="either", do="Shake the grip or the base.")
+        drive, nodes = base, _with_clamp(base, clamp)
     model, frames = build_model(rods, gravity, clamp.planted)
-    free = clamp.free(rods, () if shaken else nodes)
+    free = clamp.free(rods, () if base else nodes)
     if start == "scanned":
         state = new_state(rods.nodes, frames)
     else:
         state = loaded_state(rods, model, frames, clamp.free(rods), loads(0.0) if callable(loads) else loads)[1]
-    if not shaken:
+    if base is None:
         model = held(rods, model, clamp.planted, state, nodes)
     if moving is not None:
         state = _set_moving(model, state, *moving, nodes)
-    around = _Surroundings(
-        rods, model, None if start == "plucked" else loads, drive if shaken and clamp.planted else None
-    )
+    around = _Surroundings(rods, model, None if start == "plucked" else loads, base if clamp.planted else None)
     settings = Settings(dt, integrator == "midpoint", tolerance, NEWTON_LIMIT, balance=around.balanced)
     guess = np.zeros(0 if predictor == "inertia" else len(free))
     if predictor == "guess displacement":
@@ -177,16 +180,16 @@ def simulate(
     return _Run(model, free, state, drive, nodes, settings, guess, around).trajectory(steps, record_every)
 
 
-def _with_clamp(drive: Motion, clamp: Clamp) -> tuple[int, ...]:
-    """Return what is clamped, the drive's node first.
+def _with_clamp(base: Motion, clamp: Clamp) -> tuple[int, ...]:
+    """Return what is clamped, the base's node first.
 
     Raises:
-        InputError: the drive also holds what is not clamped.
+        InputError: the base moves what is not clamped.
     """
-    beyond = [node for node in drive.nodes if node not in clamp.nodes]
-    if beyond:
-        raise bad_input("grip node", given=beyond[0], allowed="clamped nodes alone, or none", do="Grip higher up.")
-    return (drive.node, *(int(node) for node in clamp.nodes if node != drive.node))
+    for node in base.nodes:
+        if node not in clamp.nodes:
+            raise bad_input("base node", given=node, allowed=f"clamped: {clamp.nodes}", do="Use `drive`.")
+    return (base.node, *(int(node) for node in clamp.nodes if node != base.node))
 
 
 class _Surroundings:
