@@ -23,7 +23,7 @@ from anther.rods import (
     natural_frequencies,
     simulate,
 )
-from anther.rods._assembly import assemble, elastic_energy, new_blocks
+from anther.rods._assembly import assemble, elastic_energy, move_frames, new_blocks, new_lanes
 from anther.rods._linear import dense
 from anther.rods._model import build_model
 
@@ -205,8 +205,6 @@ def test_force_and_hessian_of_supports_are_those_of_their_energy():
 
     def assembled(at):
         moved = frames._replace(m1=frames.m1.copy(), twist=frames.twist.copy())
-        from anther.rods._assembly import move_frames, new_lanes
-
         move_frames(model, rods.nodes, frames.m1, at, np.zeros(7), moved.m1, new_lanes())
         assemble(model, at, at, moved, np.zeros((7, 4)), 0.0, blocks)
         return elastic_energy(model, at, moved), blocks.gradient[:, :3].copy(), dense(model, blocks)
@@ -214,14 +212,13 @@ def test_force_and_hessian_of_supports_are_those_of_their_energy():
     _, gradient, hessian = assembled(x)
     for _ in range(6):
         way = rng.normal(size=x.shape)
-        (up, after, _), (down, before, _) = assembled(x + h * way), assembled(x - h * way)
+        up, down = assembled(x + h * way)[0], assembled(x - h * way)[0]
         assert np.sum(gradient * way) == pytest.approx((up - down) / (2 * h), rel=1e-5)
-        del after, before
     np.testing.assert_allclose(hessian, hessian.T, atol=1e-9 * np.abs(hessian).max())
 
 
 def test_a_pulled_string_rings_at_its_tension():
-    rods, tension = cantilever(60, radius=None) if False else cantilever(60, edge_radius=3e-4, youngs=2e9), 2.0
+    rods, tension = cantilever(60, edge_radius=3e-4, youngs=2e9), 2.0
     bending, area = 2e9 * np.pi * 3e-4**4 / 4, np.pi * 3e-4**2
     natural = NaturalShape(rods.lengths / (1 + tension / (2e9 * area)), np.zeros((61, 2)), np.zeros(61))
     pinned = Clamp(np.array([0, 60]))

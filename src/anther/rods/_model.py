@@ -125,7 +125,7 @@ def _edge_tensors(rods: Rods, m1: Array) -> Array:
         InputError: the axis of a section lies along its edge.
     """
     of_1, of_2, twist = _compliances(rods)
-    if rods.section is None:
+    if rods.section is None or np.array_equal(of_1, of_2):
         return np.stack([of_1, 0 * of_1, of_2, twist], axis=1)
     along = rods.nodes - rods.nodes[rods.parent]
     axis = np.asarray(rods.section.axis)

@@ -191,12 +191,13 @@ class FunctionDrive(Motion):
     def displacement(self, times: ArrayLike) -> Array:
         """Return (T, 3) displacements [m] at (T,) times [s]."""
         t = np.asarray(times, dtype=np.float64)
-        return check_array("drive move", self.move(t), (*t.shape, 3))
+        return check_array("drive move", self.move(t), (*t.shape, 3)).copy()
 
     def rotation(self, times: ArrayLike) -> Array:
         """Return (T, 3) rotation vectors [rad] at (T,) times [s]."""
         t = np.asarray(times, dtype=np.float64)
-        return check_array("drive turn", np.zeros((*t.shape, 3)) if self.turn is None else self.turn(t), (*t.shape, 3))
+        turns = np.zeros((*t.shape, 3)) if self.turn is None else self.turn(t)
+        return check_array("drive turn", turns, (*t.shape, 3)).copy()
 
 
 def smooth_rise(times: Array, ramp: float) -> Array:
