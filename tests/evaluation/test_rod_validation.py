@@ -10,6 +10,7 @@ import pytest
 
 from evaluation.rods.beam_theory import cone_frequencies, elastica, rayleigh_roots, small_sag, uniform_roots
 from evaluation.rods.motion import energy_cases, order_cases
+from evaluation.rods.own import own_cases
 from evaluation.rods.peer_references import reference_cases
 from evaluation.rods.statics import static_cases
 from evaluation.rods.table import Convergence, Row, metrics
