@@ -33,9 +33,8 @@ print(f"plucked: log decrement {np.log(tops[0] / tops[2]) / 2:.3f}; theory {2 * 
 
 table = FunctionDrive(0, lambda t: np.outer(1e-3 * np.sin(2 * np.pi * hertz[0] * t), [0, 0, 1]))
 shaken = simulate(petiole, clamp, None, 4 / hertz[0], 0.01 / hertz[0], gravity=nothing, base=table)
-print(
-    f"on a table shaken by 1 mm at its frequency the tip swings {1e3 * np.abs(shaken.positions[:, tip, 2]).max():.1f} mm"
-)
+swing = 1e3 * np.abs(shaken.positions[:, tip, 2]).max()
+print(f"on a table shaken by 1 mm at its frequency the tip swings {swing:.1f} mm")
 
 leaning = replace(petiole, support=np.where(np.arange(EDGES + 1) == tip, 20.0, 0.0))  # [N/m]
 print("leaning on a string:", natural_frequencies(leaning, clamp, 2, gravity=nothing).frequencies.round(2), "Hz")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -22,10 +23,12 @@ from anther.rods import (
     equilibrium,
     natural_frequencies,
     simulate,
+    with_gravity_equilibrium,
 )
 from anther.rods._assembly import assemble, elastic_energy, move_frames, new_blocks, new_lanes
 from anther.rods._linear import dense
 from anther.rods._model import build_model
+from anther.rods._strains import joint_strains
 
 L, EI, LINE = 0.3, 2e8 * np.pi * 3e-3**4 / 4, 1100 * np.pi * 3e-3**2
 FIRST = 1.87510407
@@ -179,10 +182,8 @@ def test_a_spring_at_the_tip_stiffens_the_beam():
     moved = sunk(rods, Loads.at(rods, 40, force=(0, 0, 1e-3)))
     assert moved[2] == pytest.approx(1e-3 / (3 * EI / L**3 + spring), rel=1e-3)
     hertz = natural_frequencies(rods, Clamp.root(rods), 1, gravity=NO_GRAVITY).frequencies[0]
-    b = np.sqrt(2 * np.pi * hertz * L**2 * np.sqrt(LINE / EI))
-    # w'' = 0 and EI w''' = k w at the tip (Blevins 1979): b^3 (1 + cos cosh) = 5 (sin cosh - cos sinh)
-    left = b**3 * (1 + np.cos(b) * np.cosh(b))
-    assert left == pytest.approx(5 * (np.cos(b) * np.sinh(b) - np.sin(b) * np.cosh(b)), rel=0.02)
+    # w'' = 0 and EI w''' = k w at the tip (Blevins): b^3 (1 + cos cosh) = 5 (cos sinh - sin cosh) at b = 2.36678
+    assert hertz == pytest.approx((2.36678 / FIRST) ** 2 * first_hertz(EI), rel=2e-3)
 
 
 def test_a_turning_spring_at_the_tip_halves_what_it_should():
@@ -269,3 +270,42 @@ def test_a_base_is_clamped_and_alone():
         simulate(rods, Clamp.root(rods), None, 0.01, 1e-3, base=base)
     with pytest.raises(InputError, match="beside a base"):
         simulate(rods, Clamp.root(rods), base, 0.01, 1e-3, base=replace(base, node=0))
+
+
+def test_a_strongly_twisted_joint_bends_too_easily_and_is_warned_of():
+    rods = Rods(np.array([[0, 0, 0], [1, 0, 0], [2, 0.2, 0]], dtype=float), [-1, 0, 1], 0.1, 1e8, 1000.0)
+    model, frames = build_model(rods, NO_GRAVITY)
+    t = (rods.nodes[2] - rods.nodes[1]) / rods.lengths[2]
+    size = [np.hypot(*joint_strains(model, rods.nodes, twisted(frames, t, angle))[2, :2]) for angle in (0.0, 0.45, 1.7)]
+    np.testing.assert_allclose(np.array(size) ** 2 / size[0] ** 2, np.cos(np.array([0, 0.45, 1.7]) / 2) ** 2)
+    beam = cantilever(4)
+    for angle, warned in ((0.3, 0), (0.6, 1)):  # of each joint between edges
+        torque = Loads.at(beam, 4, torque=(angle * EI / 1.5 / (L / 4), 0, 0))
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            equilibrium(beam, Clamp.root(beam), gravity=NO_GRAVITY, loads=torque)
+        assert len(said) == warned
+
+
+def twisted(frames, t, angle):
+    m1 = frames.m1.copy()
+    m1[2] = np.cos(angle) * m1[2] + np.sin(angle) * np.cross(t, m1[2])
+    return frames._replace(m1=m1)
+
+
+def kinked(edges: int) -> Rods:
+    along = np.minimum(np.arange(2 * edges + 1), edges) * 0.1 / edges
+    beyond = np.maximum(np.arange(2 * edges + 1) - edges, 0) * 0.1 / edges
+    nodes = np.stack([0.5 * beyond, 0 * along, along + np.sqrt(0.75) * beyond], axis=1)
+    return Rods(nodes, np.arange(2 * edges + 1) - 1, 1e-3, 3e7, 1000.0, lumped_mass=1e-5)
+
+
+def test_a_kink_taken_from_the_scanned_instead_of_the_natural_shape_matters_to_second_order_only():
+    apart = []
+    for edges in (6, 12, 24):
+        made = kinked(edges)  # its scanned shape is the natural one; the other's hangs
+        hanging = with_gravity_equilibrium(replace(made, nodes=equilibrium(made, Clamp.root(made))), Clamp.root(made))
+        first, other = (natural_frequencies(r, Clamp.root(r), 3).frequencies for r in (made, hanging))
+        apart.append(np.abs(other / first - 1).max())
+    assert apart[0] < 0.05
+    assert apart[0] / apart[2] > 10
