@@ -259,6 +259,7 @@ def _descend(model: Model, free: Any, state: State, blocks: Blocks) -> tuple[flo
     """
     shift, floor, weight = 0.0, 1e-12 * model.stretch.max(), model.weight
     residual, correction, unshifted = np.inf, np.inf, False
+    arm = model.length if np.any(weight[:, 3]) else np.zeros(len(weight))  # spins count where something spins them
     for _ in range(NEWTON_LIMIT):
         stiffness = tangent(model, free, state.x, state.frames, blocks, shift)
         gradient = np.where(free, blocks.gradient, 0) - stiffness.forces(weight)
@@ -270,7 +271,9 @@ def _descend(model: Model, free: Any, state: State, blocks: Blocks) -> tuple[flo
             continue
         step = gradient.copy()
         solve(stiffness.model, blocks, step)
-        correction, before = float(np.abs(stiffness.moves(step)[:, :3]).max()), correction
+        moves = stiffness.moves(step)
+        moves[:, 3] *= arm
+        correction, before = float(np.abs(moves).max()), correction
         rounding = shift == 0 and SETTLED > correction > before / 2
         if correction < POSITION_FLOOR or rounding or (residual <= floor and correction < SETTLED):
             if shift == 0 or unshifted:
