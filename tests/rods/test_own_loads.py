@@ -298,11 +298,11 @@ def twisted(frames, t, angle):
     return frames._replace(m1=m1)
 
 
-def kinked(edges: int) -> Rods:
+def kinked(edges: int, youngs: float = 3e7) -> Rods:
     along = np.minimum(np.arange(2 * edges + 1), edges) * 0.1 / edges
     beyond = np.maximum(np.arange(2 * edges + 1) - edges, 0) * 0.1 / edges
     nodes = np.stack([0.5 * beyond, 0 * along, along + np.sqrt(0.75) * beyond], axis=1)
-    return Rods(nodes, np.arange(2 * edges + 1) - 1, 1e-3, 3e7, 1000.0, lumped_mass=1e-5)
+    return Rods(nodes, np.arange(2 * edges + 1) - 1, 1e-3, youngs, 1000.0)
 
 
 def test_a_kink_taken_from_the_scanned_instead_of_the_natural_shape_matters_to_second_order_only():

@@ -295,7 +295,8 @@ def _line_search(model: Model, state: State, stiffness: Tangent, step: Array, sl
     )
     edges = x - x[model.parent]
     if stiffness.together:
-        share = min(1.0, LARGEST_TURN / np.max(np.linalg.norm(step[1:, :3], axis=1) / model.length[1:]))
+        turned = np.max(np.linalg.norm(step[1:, :3], axis=1) / model.length[1:])
+        share = min(1.0, LARGEST_TURN / max(turned, 1e-300))
     else:
         share = min(1.0, 5 * model.length.max() / size)
     for _ in range(40):
