@@ -268,8 +268,9 @@ def base_response(
 ) -> ComplexArray:
     """Return (Q, N, 3) displacement of every node per metre of base displacement, at (Q,) frequencies [Hz].
 
-    All that is clamped moves by exp(i w t) along `direction` (3,), as on a shaking table, and does not turn. What the
-    rods do relative to it answers their own inertia and the still air's drag: of u = d + w with the base's motion d,
+    All that is clamped moves by exp(i w t) along `direction` (3,), as on a shaking table, and does not turn; springs of
+    `Rods.support` go along. What the rods do relative to it answers their own inertia and the still air's drag: of
+    u = d + w with the base's motion d,
     (K + i w C - w^2 M) w = w^2 M d - i w C_air d.
 
     Args:
