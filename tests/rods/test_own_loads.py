@@ -298,7 +298,7 @@ def twisted(frames, t, angle):
     return frames._replace(m1=m1)
 
 
-def kinked(edges: int, youngs: float = 3e7) -> Rods:
+def kinked(edges: int, youngs: float = 1e8) -> Rods:
     along = np.minimum(np.arange(2 * edges + 1), edges) * 0.1 / edges
     beyond = np.maximum(np.arange(2 * edges + 1) - edges, 0) * 0.1 / edges
     nodes = np.stack([0.5 * beyond, 0 * along, along + np.sqrt(0.75) * beyond], axis=1)
@@ -307,10 +307,10 @@ def kinked(edges: int, youngs: float = 3e7) -> Rods:
 
 def test_a_kink_taken_from_the_scanned_instead_of_the_natural_shape_matters_to_second_order_only():
     apart = []
-    for edges in (6, 12, 24):
+    for edges in (6, 12):
         made = kinked(edges)  # its scanned shape is the natural one; the other's hangs
         hanging = with_gravity_equilibrium(replace(made, nodes=equilibrium(made, Clamp.root(made))), Clamp.root(made))
         first, other = (natural_frequencies(r, Clamp.root(r), 3).frequencies for r in (made, hanging))
         apart.append(np.abs(other / first - 1).max())
-    assert apart[0] < 0.05
-    assert apart[0] / apart[2] > 10
+    assert apart[0] < 2e-3
+    assert apart[0] / apart[1] > 3.5
