@@ -1,8 +1,8 @@
 """Rods: discrete elastic rods, branched, slender, shaken. Knows nothing of plants or robots.
 
-`Rods` (geometry and material), `Clamp` and `Drive` (what is held and moved), then `simulate` for nonlinear motion
-(threads run it on all cores), `frequency_response` and `response_map` for small vibrations, `natural_frequencies`
-for modes and their damping ratios, `base_response` for a shaking table.
+`Rods` (geometry, material, `Section`), `Clamp`, `Drive` and `Loads` (what is held, moved and pulled), then `simulate`
+for nonlinear motion (threads run it on all cores), `frequency_response` and `response_map` for small vibrations,
+`natural_frequencies` for modes and their damping ratios, `base_response` for a shaking table.
 """
 
 import lazy_loader

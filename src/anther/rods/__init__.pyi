@@ -2,9 +2,22 @@
 
 from ._equilibrium import equilibrium, least_stiffness, standing, stands, with_gravity_equilibrium
 from ._linear import Modes, base_response, natural_frequencies
-from ._motion import RIGID, Burst, Chirp, Clamp, Drive, Motion, Rocking, SampledDrive, Springs, unit_direction
+from ._loads import History, Loads
+from ._motion import (
+    RIGID,
+    Burst,
+    Chirp,
+    Clamp,
+    Drive,
+    FunctionDrive,
+    Motion,
+    Rocking,
+    SampledDrive,
+    Springs,
+    unit_direction,
+)
 from ._response import Observed, displacements, frequency_response, observed_response, response_map, steady_motion
-from ._rods import GRAVITY, Array, Discretisation, NaturalShape, Rods
+from ._rods import GRAVITY, Array, Discretisation, NaturalShape, Rods, Section
 from ._simulation import Trajectory, simulate
 from ._strains import joints, strain_changes
 from ._vectors import compiled
@@ -18,6 +31,9 @@ __all__ = [
     "Clamp",
     "Discretisation",
     "Drive",
+    "FunctionDrive",
+    "History",
+    "Loads",
     "Modes",
     "Motion",
     "NaturalShape",
@@ -25,6 +41,7 @@ __all__ = [
     "Rocking",
     "Rods",
     "SampledDrive",
+    "Section",
     "Springs",
     "Trajectory",
     "base_response",

@@ -19,6 +19,7 @@ from anther.rods._rods import Array
 from anther.rods._vectors import (
     LANES,
     compiled,
+    dot,
     get,
     get3,
     halves,
@@ -88,6 +89,15 @@ def elastic_energy(model: Model, x: Any, frames: Frames) -> float:
             tau = tau - model.natural_twist[j]
             s1, s2, s3 = _springs.moments(six(model.joint, j), (k1, k2, tau))
             total += 0.5 * (s1 * k1 + s2 * k2 + s3 * tau)
+    supports, homes = model.supports, model.homes
+    for k in range(len(supports)):
+        j = int(supports[k, 0])
+        away = subtract(load(x, j), load(homes, k))
+        total += 0.5 * supports[k, 1] * dot(away, away)
+        if supports[k, 2] > 0:
+            e, m1e, f = _home(homes, k, 3), _home(homes, k, 6), subtract(load(x, j), load(x, model.parent[j]))
+            k1, k2, tau = _springs.strains(_springs.bent(e, f), m1e, load(m1, j), 0.0)
+            total += 0.5 * supports[k, 2] * (k1 * k1 + k2 * k2 + tau * tau)
     return total
 
 
@@ -96,6 +106,62 @@ def assemble(model: Model, x_start: Any, x: Any, frames: Frames, velocity: Any, 
     """Fill blocks with the gradient (minus the force) and Hessian by nodes; arguments as of `assemble_edges`."""
     assemble_edges(model, x_start, x, frames, velocity, rate, blocks)
     on_nodes(model, blocks)
+    add_supports(model, x, blocks)
+
+
+@compiled
+def add_supports(model: Model, x: Any, blocks: Blocks) -> None:
+    """Add the springs that draw nodes back to their places to gradient and matrix by nodes."""
+    supports, homes, D, g = model.supports, model.homes, blocks.diagonal, blocks.gradient
+    for k in range(len(supports)):
+        j, stiffness = int(supports[k, 0]), supports[k, 1]
+        for i in range(3):
+            g[j, i] += stiffness * (x[j, i] - homes[k, i])
+            D[j, i, i] += stiffness
+
+
+@merged
+def _home(homes: Any, k: Any, first: Any) -> Any:
+    return homes[k, first], homes[k, first + 1], homes[k, first + 2]
+
+
+@compiled
+def _add_turning_supports(model: Model, x: Any, m1: Any, blocks: Blocks) -> None:
+    """Add the springs that hold the direction of edges to gradient and matrix by edges: each as a soil of its own."""
+    supports, homes, parent, b = model.supports, model.homes, model.parent, blocks.lanes
+    D, g, still = blocks.diagonal, blocks.gradient, (0.0, 0.0, 0.0)
+    for first in range(0, len(supports), LANES):
+        count = min(LANES, len(supports) - first)
+        for i in range(count):
+            k = first + i
+            j, stiffness = int(supports[k, 0]), supports[k, 2]
+            j = max(j, 1)  # the root has no edge, and no such spring
+            edge = subtract(load(x, j), load(x, parent[j]))
+            put3(b, _springs.EDGE_E, i, _home(homes, k, 3) if stiffness > 0 else edge)
+            put3(b, _springs.EDGE_F, i, edge)
+            put3(b, _springs.DIRECTOR_E, i, _home(homes, k, 6) if stiffness > 0 else load(m1, j))
+            put3(b, _springs.DIRECTOR_F, i, load(m1, j))
+            put3(b, _springs.SPEED_E, i, still)
+            put3(b, _springs.SPEED_F, i, still)
+            put3(b, _springs.SPIN_E, i, still)
+            put6(b, _springs.JOINT, i, (stiffness, 0.0, stiffness, 0.0, 0.0, stiffness))
+            put3(b, _springs.START_F, i, edge)
+            put3(b, _springs.VISCOUS, i, still)
+            put3(b, _springs.NATURAL_TWIST, i, (0.0, 0.0, 1.0))
+        _springs.twist_lanes(b)
+        for i in range(count):
+            put(b, _springs.TWIST, i, twist_angle(get(b, _springs.SINE, i), get(b, _springs.COSINE, i), 0.0))
+        _springs.spring_lanes(b, 0.0)
+        for i in range(count):
+            j = max(int(supports[first + i, 0]), 1)
+            low, high = get3(b, _springs.FF, i), get3(b, _springs.FF + 3, i)
+            D[j, 0, 0], D[j, 0, 1], D[j, 1, 1] = D[j, 0, 0] + low[0], D[j, 0, 1] + low[1], D[j, 1, 1] + low[2]
+            D[j, 0, 2], D[j, 1, 2], D[j, 2, 2] = D[j, 0, 2] + high[0], D[j, 1, 2] + high[1], D[j, 2, 2] + high[2]
+            g[j, 3] += get(b, _springs.MOMENT_F, i)
+            D[j, 3, 3] += get3(b, _springs.SPINS, i)[2]
+            for r in range(3):
+                g[j, r] += get(b, _springs.FORCE_F + r, i)
+                D[j, r, 3] += get(b, _springs.SPIN_F_F + r, i)
 
 
 @compiled
@@ -129,6 +195,7 @@ def assemble_edges(
                 _add_near(D, U, g, b, j, near[j], -1.0 if swapped[j] else 1.0, i)
             else:
                 _clear(U, j)
+    _add_turning_supports(model, x, frames.m1, blocks)
 
 
 @compiled
@@ -239,12 +306,12 @@ def _gather(
 
 @merged
 def _gather_soil(soil: Any, b: Any, j: Any, i: int) -> None:
-    """Write the soil, which neither moves nor turns, as edge e into lane i."""
+    """Write the soil, which stands still or turns, as edge e into lane i."""
     edge, director = halves(soil, j)
     put3(b, _springs.EDGE_E, i, edge)
     put3(b, _springs.DIRECTOR_E, i, director)
-    put3(b, _springs.SPEED_E, i, (0.0, 0.0, 0.0))
-    put(b, _springs.SPIN_E, i, 0.0)
+    put3(b, _springs.SPEED_E, i, (soil[j, 6], soil[j, 7], soil[j, 8]))
+    put(b, _springs.SPIN_E, i, soil[j, 9])
 
 
 @merged

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -9,7 +10,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anther.core.errors import StageFailure
-from anther.rods._assembly import Blocks, assemble_edges, elastic_energy, move_frames, new_blocks, on_nodes
+from anther.rods._assembly import (
+    Blocks,
+    add_supports,
+    assemble_edges,
+    elastic_energy,
+    move_frames,
+    new_blocks,
+    on_nodes,
+)
+from anther.rods._loads import Loads
 from anther.rods._model import Frames, Model, build_model
 from anther.rods._motion import Clamp
 from anther.rods._rods import GRAVITY, LEAST_YOUNGS, Array, NaturalShape, Rods
@@ -31,10 +41,12 @@ def by_edges(model: Model) -> Model:
 
 
 def hangs_together(model: Model, free: NDArray[np.bool_]) -> bool:
-    """Return whether free (N, 4) holds the root, and other nodes only where their parent is held.
+    """Return whether free (N, 4) holds the root, other nodes only where their parent is held, and no spring a node.
 
     Then a held node is an edge that does not move, and the unknowns that are free are the same in both descriptions.
     """
+    if np.any(model.supports[:, 1] > 0):  # they pull at nodes
+        return False
     held = ~free[:, 0]
     return bool(held[0] and np.all(held[model.parent[1:]] | ~held[1:]))
 
@@ -87,6 +99,7 @@ def tangent(model: Model, free: Any, x: Array, frames: Frames, blocks: Blocks, s
         model = by_edges(model)
     else:
         on_nodes(model, blocks)
+        add_supports(model, x, blocks)
     blocks.diagonal[:, range(4), range(4)] += shift * np.array([1, 1, 1, 1e-4])
     gradient = blocks.gradient.copy()
     constrain(model, free, blocks)
@@ -117,7 +130,7 @@ def with_gravity_equilibrium(rods: Rods, clamp: Clamp, gravity: ArrayLike = GRAV
     A tree clamped at its root is statically determinate: weights alone fix every tension and moment, whatever the
     stiffness. They are found by one linear solve with the material stiffness K = B W B^T (which picks the least
     elastic energy where several clamped places make it indeterminate); natural strain = strain - stress / stiffness.
-    Call it again after changing stiffness, mass or radius.
+    Call it again after changing stiffness, mass or radius. Springs of `Rods.support` bear nothing there.
 
     Raises:
         StageFailure: kind "no_convergence" when nothing can balance the weight, for instance with a single pin.
@@ -133,6 +146,7 @@ def balancing_shape(rods: Rods, model: Model, frames: Frames, free: Any) -> Natu
         StageFailure: as there.
     """
     n, along = len(rods.nodes), np.zeros_like(rods.nodes)
+    model = model._replace(supports=model.supports[:0], homes=model.homes[:0])
     stiffness = tangent(model, free, rods.nodes, frames, new_blocks(n))
     slopes, unknown, _ = joint_slopes(model, rods.nodes, frames.m1)
     along[1:] = (rods.nodes[1:] - rods.nodes[rods.parent[1:]]) / rods.lengths[1:, None] ** 2
@@ -142,7 +156,7 @@ def balancing_shape(rods: Rods, model: Model, frames: Frames, free: Any) -> Natu
         [joint_stiffness(model) @ slopes, (model.stretch * model.length)[:, None, None] * stretching], 1
     )
     strain = np.zeros((n, 4))
-    load_left = load = np.where(free, np.pad(model.weight, ((0, 0), (0, 1))), 0)
+    load_left = load = np.where(free, model.weight, 0)
     for _ in range(4):  # iterative refinement
         strained = np.einsum("nki,ni->nk", strains, stiffness.solve(load_left).ravel()[unknown])
         force = np.einsum("nki,nk->ni", forces, strained)
@@ -159,14 +173,55 @@ def balancing_shape(rods: Rods, model: Model, frames: Frames, free: Any) -> Natu
     return NaturalShape(rods.lengths / (1 + strain[:, 3]), model.curvature - strain[:, :2], -strain[:, 2])
 
 
-def equilibrium(rods: Rods, clamp: Clamp, *, gravity: ArrayLike = GRAVITY) -> Array:
-    """Return the (N, 3) positions [m] at rest in stable equilibrium under gravity.
+def equilibrium(rods: Rods, clamp: Clamp, *, gravity: ArrayLike = GRAVITY, loads: Loads | None = None) -> Array:
+    """Return the (N, 3) positions [m] at rest in stable equilibrium under gravity (3,) [m/s^2] and loads of one's own.
 
     Raises:
         StageFailure: kind "no_convergence" when none is found, or it is not stable (buckling).
     """
     model, frames = build_model(rods, gravity, clamp.planted)
-    return static_state(model, frames, rods.nodes, clamp.free(rods)).x
+    return loaded_state(rods, model, frames, clamp.free(rods), loads)[1].x
+
+
+RAMP, FOLLOWED = 8, 100
+"""Steps in which a torque grows, and in which its couples of forces may then turn along with the edges."""
+
+
+def loaded_state(rods: Rods, model: Model, frames: Frames, free: Any, loads: Loads | None) -> tuple[Model, State]:
+    """Return the constants with the loads in their weight, and the state at rest under them.
+
+    A torque is a couple of forces and a moment that spins the edge; with the edge these turn, until nothing moves.
+
+    Raises:
+        StageFailure: kind "no_convergence", as of `static_state`.
+    """
+    if loads is None:
+        return model, static_state(model, frames, rods.nodes, free)
+    x, moved = rods.nodes, np.inf
+    for k in range(1 if not loads.turns else RAMP + FOLLOWED):
+        share = min(1.0, (k + 1) / RAMP) if loads.turns else 1.0
+        loaded = model._replace(weight=model.weight + share * loads.on(rods, x))
+        state = static_state(loaded, frames, x, free)
+        moved, x, frames = float(np.abs(state.x - x).max()), state.x, state.frames
+        if not loads.turns or (share == 1 and moved < SETTLED):
+            warn_of_twist(loaded, state.frames.twist)
+            return loaded, state
+    raise StageFailure("no_convergence", f"rods: no equilibrium under a torque, the last step moved {moved:.2g} m.")
+
+
+LARGEST_TWIST = 0.45
+"""Twist of a joint [rad] at which averaged curvature makes bending 5 % too soft: cos^2(twist / 2)."""
+
+
+def warn_of_twist(model: Model, twist: Array) -> None:
+    """Warn where a joint is twisted (N,) [rad] so far that it bends too easily."""
+    most = float(np.abs(np.where(model.joint[:, 0] > 0, twist, 0)).max())
+    if most > LARGEST_TWIST:
+        warnings.warn(
+            f"rods: a joint is twisted by {most:.2g} rad, where it bends {100 * (1 - np.cos(most / 2) ** 2):.0f} % too "
+            f"easily; up to {LARGEST_TWIST} rad it is 5 %. Use shorter edges.",
+            stacklevel=3,
+        )
 
 
 def static_state(model: Model, frames: Frames, x: Array, free: Any) -> State:
@@ -194,7 +249,7 @@ def static_state(model: Model, frames: Frames, x: Array, free: Any) -> State:
 
 
 def _potential(model: Model, x: Array, frames: Frames) -> float:
-    return elastic_energy(model, x, frames) - float(np.sum(model.weight * x))
+    return elastic_energy(model, x, frames) - float(np.sum(model.weight[:, :3] * x))
 
 
 def _descend(model: Model, free: Any, state: State, blocks: Blocks) -> tuple[float, float, float]:
@@ -202,8 +257,9 @@ def _descend(model: Model, free: Any, state: State, blocks: Blocks) -> tuple[flo
 
     Returns the last residual [N], the last correction [m] and the shift that it was made with.
     """
-    shift, floor, weight = 0.0, 1e-12 * model.stretch.max(), np.pad(model.weight, ((0, 0), (0, 1)))
+    shift, floor, weight = 0.0, 1e-12 * model.stretch.max(), model.weight
     residual, correction, unshifted = np.inf, np.inf, False
+    arm = model.length if np.any(weight[:, 3]) else np.zeros(len(weight))  # spins count where something spins them
     for _ in range(NEWTON_LIMIT):
         stiffness = tangent(model, free, state.x, state.frames, blocks, shift)
         gradient = np.where(free, blocks.gradient, 0) - stiffness.forces(weight)
@@ -215,7 +271,9 @@ def _descend(model: Model, free: Any, state: State, blocks: Blocks) -> tuple[flo
             continue
         step = gradient.copy()
         solve(stiffness.model, blocks, step)
-        correction, before = float(np.abs(stiffness.moves(step)[:, :3]).max()), correction
+        moves = stiffness.moves(step)
+        moves[:, 3] *= arm
+        correction, before = float(np.abs(moves).max()), correction
         rounding = shift == 0 and SETTLED > correction > before / 2
         if correction < POSITION_FLOOR or rounding or (residual <= floor and correction < SETTLED):
             if shift == 0 or unshifted:
@@ -230,10 +288,15 @@ def _descend(model: Model, free: Any, state: State, blocks: Blocks) -> tuple[flo
 def _line_search(model: Model, state: State, stiffness: Tangent, step: Array, slope: float, size: float) -> None:
     """Move the state against `step` (N, 4), halving it until the potential energy falls, but for its rounding."""
     x, m1, lanes = state.x.copy(), state.frames.m1.copy(), stiffness.blocks.lanes
-    stored, start = elastic_energy(model, x, state.frames), _potential(model, x, state.frames)
+    stored, start, spinning = (
+        elastic_energy(model, x, state.frames),
+        _potential(model, x, state.frames),
+        model.weight[:, 3],
+    )
     edges = x - x[model.parent]
     if stiffness.together:
-        share = min(1.0, LARGEST_TURN / np.max(np.linalg.norm(step[1:, :3], axis=1) / model.length[1:]))
+        turned = np.max(np.linalg.norm(step[1:, :3], axis=1) / model.length[1:])
+        share = min(1.0, LARGEST_TURN / max(turned, 1e-300))
     else:
         share = min(1.0, 5 * model.length.max() / size)
     for _ in range(40):
@@ -242,8 +305,9 @@ def _line_search(model: Model, state: State, stiffness: Tangent, step: Array, sl
         else:
             state.x[:] = x - share * step[:, :3]
         move_frames(model, x, m1, state.x, -share * step[:, 3], state.frames.m1, lanes)
+        spun = float(np.sum(spinning * 2 * np.arctan(-share * step[:, 3] / 2)))
         if (
-            _potential(model, state.x, state.frames)
+            _potential(model, state.x, state.frames) - spun
             <= start - 1e-4 * share * slope + 1e-14 * abs(start) + 1e-9 * stored
         ):
             return

@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from anther.core.checks import check_array, check_range
 from anther.core.errors import StageFailure, bad_input
 from anther.rods._assembly import Blocks, assemble, assemble_edges, new_blocks, on_nodes
-from anther.rods._equilibrium import Tangent, by_edges, static_state, tangent
+from anther.rods._equilibrium import Tangent, by_edges, loaded_state, tangent
+from anther.rods._loads import Loads
 from anther.rods._model import Model, build_model
 from anther.rods._motion import Clamp, ComplexArray, unit_direction
 from anther.rods._rods import GRAVITY, Array, Rods
@@ -51,15 +52,17 @@ class Linear:
     state: State
 
 
-def linearise(rods: Rods, clamp: Clamp, gravity: ArrayLike, loss_factor: float = 0.0) -> Linear:
-    """Return the linearised system.
+def linearise(
+    rods: Rods, clamp: Clamp, gravity: ArrayLike, loss_factor: float = 0.0, loads: Loads | None = None
+) -> Linear:
+    """Return the linearised system; loads are forces that keep their directions in small motions.
 
     Raises:
         StageFailure: kind "no_convergence" when there is no stable equilibrium.
     """
     model, frames = build_model(rods, gravity, clamp.planted)
     free = clamp.free(rods)
-    state = static_state(model, frames, rods.nodes, free)
+    model, state = loaded_state(rods, model, frames, free, loads)
     n = len(free)
 
     def assembled(constants: Model, rate: float) -> Blocks:
@@ -150,8 +153,10 @@ class Modes(NamedTuple):
     damping_ratios: Array
 
 
-def natural_frequencies(rods: Rods, clamp: Clamp, count: int, *, gravity: ArrayLike = GRAVITY) -> Modes:
-    """Return the lowest modes of small vibrations about the equilibrium under gravity.
+def natural_frequencies(
+    rods: Rods, clamp: Clamp, count: int, *, gravity: ArrayLike = GRAVITY, loads: Loads | None = None
+) -> Modes:
+    """Return the lowest modes of small vibrations about the equilibrium under gravity and loads of one's own.
 
     Block Lanczos iteration with K^-1 M (Golub & Underwood 1977) and full orthogonalisation. A block has more vectors
     than modes are wanted, so that equal frequencies, as of a round rod in its two planes, come out as often as they
@@ -162,7 +167,7 @@ def natural_frequencies(rods: Rods, clamp: Clamp, count: int, *, gravity: ArrayL
         StageFailure: kind "no_convergence" when there is no stable equilibrium, or the modes do not converge.
     """
     check_range("number of modes", count, 1, 1e5)
-    system = linearise(rods, clamp, gravity)
+    system = linearise(rods, clamp, gravity, loads=loads)
     count = max(1, min(count, int(system.free.sum()) // 2))
     n = len(system.free)
     stiffness = tangent(system.model, system.free, system.state.x, system.state.frames, new_blocks(n))
@@ -263,8 +268,9 @@ def base_response(
 ) -> ComplexArray:
     """Return (Q, N, 3) displacement of every node per metre of base displacement, at (Q,) frequencies [Hz].
 
-    All that is clamped moves by exp(i w t) along `direction` (3,), as on a shaking table, and does not turn. What the
-    rods do relative to it answers their own inertia and the still air's drag: of u = d + w with the base's motion d,
+    All that is clamped moves by exp(i w t) along `direction` (3,), as on a shaking table, and does not turn; springs of
+    `Rods.support` go along. What the rods do relative to it answers their own inertia and the still air's drag: of
+    u = d + w with the base's motion d,
     (K + i w C - w^2 M) w = w^2 M d - i w C_air d.
 
     Args:

@@ -32,62 +32,122 @@ NO_TWIST = 1e-2
 """EI / GJ of rods that cannot twist: their twist is this share of what it would be at EI = GJ."""
 
 
-def joint_matrix(rods: Rods, curvature: Array, near: NDArray[Any], far: NDArray[Any], jointed: NDArray[Any]) -> Array:
+class Edges(NamedTuple):
+    """Which edges meet in the joint of edge j, and how: the first fields of `Model`, and the kinks."""
+
+    near: NDArray[Any]  # (N,)
+    far: NDArray[Any]  # (N,)
+    swapped: NDArray[Any]  # (N,)
+    order: NDArray[Any]  # (N,)
+    frames: Frames
+    curvature: Array  # (N, 2) of the scanned shape, |curvature| = 2 tan h
+    jointed: NDArray[Any]  # (N,) which edges have a joint at their inner end
+
+
+def edges_of(rods: Rods, planted: bool) -> Edges:
+    """Return how the edges of `rods` are joined.
+
+    Raises:
+        InputError: an edge folds back onto its parent edge.
+    """
+    near, far, swapped, order = _couplings(rods)
+    frames, curvature = _rest_frames(rods.nodes, rods.parent, near, far, swapped)
+    if planted:
+        near, far, swapped = _planted(rods.parent, far)
+        curvature[rods.parent == 0] = 0
+    return Edges(near, far, swapped, order, frames, curvature, _jointed(rods.parent, far, planted))
+
+
+def joint_matrix(rods: Rods, edges: Edges, gripped: tuple[bool, bool] = (False, False)) -> Array:
     """Return (N, 6) entries 11, 12, 22, 13, 23, 33 of the stiffness on (kappa1, kappa2, twist) [N m]; 0 without joint.
 
-    A straight joint has K = 1 / (sum of the bend compliances of its shares of both edges, and of the joint itself),
-    which is EI over the Voronoi length (P19) where both are half and alike, and GJ likewise.
+    The joint's compliance is the sum of those of its shares of both edges and of the joint itself, so that a straight
+    joint of round edges has K = EI over the Voronoi length (P19), and GJ likewise. An edge's compliance is a tensor
+    with the axes of its section; at a kink of angle phi each is turned by h = phi / 2 about the binormal b into the
+    axes b, n = b x t and the mean tangent t, since the two edges do not share their axes: bending of the one in part
+    twists the other. There a rotation (w_b, w_n, w_t) of edge j against its parent gives the strains w_b / cos^2 h,
+    w_n / cos h, w_t / cos h. Without that, kinks and forks converge with the first order only.
 
-    At a kink of angle phi the two edges do not share their axes: bending of the one in part twists the other. With
-    h = phi/2, the binormal b, the mean tangent t and n = b x t, a rotation (w_b, w_n, w_t) of edge j against its parent
-    gives the strains w_b / cos^2 h, w_n / cos h, w_t / cos h, and the shares' compliances, a of the parent and b of
-    edge j, add up to
+    The kink is that of the scanned shape: about it small motions are right, and there `joint_compliance` holds. With
+    the edge length, its difference from the natural kink vanishes.
 
-        C_bb = a_EI + b_EI,   C_nn = (a_EI + b_EI) cos^2 h + (a_GJ + b_GJ) sin^2 h,
-        C_tt = (a_EI + b_EI) sin^2 h + (a_GJ + b_GJ) cos^2 h,   C_nt = sin h cos h (a_EI - a_GJ - b_EI + b_GJ).
-
-    Without that, kinks and forks converge with the first order only. `discretisation="paper"` takes every joint as
-    straight and halves every edge.
+    `discretisation="paper"` takes every joint as straight and halves every edge.
 
     Args:
         rods: the rods.
-        curvature: (N, 2) curvatures of the scanned shape, |curvature| = 2 tan h.
-        near, far: of `Model`.
-        jointed: (N,) which edges have a joint at their inner end.
+        edges: how they are joined.
+        gripped: whether the edge near the root, and edge j, of every joint are held by a gripper and bend no more.
     """
-    shares = _shares(rods, near, jointed)
-    bend, twist = _compliances(rods)
-    e, soft = np.where(far >= 0, near, 0), np.asarray(rods.joint_compliance)
-    a_EI, a_GJ = shares[0] * bend[e], shares[0] * twist[e]
-    b_EI, b_GJ = shares[1] * bend, shares[1] * twist
+    of_near, own = _shares(rods, edges.near, edges.jointed)
+    if rods.discretisation != "paper":
+        of_near, own = ((GRIPPED if g else 1.0) * share for g, share in zip(gripped, (of_near, own), strict=True))
+    e = np.where(edges.far >= 0, edges.near, 0)
     straight = rods.discretisation == "paper"
-    k, cosine, sine = _kink(0 * curvature if straight else curvature)
-    C_bb = a_EI + b_EI + soft
-    C_nn = (a_EI + b_EI) * cosine**2 + (a_GJ + b_GJ) * sine**2 + soft
-    C_tt = (a_EI + b_EI) * sine**2 + (a_GJ + b_GJ) * cosine**2 + soft
-    C_nt = sine * cosine * (a_EI - a_GJ - b_EI + b_GJ)
-    factor = cosine**2 / (C_nn * C_tt - C_nt**2)
-    W_bb, W_nn, W_nt, W_tt = cosine**4 / C_bb, factor * C_tt, -factor * C_nt, factor * C_nn
-    k1, k2 = k.T  # along kappa in the plane of the two curvatures; n is (k2, -k1) there
-    entries = np.stack(
-        [
-            W_bb * k1**2 + W_nn * k2**2,
-            (W_bb - W_nn) * k1 * k2,
-            W_bb * k2**2 + W_nn * k1**2,
-            W_nt * k2,
-            -W_nt * k1,
-            W_tt,
-        ],
-        axis=1,
-    )
-    return np.where(jointed[:, None], entries, 0)
+    k, cosine, sine = _kink(0 * edges.curvature if straight else edges.curvature)
+    tensors = _edge_tensors(rods, edges.frames.m1)
+    skew = np.where(edges.swapped, -1.0, 1.0)  # a reversed edge has its second axis reversed
+    near = _turned(tensors[e] * np.stack([skew**2, skew, skew**2, skew**2], axis=1), k, cosine, sine)
+    C = of_near[:, None, None] * near + own[:, None, None] * _turned(tensors, k, cosine, -sine)
+    C += np.asarray(rods.joint_compliance)[:, None, None] * np.eye(3)
+    C[~edges.jointed] = np.eye(3)
+    per_strain = np.stack([cosine**2, cosine, cosine], axis=1)
+    W = np.linalg.inv(C) * per_strain[:, :, None] * per_strain[:, None]
+    V = np.zeros((len(k), 3, 3))  # b, n and t among (kappa1, kappa2, twist)
+    V[:, :2, 0], V[:, 0, 1], V[:, 1, 1], V[:, 2, 2] = k, k[:, 1], -k[:, 0], 1
+    W = V @ W @ V.transpose(0, 2, 1)
+    entries = W[:, [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+    return np.where(edges.jointed[:, None], entries, 0)
 
 
-def _compliances(rods: Rods) -> tuple[Array, Array]:
-    """Return (N,) length / EI and length / GJ of every edge [rad/(N m)]; of the unused edge 0 those of edge 1."""
-    EI = np.asarray(rods.youngs) * np.pi * np.asarray(rods.edge_radius) ** 4 / 4
-    bend = np.concatenate([[1.0], rods.lengths[1:] / EI[1:]])
-    return bend, bend * np.maximum(rods.bend_over_twist, NO_TWIST)
+GRIPPED = 1e-3
+"""Share of its compliance that a gripped edge keeps: none, but for joints that would have none at all."""
+
+
+def _turned(tensors: Array, k: Array, cosine: Array, sine: Array) -> Array:
+    """Return (N, 3, 3) compliances in the axes b, n, t of a kink, of edges that lie at half its angle from t."""
+    D11, D12, D22, twist = tensors.T
+    k1, k2 = k.T  # (k1, k2) among the directors is n, the direction in which a turn about b bends; b is (-k2, k1)
+    bb = D11 * k1**2 + 2 * D12 * k1 * k2 + D22 * k2**2
+    nn = D11 * k2**2 - 2 * D12 * k1 * k2 + D22 * k1**2
+    bn = (D11 - D22) * k1 * k2 - D12 * (k1**2 - k2**2)
+    C = np.empty((len(bb), 3, 3))
+    C[:, 0, 0], C[:, 1, 1], C[:, 2, 2] = bb, nn * cosine**2 + twist * sine**2, nn * sine**2 + twist * cosine**2
+    C[:, 0, 1] = C[:, 1, 0] = bn * cosine
+    C[:, 0, 2] = C[:, 2, 0] = bn * sine
+    C[:, 1, 2] = C[:, 2, 1] = sine * cosine * (nn - twist)
+    return C
+
+
+def _edge_tensors(rods: Rods, m1: Array) -> Array:
+    """Return (N, 4) compliances 11, 12, 22 against bending towards the two directors and of twist [rad/(N m)].
+
+    Raises:
+        InputError: the axis of a section lies along its edge.
+    """
+    of_1, of_2, twist = _compliances(rods)
+    if rods.section is None or np.array_equal(of_1, of_2):
+        return np.stack([of_1, 0 * of_1, of_2, twist], axis=1)
+    along = rods.nodes - rods.nodes[rods.parent]
+    axis = np.asarray(rods.section.axis)
+    first = np.sum(axis * m1, axis=1)
+    second = np.sum(axis * np.cross(along, m1), axis=1) / np.maximum(rods.lengths, 1e-300)
+    wrong = np.flatnonzero(np.hypot(first, second)[1:] < 1e-3 * np.linalg.norm(axis, axis=1)[1:])
+    if wrong.size:
+        given = f"{axis[1 + wrong[0]]} along edge {1 + wrong[0]}"
+        raise bad_input("section axis", given=given, allowed="a direction across every edge", do="Give one per edge.")
+    angle = np.arctan2(second, first)
+    c, s = np.cos(angle), np.sin(angle)
+    return np.stack([of_1 * c**2 + of_2 * s**2, (of_1 - of_2) * s * c, of_1 * s**2 + of_2 * c**2, twist], axis=1)
+
+
+def _compliances(rods: Rods) -> tuple[Array, Array, Array]:
+    """Return (N,) length / EI1, length / EI2, length / GJ of every edge [rad/(N m)]; of the unused edge 0 of edge 1."""
+    section = rods.sections
+    E, G = np.asarray(rods.youngs), np.asarray(rods.youngs) / (2 * np.maximum(rods.bend_over_twist, NO_TWIST))
+    stiff = np.stack([E * section.bend_1, E * section.bend_2, G * section.torsion])
+    compliances = np.concatenate([np.ones((3, 1)), rods.lengths[1:] / stiff[:, 1:]], axis=1)
+    first, second, twist = compliances
+    return first, second, twist
 
 
 def line_on(rods: Rods) -> NDArray[Any]:
@@ -129,7 +189,7 @@ def _shares(rods: Rods, near: NDArray[Any], jointed: NDArray[Any]) -> tuple[Arra
     own[whole & jointed] = 1
     of_near[1:][(whole & jointed)[near[1:]]] = 0
     tips = np.flatnonzero(lumps & (children == 0) & jointed)
-    before, bend = parent[tips], _compliances(rods)[0]
+    before, bend = parent[tips], np.mean(_compliances(rods)[:2], axis=0)
     share = bend[tips] / bend[before]
     plain = (on[before] == tips) & (before > 0) & jointed[before] & (share < SOFTER)
     own[tips[plain]] += 3 / 8
@@ -171,16 +231,16 @@ class Model(NamedTuple):
     spin_inertia: Array  # (N,) [kg m^2]
     rotary: Array  # (N,) mass on the velocity of node j relative to its parent [kg]
     drag: Array  # (N,) [N s/m]
-    weight: Array  # (N, 3) [N]
+    weight: Array  # (N, 4) on node j [N], and the moment that spins edge j [N m], of gravity and loads
     stretch: Array  # (N,) EA [N]
     joint: Array  # (N, 6) stiffness of the joint with the parent edge, see `joints.joint_matrix` [N m]
     viscous: Array  # (N,) [s]
     length: Array  # (N,) natural length [m]
     curvature: Array  # (N, 2) natural curvature [-]
     natural_twist: Array  # (N,) [rad]
-    soil: (
-        Array  # (N, 6) of an edge that leaves the root: its scanned direction and first director, which the soil keeps
-    )
+    soil: Array  # (N, 10) of an edge that leaves the root: the soil's direction, director; its rate [1/s], spin [rad/s]
+    supports: Array  # (S, 3) node, and its springs [N/m, N m/rad]
+    homes: Array  # (S, 9) scanned place of that node, direction of its edge over its length, its first director
 
 
 class Frames(NamedTuple):
@@ -205,36 +265,36 @@ def build_model(rods: Rods, gravity: ArrayLike, planted: bool = False) -> tuple[
     Raises:
         InputError: an edge folds back onto its parent edge.
     """
-    near, far, swapped, order = _couplings(rods)
-    frames, curvature = _rest_frames(rods.nodes, rods.parent, near, far, swapped)
-    if planted:
-        near, far, swapped = _planted(rods.parent, far)
-        curvature[rods.parent == 0] = 0
-    natural = rods.natural or NaturalShape(rods.lengths, curvature, np.zeros(len(near)))
-    area = np.pi * np.square(rods.edge_radius)
-    paper = rods.discretisation == "paper"
+    edges = edges_of(rods, planted)
+    frames = edges.frames
+    natural = rods.natural or NaturalShape(rods.lengths, edges.curvature, np.zeros(len(rods.parent)))
+    section, paper = rods.sections, rods.discretisation == "paper"
+    area, bends = np.asarray(section.area), np.asarray(section.bend_1) + np.asarray(section.bend_2)
     edge_mass = np.asarray(rods.density) * area * rods.lengths
+    polar = np.divide(edge_mass * bends, area, out=np.zeros(len(area)), where=area > 0)
     lump = np.asarray(rods.lumped_inertia) if paper else _turning_lumps(rods)
-    turning = lump if paper else lump + edge_mass * np.square(rods.edge_radius) / 4
+    turning = lump if paper else lump + polar / 2
     rotary = np.divide(turning, rods.lengths**2, out=np.zeros(len(lump)), where=rods.lengths > 0)
     model = Model(
         parent=rods.parent,
-        order=order,
-        near=near,
-        far=far,
-        swapped=swapped,
+        order=edges.order,
+        near=edges.near,
+        far=edges.far,
+        swapped=edges.swapped,
         mass=rods.node_mass,
-        spin_inertia=0.5 * edge_mass * np.square(rods.edge_radius) + lump,
+        spin_inertia=polar + lump,
         rotary=rotary if paper else rotary - edge_mass / 6,
         drag=rods.node_total_drag,
-        weight=rods.node_mass[:, None] * check_array("gravity", gravity, (3,)),
+        weight=np.pad(rods.node_mass[:, None] * check_array("gravity", gravity, (3,)), ((0, 0), (0, 1))),
         stretch=area * np.asarray(rods.youngs),
-        joint=joint_matrix(rods, curvature, near, far, _jointed(rods.parent, far, planted)),
+        joint=joint_matrix(rods, edges),
         viscous=np.asarray(rods.viscous_time),
         length=natural.length,
         curvature=natural.curvature,
         natural_twist=natural.twist,
         soil=_soil(rods, frames),
+        supports=_supports(rods),
+        homes=_homes(rods, frames),
     )
     return Model(*(np.array(a) for a in model)), frames
 
@@ -251,7 +311,21 @@ def _jointed(parent: NDArray[Any], far: NDArray[Any], planted: bool) -> NDArray[
 def _soil(rods: Rods, frames: Frames) -> Array:
     edges = rods.nodes - rods.nodes[0]
     directions = edges / np.maximum(np.linalg.norm(edges, axis=1), 1e-300)[:, None]
-    return np.where((rods.parent == 0)[:, None], np.hstack([directions, frames.m1]), 0)
+    still = np.zeros((len(edges), 4))
+    return np.where((rods.parent == 0)[:, None], np.hstack([directions, frames.m1, still]), 0.0)
+
+
+def _supports(rods: Rods) -> Array:
+    springs = np.stack([np.arange(len(rods.nodes)), np.asarray(rods.support), np.asarray(rods.support_turning)], axis=1)
+    springs[0, 2] = 0  # there is no edge 0
+    return np.asarray(springs[(springs[:, 1:] > 0).any(axis=1)], dtype=np.float64)
+
+
+def _homes(rods: Rods, frames: Frames) -> Array:
+    node = _supports(rods)[:, 0].astype(np.int64)
+    along = rods.nodes[node] - rods.nodes[rods.parent[node]]
+    along /= np.maximum(np.sum(along**2, axis=1), 1e-300)[:, None]
+    return np.hstack([rods.nodes[node], along, frames.m1[node]])
 
 
 def _turning_lumps(rods: Rods) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -170,6 +170,34 @@ class SampledDrive(Motion):
     def _interpolated(self, times: ArrayLike, samples: Array) -> Array:
         t = np.asarray(times, dtype=np.float64)
         return np.stack([np.interp(t, self.times, column) for column in samples.T], axis=-1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FunctionDrive(Motion):
+    """Any motion, given as a function of the time.
+
+    Attributes:
+        node: the grip node, or of a base a clamped one, see `simulate`.
+        move: from (T,) times [s] to (T, 3) displacements [m] from the start; 0 at time 0.
+        turn: from (T,) times [s] to (T, 3) rotation vectors [rad] about the node, from the start; None means none.
+        also: further nodes between the pads, which move with the first as one body.
+    """
+
+    node: int
+    move: Callable[[Array], Array]
+    turn: Callable[[Array], Array] | None = None
+    also: tuple[int, ...] = ()
+
+    def displacement(self, times: ArrayLike) -> Array:
+        """Return (T, 3) displacements [m] at (T,) times [s]."""
+        t = np.asarray(times, dtype=np.float64)
+        return check_array("drive move", self.move(t), (*t.shape, 3)).copy()
+
+    def rotation(self, times: ArrayLike) -> Array:
+        """Return (T, 3) rotation vectors [rad] at (T,) times [s]."""
+        t = np.asarray(times, dtype=np.float64)
+        turns = np.zeros((*t.shape, 3)) if self.turn is None else self.turn(t)
+        return check_array("drive turn", turns, (*t.shape, 3)).copy()
 
 
 def smooth_rise(times: Array, ramp: float) -> Array:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from anther.core.checks import check_array
 from anther.core.choices import Discretisation as Discretisation  # noqa: PLC0414 - the door gives it
@@ -36,8 +36,64 @@ class NaturalShape(Record):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Section:
+    """Cross-sections that are not solid and round; each number once, or per edge as an (N,) array.
+
+    The axes of edge j are d1, which is `axis` less its part along the edge, and d2 = t x d1 with the edge's tangent t.
+
+    Attributes:
+        area: A [m^2].
+        bend_1, bend_2: second moments of area I1, I2 against bending towards d1 and towards d2 [m^4].
+        torsion: torsion constant J [m^4]; of a round section I1 + I2.
+        axis: (3,) or (N, 3) direction in the world, of any length, not along an edge.
+    """
+
+    area: Array | float
+    bend_1: Array | float
+    bend_2: Array | float
+    torsion: Array | float
+    axis: Array | tuple[float, float, float] = (1.0, 0.0, 0.0)
+
+    @classmethod
+    def tube(cls, radius: ArrayLike, wall: ArrayLike) -> Section:
+        """Return round tubes of outer `radius` [m] with a `wall` [m]; a wall of the whole radius is solid."""
+        outer, inner = np.asarray(radius), np.asarray(radius) - np.asarray(wall)
+        if np.any(np.asarray(wall) <= 0) or np.any(inner < 0):
+            raise bad_input("wall", given=f"{wall} m", allowed="0 < wall <= radius", do="Check the unit.")
+        bend = np.pi / 4 * (outer**4 - inner**4)
+        return cls(np.pi * (outer**2 - inner**2), bend, bend, 2 * bend)
+
+    @classmethod
+    def ellipse(cls, width: ArrayLike, height: ArrayLike, axis: Any = (1.0, 0.0, 0.0)) -> Section:
+        """Return solid ellipses, `width` [m] along d1, `height` [m] along d2; J = pi a^3 b^3 / (a^2 + b^2)."""
+        a, b = np.asarray(width) / 2, np.asarray(height) / 2
+        return cls(np.pi * a * b, np.pi / 4 * a**3 * b, np.pi / 4 * a * b**3, np.pi * a**3 * b**3 / (a**2 + b**2), axis)
+
+    @classmethod
+    def rectangle(cls, width: ArrayLike, height: ArrayLike, axis: Any = (1.0, 0.0, 0.0)) -> Section:
+        """Return solid rectangles, `width` [m] along d1, `height` [m] along d2; J by Saint-Venant's series."""
+        b, h = np.asarray(width, dtype=np.float64), np.asarray(height, dtype=np.float64)
+        long, short, n = np.maximum(b, h), np.minimum(b, h), np.arange(1, 20, 2)
+        series = np.sum(np.tanh(np.multiply.outer(long / short, n * np.pi / 2)) / n**5, axis=-1)
+        torsion = long * short**3 / 3 * (1 - 192 / np.pi**5 * short / long * series)
+        return cls(b * h, b**3 * h / 12, b * h**3 / 12, torsion, axis)
+
+    def per_edge(self, n: int) -> Section:
+        """Return it with (N,) numbers and (N, 3) axes.
+
+        Raises:
+            InputError: another number of edges, or a number that is none of a section's.
+        """
+        moments = {
+            name: _per_node(name, getattr(self, name), n, limits, unit) for name, limits, unit in _SECTION_LIMITS
+        }
+        axis = np.broadcast_to(np.asarray(self.axis, dtype=np.float64), (n, 3))
+        return Section(**moments, axis=check_array("section axis", axis, (n, 3)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Rods:
-    """A tree of elastic rods with stretch, bend and twist stiffness, round solid cross-sections and lumped masses.
+    """A tree of elastic rods with stretch, bend and twist stiffness and lumped masses.
 
     Every scalar may be given once, or per node or edge as an (N,) array; afterwards each is an (N,) array.
     Bend and twist springs join each edge to its parent edge, so every joint is elastic whatever its degree. The
@@ -50,7 +106,8 @@ class Rods:
         youngs: (N,) Young's modulus of edge j [Pa].
         density: (N,) density of edge j [kg/m^3].
         bend_over_twist: (N,) EI / GJ of edge j [-]. A round bar has 1 + Poisson's ratio: 1.5 at 0.5; dicot petioles
-            have about 12; a huge value leaves twist free; 0 means that the rods cannot twist.
+            have about 12; a huge value leaves twist free; 0 means that the rods cannot twist. With a `section`,
+            GJ = E J / (2 bend_over_twist), which is the same for round ones.
         joint_compliance: (N,) how much softer the joint of edge j with its parent edge is than the rods themselves
             [rad/(N m)], in bend and twist: the abscission joint of a pedicel, the base of a petiole.
         lumped_mass: (N,) extra mass at node j [kg]: leaf, flower, fruit.
@@ -61,7 +118,11 @@ class Rods:
         mass_damping: (N,) drag per mass [1/s]; a mode gets the damping ratio mass_damping / (2 w).
         air_drag: (N,) drag per length of edge j [N s/m^2].
         node_drag: (N,) extra drag at node j [N s/m].
+        support: (N,) spring that draws node j back to its scanned place, alike in all directions [N/m]: a clip, a hook.
+        support_turning: (N,) spring against turning edge j, and against spinning it, from its scanned direction, as the
+            sine of the angle [N m/rad].
         natural: the stress-free shape; None means the scanned shape itself.
+        section: of the edges; None means solid and round, of `edge_radius`. Rotary inertia is that of (I1 + I2) / 2.
         discretisation: "consistent" converges with the second order in the edge length, also at forks and kinks;
             "paper" is P19 to the letter, with lumped masses, as its solver has it: first order at forks and kinks.
         lengths: (N,) scanned length of edge j [m], found from the nodes; entry 0 is 0.
@@ -80,7 +141,10 @@ class Rods:
     mass_damping: Array | float = 0.0
     air_drag: Array | float = 0.0
     node_drag: Array | float = 0.0
+    support: Array | float = 0.0
+    support_turning: Array | float = 0.0
     natural: NaturalShape | None = None
+    section: Section | None = None
     discretisation: Discretisation = "consistent"
     lengths: Array = field(init=False, repr=False)
 
@@ -94,6 +158,8 @@ class Rods:
         _check_tree(self.parent)
         for name, limits, unit in _LIMITS:
             object.__setattr__(self, name, _per_node(name, getattr(self, name), n, limits, unit))
+        if self.section is not None:
+            object.__setattr__(self, "section", self.section.per_edge(n))
         lengths = np.linalg.norm(self.nodes - self.nodes[self.parent], axis=1)
         lengths[0] = 0
         lengths.flags.writeable = False
@@ -108,10 +174,55 @@ class Rods:
                 "natural shape", given=f"{len(self.natural.length)} nodes", allowed=f"{n} nodes", do="Compute it anew."
             )
 
+    @classmethod
+    def of_stiffness(
+        cls,
+        nodes: Array,
+        parent: NDArray[Any],
+        bending: Array | float,
+        line_mass: Array | float,
+        *,
+        bending_2: Array | float | None = None,
+        twisting: Array | float | None = None,
+        stretching: Array | float | None = None,
+        edge_radius: Array | float = 1e-3,
+        axis: Any = (1.0, 0.0, 0.0),
+        **more: Any,
+    ) -> Rods:
+        """Return rods whose stiffness itself is known, once or per edge as (N,) arrays.
+
+        Args:
+            nodes, parent: as of `Rods`.
+            bending: EI against bending towards the section's d1 [N m^2].
+            line_mass: [kg/m].
+            bending_2: EI against bending towards d2; None means `bending`.
+            twisting: GJ [N m^2]; None means the mean EI over `bend_over_twist`.
+            stretching: EA [N]; None means that of a solid round bar with `edge_radius` and the mean EI.
+            edge_radius: [m]; only this default and pictures use it.
+            axis: of `Section`.
+            more: other attributes of `Rods`.
+        """
+        first, second = np.asarray(bending), np.asarray(bending if bending_2 is None else bending_2)
+        mean, area = (first + second) / 2, np.pi * np.asarray(edge_radius) ** 2
+        ratio = more.setdefault("bend_over_twist", 1.5)
+        twist = mean / ratio if twisting is None else np.asarray(twisting)
+        youngs = (4 * np.pi * mean / area if stretching is None else np.asarray(stretching)) / area
+        section = Section(area, first / youngs, second / youngs, 2 * ratio * twist / youngs, axis)
+        return cls(nodes, parent, edge_radius, youngs, line_mass / area, section=section, **more)
+
+    @property
+    def sections(self) -> Section:
+        """What the cross-sections are, (N,) each."""
+        if self.section is not None:
+            return self.section
+        area = np.pi * np.square(self.edge_radius)
+        bend = area * np.square(self.edge_radius) / 4
+        return Section(area, bend, bend, 2 * bend)
+
     @property
     def node_mass(self) -> Array:
         """(N,) mass lumped at node j [kg]: half of each edge that meets there, and the lumped mass."""
-        return self._halves(np.asarray(self.density) * np.pi * np.asarray(self.edge_radius) ** 2) + self.lumped_mass
+        return self._halves(np.asarray(self.density) * self.sections.area) + self.lumped_mass
 
     @property
     def node_total_drag(self) -> Array:
@@ -139,7 +250,17 @@ _LIMITS = (
     ("mass_damping", (0.0, 1e6), "1/s"),
     ("air_drag", (0.0, 1e6), "N s/m^2"),
     ("node_drag", (0.0, 1e6), "N s/m"),
+    ("support", (0.0, 1e9), "N/m"),
+    ("support_turning", (0.0, 1e9), "N m/rad"),
 )
+_SECTION_LIMITS = (
+    ("area", (1e-12, 10.0), "m^2"),
+    ("bend_1", (1e-24, 1.0), "m^4"),
+    ("bend_2", (1e-24, 1.0), "m^4"),
+    ("torsion", (1e-24, 1.0), "m^4"),
+)
+_OF_EDGES = ("edge_radius", "youngs", "density", "bend_over_twist", *(name for name, *_ in _SECTION_LIMITS))
+"""Of these entry 0, which stands for no edge, is not checked."""
 
 
 def _check_tree(parent: NDArray[Any]) -> None:
@@ -158,7 +279,7 @@ def _per_node(name: str, value: Any, n: int, limits: tuple[float, float], unit: 
     lower, upper = limits
     array = np.asarray(value, dtype=np.float64)
     array = check_array(name, np.full(n, array) if array.ndim == 0 else array, (n,))
-    used = array[1:] if name in ("edge_radius", "youngs", "density", "bend_over_twist") else array
+    used = array[1:] if name in _OF_EDGES else array
     wrong = used[(used < lower) | (used > upper)]
     if wrong.size:
         raise bad_input(

@@ -12,8 +12,9 @@ from scipy.spatial.transform import Rotation
 from anther.core.checks import check_range, check_room
 from anther.core.errors import StageFailure, bad_input
 from anther.core.records import Range, Shape, Stored
-from anther.rods._assembly import move_frames, new_blocks, new_lanes
-from anther.rods._equilibrium import static_state
+from anther.rods._assembly import elastic_energy, move_frames, new_blocks, new_lanes
+from anther.rods._equilibrium import loaded_state, warn_of_twist
+from anther.rods._loads import History, Loads
 from anther.rods._model import Model, build_model
 from anther.rods._motion import Clamp, Motion, gripped_edges
 from anther.rods._response import FINE
@@ -29,6 +30,7 @@ from anther.rods._stepping import (
     new_state,
     record,
 )
+from anther.rods._strains import held
 
 PREDICTORS = ("inertia", "guess displacement", "none")
 
@@ -85,7 +87,9 @@ def simulate(
     *,
     gravity: ArrayLike = GRAVITY,
     integrator: Literal["midpoint", "implicit_euler"] = "midpoint",
-    start: Literal["equilibrium", "scanned"] = "equilibrium",
+    start: Literal["equilibrium", "scanned", "plucked"] = "equilibrium",
+    loads: Loads | History | None = None,
+    base: Motion | None = None,
     tolerance: float = 1e-8,
     record_every: int = 1,
     predictor: Literal["inertia", "guess displacement", "none"] = "inertia",
@@ -102,7 +106,13 @@ def simulate(
         gravity: (3,) [m/s^2].
         integrator: "midpoint" is second order and does not damp; "implicit_euler" is first order and damps a mode of
             frequency f by about pi f dt of critical.
-        start: at rest in static equilibrium under gravity, or at rest in the scanned shape, released at t = 0.
+        start: at rest in static equilibrium under gravity and loads; or at rest in the scanned shape, released at
+            t = 0; or plucked: in equilibrium under gravity and loads, which let go at t = 0.
+        loads: forces and torques of one's own, steady, or as a function of the time [s] (at 0: of the start), which is
+            asked in the middle of each step. They count in `work`, not in `energy`.
+        base: prescribed motion of a clamped node, as of a shaking table: all that is clamped, and the soil, move and
+            turn with it as one body. There is no other drive then, and the grip's force, moment and work are those of
+            the base, but for the moment and the viscous work of turning soil.
         tolerance: accepted norm of the residual force [N]; a step is also accepted when Newton's correction has
             fallen to rounding noise (1e-12 m).
         record_every: keep every k-th step.
@@ -120,24 +130,106 @@ def simulate(
     steps = _check_steps(duration, dt, record_every)
     if integrator not in ("midpoint", "implicit_euler"):
         raise bad_input("integrator", given=integrator, allowed="midpoint or implicit_euler", do="Check the spelling.")
-    if start not in ("equilibrium", "scanned"):
-        raise bad_input("start", given=start, allowed="equilibrium or scanned", do="Check the spelling.")
+    if start not in ("equilibrium", "scanned", "plucked"):
+        raise bad_input("start", given=start, allowed="equilibrium, scanned or plucked", do="Check the spelling.")
     if predictor not in PREDICTORS:
         raise bad_input("predictor", given=predictor, allowed=", ".join(PREDICTORS), do="Check the spelling.")
     nodes = () if drive is None else drive.nodes
+    if base is not None:
+        if drive is not None:
+            raise bad_input("drive", given="one beside a base", allowed="either", do="Shake the grip or the base.")
+        drive, nodes = base, _with_clamp(base, clamp)
     model, frames = build_model(rods, gravity, clamp.planted)
-    free = clamp.free(rods, nodes)
-    if start == "equilibrium":
-        state = static_state(model, frames, rods.nodes, clamp.free(rods))
-    else:
+    free = clamp.free(rods, () if base else nodes)
+    if start == "scanned":
         state = new_state(rods.nodes, frames)
+    else:
+        state = loaded_state(rods, model, frames, clamp.free(rods), loads(0.0) if callable(loads) else loads)[1]
+    if base is None:
+        model = held(rods, model, clamp.planted, state, nodes)
     if moving is not None:
         state = _set_moving(model, state, *moving, nodes)
-    settings = Settings(dt, integrator == "midpoint", tolerance, NEWTON_LIMIT, balance=True)
+    around = _Surroundings(rods, model, None if start == "plucked" else loads, base if clamp.planted else None)
+    settings = Settings(dt, integrator == "midpoint", tolerance, NEWTON_LIMIT, balance=around.balanced)
     guess = np.zeros(0 if predictor == "inertia" else len(free))
     if predictor == "guess displacement":
         guess = _guess_shares(rods.parent, nodes) * free[:, 0]
-    return _Run(model, free, state, drive, settings, guess).trajectory(steps, record_every)
+    return _Run(model, free, state, drive, nodes, settings, guess, around).trajectory(steps, record_every)
+
+
+def _with_clamp(base: Motion, clamp: Clamp) -> tuple[int, ...]:
+    """Return what is clamped, the base's node first.
+
+    Raises:
+        InputError: the base moves what is not clamped.
+    """
+    for node in base.nodes:
+        if node not in clamp.nodes:
+            raise bad_input("base node", given=node, allowed=f"clamped: {clamp.nodes}", do="Use `drive`.")
+    return (base.node, *(int(node) for node in clamp.nodes if node != base.node))
+
+
+class _Surroundings:
+    """What changes from step to step beside the grip: loads of one's own, and soil that turns with the base."""
+
+    def __init__(self, rods: Rods, model: Model, loads: Loads | History | None, base: Motion | None) -> None:
+        self.rods, self.model, self.loads, self.base = rods, model, loads, base
+        self.gravity, self.soil = model.weight.copy(), model.soil.copy()
+        self.own, self.before_x, self.stored, self.turned = (
+            np.zeros_like(model.weight),
+            rods.nodes,
+            0.0,
+            (self.soil,) * 2,
+        )
+
+    @property
+    def balanced(self) -> bool:
+        """Whether the energy of a step can be told from grip and weight: what turns along does work besides."""
+        steady = self.loads is None or (isinstance(self.loads, Loads) and not self.loads.turns)
+        return steady and self.base is None
+
+    @property
+    def still(self) -> bool:
+        """Whether there is none of it."""
+        return self.loads is None and self.base is None
+
+    def before(self, state: State, work: Work, start: float, end: float) -> None:
+        """Set loads and soil for the step between two times [s]."""
+        model, middle = self.model, 0.5 * (start + end)
+        self.before_x = state.x.copy()
+        if self.base is not None:
+            self.turned = (self._soil_at(start), self._soil_at(end))
+            model.soil[:] = self._soil_at(middle)
+            turn = Rotation.from_rotvec(self.base.rotation([start, end]))
+            rate = (turn[1] * turn[0].inv()).as_rotvec() / (end - start)
+            model.soil[:, 6:9] = np.cross(rate, model.soil[:, :3])
+            model.soil[:, 9] = model.soil[:, :3] @ rate
+            self.stored = self._soil_energy(state)
+        loads = self.loads(middle) if callable(self.loads) else self.loads
+        if loads is not None or self.own.any():
+            x = state.x + 0.5 * (end - start) * state.v[:, :3]
+            self.own = np.zeros_like(self.gravity) if loads is None else loads.on(self.rods, x)
+            model.weight[:] = self.gravity + self.own
+        work.energy[1], work.energy[0] = energies(model, state)
+
+    def after(self, state: State, work: Work, halves: float) -> None:
+        """Add up the work that they did; `halves` is 2 if the solve was of half a step."""
+        work.energy[2] += np.sum(self.own[:, :3] * (state.x - self.before_x))
+        work.energy[2] += np.sum(self.own[:, 3] * halves * 2 * np.arctan(work.turn / 2))
+        if self.base is not None:
+            work.energy[2] += 0.5 * (self.stored + self._soil_energy(state))
+            self.model.soil[:] = self.turned[1]
+            work.energy[1], work.energy[0] = energies(self.model, state)
+
+    def _soil_at(self, time: float) -> Array:
+        assert self.base is not None
+        turn = Rotation.from_rotvec(self.base.rotation([time])[0]).as_matrix()
+        return np.hstack([self.soil[:, :3] @ turn.T, self.soil[:, 3:6] @ turn.T, np.zeros((len(self.soil), 4))])
+
+    def _soil_energy(self, state: State) -> float:
+        """Return by how much the turning soil alone raises the elastic energy of a state [J]."""
+        first, last = (elastic_energy(self.model._replace(soil=s), state.x, state.frames) for s in self.turned)
+        return float(last - first)
 
 
 def _set_moving(model: Model, rest: State, displacement: Array, rate: Array, grip: tuple[int, ...]) -> State:
@@ -187,11 +279,19 @@ class _Run:
     """One simulation: the constants, the moving state, and the splitting of steps that do not converge."""
 
     def __init__(
-        self, model: Model, free: Any, state: State, drive: Motion | None, settings: Settings, guess: Array
+        self,
+        model: Model,
+        free: Any,
+        state: State,
+        drive: Motion | None,
+        nodes: tuple[int, ...],
+        settings: Settings,
+        guess: Array,
+        around: _Surroundings,
     ) -> None:
         n, frames = len(state.x), state.frames
         self.model, self.free, self.state, self.drive, self.settings = model, free, state, drive, settings
-        self.guess, self.nodes = guess, np.array(() if drive is None else drive.nodes, dtype=np.int64)
+        self.guess, self.nodes, self.around = guess, np.array(nodes, dtype=np.int64), around
         self.edges = gripped_edges(model.parent, tuple(self.nodes.tolist()))
         self.home, self.director = state.x[self.nodes], frames.m1[self.edges]
         mid, end = new_state(state.x, frames), new_state(state.x, frames)
@@ -208,17 +308,22 @@ class _Run:
         dt, stored = self.settings.dt, self.work.energy[1]
         times = np.arange(steps + 1, dtype=np.float64) * dt
         out, grip = new_output(steps // every + 1, len(self.state.x)), self.grip(times)
-        record(self.model, grip, self.state, self.work, out, 0)
-        done, residual = self._advance(grip, self.settings, 0, steps, every, out)
+        self._record(grip, out, 0)
+        done, residual = self._advance(grip, self.settings, 0, steps, every, out, times)
         while done < steps:
             self._split(done * dt, dt, residual, HALVINGS)
             done += 1
             if done % every == 0:
-                record(self.model, grip, self.state, self.work, out, done // every)
-            done, residual = self._advance(grip, self.settings, done, steps, every, out)
+                self._record(grip, out, done // every)
+            done, residual = self._advance(grip, self.settings, done, steps, every, out, times)
         trajectory = Trajectory(times[::every], *out, newton_iterations=self.iterations, split_steps=self.splits)
         _refuse_free_energy(trajectory, self.model, stored)
+        warn_of_twist(self.model, self.state.frames.twist)
         return trajectory
+
+    def _record(self, grip: Grip, out: Output, row: int) -> None:
+        record(self.model, grip, self.state, self.work, out, row)
+        out.energy[row] += np.sum(self.around.own[:, :3] * self.state.x)
 
     def _split(self, t0: float, dt: float, residual: float, halvings: int) -> None:
         """Take one step of length dt as two halves, splitting these again where needed."""
@@ -231,8 +336,8 @@ class _Run:
             )
         half = self.settings._replace(dt=dt / 2, balance=halvings > HALVINGS - BALANCED)
         for start in (t0, t0 + dt / 2):
-            grip = self.grip(np.array([start, start + dt / 2]))
-            done, residual = self._advance(grip, half, 0, 1, 0, new_output(0, 0))
+            ends = np.array([start, start + dt / 2])
+            done, residual = self._advance(self.grip(ends), half, 0, 1, 0, new_output(0, 0), ends)
             if done == 0:
                 self._split(start, dt / 2, residual, halvings - 1)
 
@@ -247,6 +352,22 @@ class _Run:
         return Grip(self.nodes, self.edges, x, np.einsum("tij,qj->tqi", turn, self.director), self.guess)
 
     def _advance(
+        self, grip: Grip, settings: Settings, first: int, steps: int, every: int, out: Output, times: Array
+    ) -> tuple[int, float]:
+        """Take the steps first .. steps - 1, as `advance` does; one by one where something beside the grip changes."""
+        if self.around.still:
+            return self._kernel(grip, settings, first, steps, every, out)
+        for step in range(first, steps):
+            self.around.before(self.state, self.work, times[step], times[step + 1])
+            done, residual = self._kernel(grip, settings, step, step + 1, 0, out)
+            if done == step:
+                return step, residual
+            self.around.after(self.state, self.work, 2.0 if settings.midpoint else 1.0)
+            if every > 0 and (step + 1) % every == 0:
+                self._record(grip, out, (step + 1) // every)
+        return steps, 0.0
+
+    def _kernel(
         self, grip: Grip, settings: Settings, first: int, steps: int, every: int, out: Output
     ) -> tuple[int, float]:
         done, spent, residual = advance(

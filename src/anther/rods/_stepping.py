@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from anther.rods._assembly import Blocks, assemble_edges, elastic_energy, move_frames, on_nodes
+from anther.rods._assembly import Blocks, add_supports, assemble_edges, elastic_energy, move_frames, on_nodes
 from anther.rods._model import Frames, Model
 from anther.rods._rods import Array
 from anther.rods._tree_solver import constrain, factor, solve
@@ -115,7 +115,7 @@ def _add_inertia(model: Model, blocks: Blocks, old: State, new: State, rate: flo
             momentum = mass[j] * rate * (v[j, i] - v_old[j, i])
             g[j, i] += momentum + drag[j] * v[j, i] - weight[j, i]
             D[j, i, i] += stiff
-        g[j, 3] += spin_inertia[j] * rate * (v[j, 3] - v_old[j, 3])
+        g[j, 3] += spin_inertia[j] * rate * (v[j, 3] - v_old[j, 3]) - weight[j, 3]
         D[j, 3, 3] += rate * rate * spin_inertia[j]
 
 
@@ -165,6 +165,7 @@ def _evaluate(model: Model, old: State, new: State, start: Any, turn: Any, rate:
     assemble_edges(model, start, x, new.frames, v, rate, blocks)
     _add_rotary(model, blocks, old, new, rate)
     on_nodes(model, blocks)
+    add_supports(model, x, blocks)
     _add_inertia(model, blocks, old, new, rate)
 
 

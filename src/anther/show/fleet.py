@@ -1,0 +1,106 @@
+"""How many robots a greenhouse needs, for how many hours, at what cost: the arithmetic of the growers' page.
+
+`docs/for_growers.md` computes the same in the reader's browser; a test holds its formulas and defaults to these.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+from anther.core.checks import check_range
+
+
+@dataclass(frozen=True, slots=True)
+class House:
+    """A greenhouse and what a robot does in it. Defaults answer for today, with two hectares of tomatoes.
+
+    Attributes:
+        area: [ha].
+        plants: stems per hectare; 20 000 to 35 000 (facts: pollination 5, rows D).
+        path: distance of the paths from each other [m] (facts: rows D, remembered).
+        hours: that robots work a day [h]; flowers are open and dry from 11 to 15 or 16 h.
+        days: from one visit of a stem to the next; every second day at least (extension services).
+        seconds: that a robot takes for a stem, from looking to letting go [s]: the simulated arm's median cycle of 30
+            views (docs/results/grasping.json, cycle_30_views_s).
+        move: from one stem to the next [s]; a carriage was never measured.
+        price: of a robot [€]; a guess.
+        years: that it serves; a guess.
+        season: days of a year on which robots work; 41 weeks (facts: pollination, manual wand).
+        upkeep: per robot and year, as a share of its price; a guess.
+    """
+
+    area: float = 2.0
+    plants: float = 30000.0
+    path: float = 1.6
+    hours: float = 5.0
+    days: float = 2.0
+    seconds: float = 45.6
+    move: float = 0.0
+    price: float = 40000.0
+    years: float = 8.0
+    season: float = 287.0
+    upkeep: float = 0.1
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            check_range(field.name, getattr(self, field.name), *_LIMITS[field.name])
+
+
+_LIMITS = {
+    "area": (0.01, 1000.0, "ha"),
+    "plants": (100.0, 1e6, "per ha"),
+    "path": (0.3, 10.0, "m"),
+    "hours": (0.1, 24.0, "h"),
+    "days": (0.1, 60.0, "days"),
+    "seconds": (0.1, 3600.0, "s"),
+    "move": (0.0, 3600.0, "s"),
+    "price": (0.0, 1e7, "€"),
+    "years": (0.5, 50.0, "years"),
+    "season": (1.0, 366.0, "days"),
+    "upkeep": (0.0, 10.0, ""),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Fleet:
+    """What a house needs.
+
+    Attributes:
+        visits: stems visited a day.
+        robots: whole robots.
+        robot_hours: worked a day by all of them [h].
+        path_each: length of path that each robot serves [m].
+        fast_enough: how quick a robot would have to be for one per hectare [s a stem], with the time to move on.
+        invested: [€].
+        cost_per_area: per hectare and year [€].
+        cost_per_visit: [€].
+    """
+
+    visits: float
+    robots: int
+    robot_hours: float
+    path_each: float
+    fast_enough: float
+    invested: float
+    cost_per_area: float
+    cost_per_visit: float
+
+
+def fleet_for(house: House) -> Fleet:
+    """Return the robots, hours and costs that keep every stem of a house visited as often as asked."""
+    visits = house.area * house.plants / house.days
+    robot_hours = visits * (house.seconds + house.move) / 3600
+    robots = math.ceil(robot_hours / house.hours - 1e-9)
+    invested = robots * house.price
+    yearly = invested * (1 / house.years + house.upkeep)
+    return Fleet(
+        visits=visits,
+        robots=robots,
+        robot_hours=robot_hours,
+        path_each=house.area * 10000 / house.path / robots,
+        fast_enough=3600 * house.hours * house.area / visits,
+        invested=invested,
+        cost_per_area=yearly / house.area,
+        cost_per_visit=yearly / (visits * house.season),
+    )
