@@ -66,7 +66,7 @@ EXPECTED: dict[str, str] = {
     "gripper jams": r"gripper: its motion does not end|nothing was|holds nothing|stand",
     "gripper reports a fault": "gripper: its inner processor failed",
     "gripper says that it holds": "gripper force",
-    "gripper feels nothing": "jammed|holds nothing",
+    "gripper feels nothing": "jammed|holds? nothing",
     "side camera unplugged": "unplugged|camera",
     "wrist camera unplugged": "unplugged|camera",
     "side camera frozen": "same picture|picture of the recording",

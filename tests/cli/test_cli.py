@@ -464,7 +464,7 @@ def test_a_trial_end_to_end(tmp_path, capsys) -> None:
     timing = json.loads((out / "timing.json").read_text())
     assert timing["seconds"].keys() == timing["cpu_seconds"].keys() == timing["peak_mb"].keys()
     assert min(timing["peak_mb"].values()) > 100, "more than NumPy alone"
-    assert "peak memory" in (out / "10_report.html").read_text()
+    assert "Most memory" in (out / "10_report.html").read_text()
     assert summary["parameters"]["seed"] == 0
     assert {"mujoco", "numpy"} <= set(summary["parameters"]["libraries"])
     assert "report" in capsys.readouterr().out

@@ -124,7 +124,7 @@ def test_density_alone_and_damping_without_a_shape(capsys, files) -> None:
             ("--length", 0.6, "--radius", 0.003, "--frequency", 0.5, "--density", 900, "--orientation", "hanging"),
             "gravity",
         ),
-        (("--density", 1000, "--samples", "x.csv"), "give one of them"),
+        (("--density", 1000, "--samples", __file__), "give one of them"),
         (("--samples", "nowhere.csv"), "nowhere.csv: no such file"),
         (("--density", 1000, "--orientation", "upright"), "--orientation has no effect without --trace"),
         ((*AUTHORS, "--start", 1), "--start has no effect without --trace"),

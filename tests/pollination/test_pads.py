@@ -128,5 +128,5 @@ def test_drawn_pads_have_the_spreads_that_are_believed() -> None:
     drawn = pads.drawn((1.0, -1.0))
     assert np.log(drawn.stiffness / pads.stiffness) == pytest.approx(0.5)
     assert np.log(drawn.turning / pads.turning) == pytest.approx(-1.0)
-    with pytest.raises(InputError, match="turning stiffness"):
+    with pytest.raises(InputError, match="pads' turning"):
         Pads(turning=0.0)

@@ -143,8 +143,8 @@ def test_a_watched_shake_ends_within_what_the_cell_allows(
 @pytest.mark.parametrize(
     ("params", "camera", "flowers", "why"),
     [
-        (_params(Args(shake="paper")), "one", 2, "the paper's shake"),
-        (_params(Args(watch=False)), "one", 2, "as asked"),
+        (_params(Args(shake="paper"), None), "one", 2, "the paper's shake"),
+        (_params(Args(watch=False), None), "one", 2, "as asked"),
         (pipeline.Params(escalate=False), "one", 2, "as asked"),
         (pipeline.Params(), None, 2, "no side camera"),
         (pipeline.Params(), "one", 0, "no flower was found"),

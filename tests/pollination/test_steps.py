@@ -112,9 +112,9 @@ def test_a_trial_that_never_shook_says_nothing_of_steps() -> None:
 
 
 def test_the_flags_change_what_is_watched_and_kept() -> None:
-    assert _params(Args()) == Params()
-    assert not _params(Args(watch=False)).escalate
-    paper, bold = _params(Args(shake="paper")), _params(Args(shake="bold"))
+    assert _params(Args(), None) == Params()
+    assert not _params(Args(watch=False), None).escalate
+    paper, bold = _params(Args(shake="paper"), None), _params(Args(shake="bold"), None)
     assert not paper.escalate, "the paper's shake is not raised"
     assert not paper.shake.keeps_limits
     assert bold.escalate
@@ -124,8 +124,8 @@ def test_the_flags_change_what_is_watched_and_kept() -> None:
 @pytest.mark.parametrize("words", [{"watch": False}, {"shake": "paper"}])
 def test_a_motor_is_always_watched(words: dict[str, Any]) -> None:
     with pytest.raises(InputError, match="A motor is always watched"):
-        _params(Args(actuator="gripper", **words))
-    assert _params(Args(actuator="gripper")).escalate
+        _params(Args(actuator="gripper", **words), None)
+    assert _params(Args(actuator="gripper"), None).escalate
 
 
 def test_the_report_draws_each_step_and_what_was_decided(tmp_path: Path) -> None:

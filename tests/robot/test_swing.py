@@ -105,11 +105,11 @@ def test_a_whole_shake_is_a_sine_between_two_smooth_ends(amplitude: float, frequ
         ({"amplitudes": [0.001, -0.001, 0.0]}, "amplitudes >= 0"),
         ({"before": [0.001, -0.001, 0.0]}, "amplitudes >= 0"),
         ({"before": [0.001, 0.001]}, "shape"),
-        ({"seconds": 0.0}, "seconds of a swing"),
-        ({"seconds": 100.0}, "seconds of a swing"),
-        ({"ramp": 0.0}, "ramp of a swing"),
+        ({"seconds": 0.0}, "swing seconds"),
+        ({"seconds": 100.0}, "swing seconds"),
+        ({"ramp": 0.0}, "swing ramp"),
         ({"ramp": 1.01}, "ramp of a swing"),
-        ({"begin": -0.1}, "begin of a swing"),
+        ({"begin": -0.1}, "swing begin"),
     ],
 )
 def test_bad_swings_are_refused(changes: dict[str, Any], message: str) -> None:

@@ -2,27 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from dense_grip import dense_answer
 from made_rods import cantilever, random_tree
-from scipy.sparse import csr_array
 
 from anther.core.errors import InputError
-from anther.rods import (
-    Clamp,
-    SampledDrive,
-    Springs,
-    equilibrium,
-    frequency_response,
-    joints,
-    observed_response,
-    simulate,
-    strain_changes,
-)
+from anther.rods import Clamp, Springs, equilibrium, observed_response
 from anther.rods._response import displacements, rigid_motion
 
 HERTZ = np.array([2.0, 11.0, 30.0])
@@ -93,46 +81,3 @@ def test_springs_without_stiffness_are_refused() -> None:
     for name in ("translation", "rotation"):
         with pytest.raises(InputError, match=name):
             Springs(**{name: 0.0})
-
-
-def held_tip(edges: int) -> complex:
-    """Tip of a beam that rigid pads hold over a quarter of its length, near a resonance of what is free."""
-    rods, middle, reach = cantilever(edges, axis=2), edges // 2, edges // 8
-    pad = [middle, *(middle + k for k in range(-reach, reach + 1) if k)]
-    moved = frequency_response(rods, Clamp.root(rods), pad, (1, 0, 0), [60.0], gravity=(0, 0, 0), loss_factor=0.1)
-    return complex(moved[0, -1, 0])
-
-
-def test_a_grip_is_of_second_order_in_the_edge_length() -> None:
-    exact = held_tip(512)
-    errors = np.array([abs(held_tip(edges) / exact - 1) for edges in (16, 32, 64)])
-    assert errors[0] < 0.2
-    assert (errors[:-1] / errors[1:]).min() > 3.5
-
-
-def test_the_moment_where_the_pads_begin_is_that_of_a_beam_held_at_both_ends() -> None:
-    rods, pad = cantilever(40, axis=2), [30, 31, 29]
-    length, bending = 0.3 * 29 / 40, 2e8 * np.pi * 3e-3**4 / 4
-    found = joints(rods, planted=True)
-    dense = np.zeros((6, 3 * 41))
-    dense[:3, 87:90], dense[3:, 90:93] = found.moments[29], found.moments[30]
-    strained = csr_array(dense)
-    operator = strained @ found.strains
-    answer = observed_response(
-        rods, Clamp.root(rods), [np.array(pad)], operator, np.array([1e-3]), gravity=(0, 0, 0), strained=strained
-    )
-    moment = np.linalg.norm(answer.vectors[0, 0, :, :, 0].real, axis=1)
-    assert moment[1] == pytest.approx(6 * bending / length**2, rel=3e-3)  # joint 30: node 29, where the pads begin
-    assert moment[0] == pytest.approx(6 * bending / length**2 * (1 - 2 / 29), rel=3e-3)
-    ramp = SampledDrive(30, [0, 5.0], [[0, 0, 0], [1e-4, 0, 0]], also=(31, 29))
-    slow = replace(rods, mass_damping=20.0)
-    path = simulate(slow, Clamp.root(rods), ramp, 5.0, 0.05, gravity=(0, 0, 0))
-    bent = strain_changes(rods, path.positions[-1:], path.directors[-1:], True, ramp.nodes)[0]
-    assert np.linalg.norm(found.moments[30] @ bent[30]) == pytest.approx(6e-4 * bending / length**2, rel=0.01)
-
-
-def test_closing_pads_move_nothing() -> None:
-    rods = cantilever(12, youngs=2e7)  # it sags
-    still = SampledDrive(6, [0, 1.0], np.zeros((2, 3)), also=(7, 5))
-    run = simulate(rods, Clamp.root(rods), still, 0.2, 1e-2)
-    assert np.abs(run.positions - run.positions[0]).max() < 1e-9

@@ -28,7 +28,7 @@ from anther.rods import (
 from anther.rods._assembly import assemble, elastic_energy, move_frames, new_blocks, new_lanes
 from anther.rods._linear import dense
 from anther.rods._model import build_model
-from anther.rods._strains import joint_strains
+from anther.rods._strains import _strains
 
 L, EI, LINE = 0.3, 2e8 * np.pi * 3e-3**4 / 4, 1100 * np.pi * 3e-3**2
 FIRST = 1.87510407
@@ -275,6 +275,12 @@ def test_a_base_is_clamped_and_alone():
         simulate(rods, Clamp.root(rods), None, 0.01, 1e-3, base=base)
     with pytest.raises(InputError, match="beside a base"):
         simulate(rods, Clamp.root(rods), base, 0.01, 1e-3, base=replace(base, node=0))
+
+
+def joint_strains(model, x, frames):
+    strains = np.zeros((1, len(x), 3))
+    _strains(model, x[None], frames.m1[None], strains)
+    return strains[0]
 
 
 def test_a_strongly_twisted_joint_bends_too_easily_and_is_warned_of():

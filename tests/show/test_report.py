@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import replace
+from dataclasses import fields, replace
 from html import unescape
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from test_viewer import shaken
 
+from anther.plant.visit import TruthRecord, Visit
 from anther.pollination.execution import Step
 from anther.pollination.response import Response
 from anther.show.report import write_report
@@ -94,8 +95,22 @@ def test_what_a_negative_clearance_means_is_said_where_there_is_one(tmp_path: Pa
 
 @pytest.mark.parametrize("true", [None, 13.4])
 def test_measured_and_true_are_explained_in_simulation_alone(true: float | None, tmp_path: Path) -> None:
-    summary = {} if true is None else {"true_flower_acceleration_median_ms2": true}
-    write_report(tmp_path / "report.html", trial(tmp_path, summary=summary))
+    zeros = dict.fromkeys((f.name for f in fields(TruthRecord)), 0.0)
+    truth = (
+        TruthRecord(
+            **zeros
+            | {
+                "harmed": "",
+                "true_held_beside": "",
+                "true_flower_acceleration_peak": (true,),
+                "true_flower_acceleration_median": true,
+                "true_flower_acceleration_least": true,
+            }
+        )
+        if true
+        else None
+    )
+    write_report(tmp_path / "report.html", trial(tmp_path, visit=Visit("tomato", "1", held_unharmed=True, truth=truth)))
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert ("Measured is what the side camera tells" in page) == (true is not None)
 
@@ -103,22 +118,19 @@ def test_measured_and_true_are_explained_in_simulation_alone(true: float | None,
 @pytest.mark.parametrize(
     ("timing", "header"),
     [
-        ({"cloud": 2.0, "stem": 1.0}, ["Stage", "Time", "Share"]),
+        ({}, ["Stage", "Time", "Share"]),
         (
-            {"cloud": {"seconds": 2.0, "cpu_s": 3.5, "peak_mb": 800}, "stem": {"seconds": 1.0, "cpu_s": 0.5}},
+            {"cpu_seconds": {"cloud": 3.5, "stem": 0.5}, "peak_mb": {"cloud": 800}},
             ["Stage", "Time", "Share", "Processor time", "Most memory"],
         ),
-        (
-            {"cloud": 2.0, "stem": 1.0, "cpu_s": {"cloud": 3.5, "stem": 0.5}},
-            ["Stage", "Time", "Share", "Processor time"],
-        ),
+        ({"cpu_seconds": {"cloud": 3.5, "stem": 0.5}}, ["Stage", "Time", "Share", "Processor time"]),
     ],
 )
 def test_processor_time_and_memory_have_a_column_where_they_are_known(
     timing: dict[str, Any], header: list[str], tmp_path: Path
 ) -> None:
     (tmp_path / PARAMS).write_text("{}")
-    (tmp_path / "timing.json").write_text(json.dumps(timing))
+    (tmp_path / "timing.json").write_text(json.dumps({"seconds": {"cloud": 2.0, "stem": 1.0}} | timing))
     results = read_run(tmp_path)
     assert results.seconds == {"cloud": 2.0, "stem": 1.0}
     rows = said(results, "Where the time went", tmp_path)

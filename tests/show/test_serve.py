@@ -335,14 +335,14 @@ def test_charts_stay_within_their_box() -> None:
         overview.Tally(day + timedelta(days=k), 10 * k + 1, k, k, None if k == 2 else 3.0 * k, NOW) for k in range(5)
     ]
     drawn = charts(days, day, day + timedelta(days=6))
-    assert [len(chart.bars) for chart in drawn] == [5, 5, 5, 4]
-    assert [chart.last for chart in drawn] == ["41", "9.8 %", "90.2 %", "12.0 m/s²"]
+    assert [len(chart.bars) for chart in drawn] == [5, 5, 5, 5, 4]
+    assert [chart.last for chart in drawn] == ["41", "9.8 %", "80.5 %", "9.8 %", "12.0 m/s²"]
     for bar in (bar for chart in drawn for bar in chart.bars):
         assert 0 <= bar.x <= bar.x + bar.width <= 600
         assert bar.y + bar.height == pytest.approx(100)
         assert bar.y >= 0
     assert drawn[0].bars[-1].height == 100
-    assert [chart.last for chart in charts([], day, day)] == ["nothing yet"] * 4
+    assert [chart.last for chart in charts([], day, day)] == ["nothing yet"] * 5
 
 
 @contextmanager

@@ -19,7 +19,8 @@ from anther.robot.arm.saved import save_arm
 from anther.robot.cells import CellFile
 from anther.robot.devices import JointTrajectory
 from anther.show.results import ARM, RunResults, read_run
-from anther.show.viewer._motion import _arm, motion_of
+from anther.show.scene import arm_of
+from anther.show.viewer._motion import motion_of
 from anther.sim.cell_file import foot_of, notes, read_simulated, simulate, wrist_lens
 from anther.sim.simulated_cell import PRESETS, SimulatedCell
 
@@ -196,7 +197,7 @@ def test_options_that_the_file_answers_are_refused(
 def test_the_viewer_shows_the_arm_that_the_run_kept(tmp_path: Path) -> None:
     file = cell(tmp_path, f'[arm]\nmodel = "ur5e"\n[gripper]{SHAPE}')
     save_arm(tmp_path / ARM, file.model, file.keep_out)
-    shown = _arm(RunResults(tmp_path, {"cell": str(tmp_path / "gone.toml"), "arm": "ur5e"}))
+    shown = arm_of(RunResults(tmp_path, {"cell": str(tmp_path / "gone.toml"), "arm": "ur5e"}))
     assert shown.tool.solids(0.01) == file.model.tool.solids(0.01)
 
 

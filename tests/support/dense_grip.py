@@ -7,21 +7,19 @@ from typing import Any
 import numpy as np
 
 from anther.rods import GRAVITY, Clamp, Rods, Springs
-from anther.rods._assembly import assemble, new_blocks
-from anther.rods._linear import Linear, dense, linearise, set_dynamic
-from anther.rods._strains import held
+from anther.rods._assembly import new_blocks
+from anther.rods._linear import dense, linearise, set_dynamic
 
 
 def dense_answer(rods: Rods, pad: list[int], springs: Springs, hertz: float, ways: Any, loss: float = 0.0) -> Any:
     """Return (D, N, 4) the motion of rods per metre of a gripper that moves along `ways` (D, 3).
 
-    The gripped unknowns are replaced by a body on springs, all in one matrix, to which the joints at the ends of the
-    grip add what they are stiffer.
+    The gripped unknowns are replaced by a body on springs, all in one matrix.
     """
     system, omega = linearise(rods, Clamp.root(rods), GRAVITY, loss), 2 * np.pi * hertz
     blocks, held = new_blocks(len(rods.nodes), np.complex128), np.array(pad)
     set_dynamic(system, omega, blocks)
-    matrix = dense(system.model, blocks) + _stiffer_ends(rods, system, pad, 1 + 1j * loss, omega)
+    matrix = dense(system.model, blocks)
     edges = [j for j in pad if rods.parent[j] in pad]
     rows = np.concatenate([(4 * held[:, None] + np.arange(3)).ravel(), 4 * np.array(edges) + 3])
     others = np.setdiff1d(np.arange(len(matrix)), rows)
@@ -42,17 +40,3 @@ def dense_answer(rods: Rods, pad: list[int], springs: Springs, hertz: float, way
     pull = np.zeros((len(reduced), len(ways)))
     pull[-6:-3] = springs.translation * ways.T
     return (follow @ np.linalg.solve(reduced, pull)).T.reshape(len(ways), -1, 4)
-
-
-def _stiffer_ends(rods: Rods, system: Linear, pad: list[int], elastic: complex, omega: float) -> Any:
-    models, state = (system.model, held(rods, system.model, True, system.state, tuple(pad))), system.state
-    added = 0
-    for sign, model in zip((-1, 1), models, strict=True):
-        by_rate = []
-        for rate in (0.0, 1.0):
-            blocks = new_blocks(len(rods.nodes))
-            assemble(model, state.x, state.x, state.frames, state.v, rate, blocks)
-            by_rate.append(dense(model, blocks))
-        still, moving = by_rate
-        added = added + sign * (elastic * still + 1j * omega * (moving - still))
-    return added

@@ -319,7 +319,7 @@ def decode(value: Any, kind: Any, name: str = "") -> Any:
     field = _field(name, kind)
     kind = field.kind
     if value is None:
-        return math.nan if kind is float and not field.optional else value
+        return _decoded_null(field)
     if isinstance(value, np.ndarray) or kind is Any or field.shape is not None:
         return value
     if _is_union(kind):
@@ -329,6 +329,14 @@ def decode(value: Any, kind: Any, name: str = "") -> Any:
     if get_origin(kind) in (tuple, dict):
         return _decoded_parts(value, get_origin(kind), get_args(kind), name)
     return _decoded_scalar(value, kind, name)
+
+
+def _decoded_null(field: Field) -> float | None:
+    if field.kind is float and not field.optional:
+        return math.nan
+    if not field.optional and field.kind is not Any:
+        raise bad_input(field.name, given="null", allowed="a value", do="Restore it.")
+    return None
 
 
 def _first_that_fits(value: Any, kinds: tuple[Any, ...], name: str) -> Any:

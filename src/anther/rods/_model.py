@@ -58,7 +58,7 @@ def edges_of(rods: Rods, planted: bool) -> Edges:
     return Edges(near, far, swapped, order, frames, curvature, _jointed(rods.parent, far, planted))
 
 
-def joint_matrix(rods: Rods, edges: Edges, gripped: tuple[bool, bool] = (False, False)) -> Array:
+def joint_matrix(rods: Rods, edges: Edges) -> Array:
     """Return (N, 6) entries 11, 12, 22, 13, 23, 33 of the stiffness on (kappa1, kappa2, twist) [N m]; 0 without joint.
 
     The joint's compliance is the sum of those of its shares of both edges and of the joint itself, so that a straight
@@ -76,11 +76,8 @@ def joint_matrix(rods: Rods, edges: Edges, gripped: tuple[bool, bool] = (False, 
     Args:
         rods: the rods.
         edges: how they are joined.
-        gripped: whether the edge near the root, and edge j, of every joint are held by a gripper and bend no more.
     """
     of_near, own = _shares(rods, edges.near, edges.jointed)
-    if rods.discretisation != "paper":
-        of_near, own = ((GRIPPED if g else 1.0) * share for g, share in zip(gripped, (of_near, own), strict=True))
     e = np.where(edges.far >= 0, edges.near, 0)
     straight = rods.discretisation == "paper"
     k, cosine, sine = _kink(0 * edges.curvature if straight else edges.curvature)
@@ -97,10 +94,6 @@ def joint_matrix(rods: Rods, edges: Edges, gripped: tuple[bool, bool] = (False, 
     W = V @ W @ V.transpose(0, 2, 1)
     entries = W[:, [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
     return np.where(edges.jointed[:, None], entries, 0)
-
-
-GRIPPED = 1e-3
-"""Share of its compliance that a gripped edge keeps: none, but for joints that would have none at all."""
 
 
 def _turned(tensors: Array, k: Array, cosine: Array, sine: Array) -> Array:

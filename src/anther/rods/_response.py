@@ -20,7 +20,7 @@ from scipy.sparse import csr_array
 
 from anther.core.checks import check_array, check_range, check_room
 from anther.rods._assembly import new_blocks
-from anther.rods._linear import Linear, checked_hertz, linearise, set_dynamic
+from anther.rods._linear import checked_hertz, linearise, set_dynamic
 from anther.rods._model import Model
 from anther.rods._motion import (
     RIGID,
@@ -33,7 +33,6 @@ from anther.rods._motion import (
     unit_direction,
 )
 from anther.rods._rods import GRAVITY, Array, Rods
-from anther.rods._strains import ends_of_grip, joint_slopes, stiffer_joints
 from anther.rods._tree_solver import factor, solve_columns, substitute_columns
 from anther.rods._vectors import compiled
 
@@ -172,7 +171,6 @@ def observed_response(
     loss_factor: float = 0.0,
     gravity: ArrayLike = GRAVITY,
     springs: Springs = RIGID,
-    strained: Any = None,
 ) -> Observed:
     """Return how linear functions of the displacements answer shakes of many grips.
 
@@ -190,20 +188,17 @@ def observed_response(
         loss_factor: see `response_map`.
         gravity: (3,) [m/s^2].
         springs: between the gripper, which follows the shake and does not turn, and the pads.
-        strained: (3K, 3N) sparse, how the observed vectors depend on the joints' strains, where they are moments or
-            strains of edges: at the ends of a grip a joint's moment belongs to a larger strain than its own, since the
-            gripped edge bends no more. None: they are motions.
 
-    Each frequency is factored once, without any grip; what a grip then takes and stiffens is in `_Hold`. All cores
-    share the frequencies.
+    Each frequency is factored once, without any grip; what a grip then takes is in `_grasped`. All cores share the
+    frequencies.
 
     Raises:
         InputError: the rods are divided so finely that the memory does not suffice.
         StageFailure: kind "no_convergence" when there is no stable equilibrium.
     """
     system = linearise(rods, clamp, gravity, loss_factor)
-    held = _holds(rods, clamp.planted, system, grip_nodes)
-    loads = np.unique(np.concatenate([hold.unknowns for hold in held]))
+    held = [_held_unknowns(rods.parent, pad) for pad in grip_nodes]
+    loads = np.unique(np.concatenate(held))
     view = _view(system.model, loads, operator)
     width = min(len(loads), COLUMNS)
     threads = min(_cores(), len(frequencies))  # each has columns of its own, see below
@@ -228,20 +223,12 @@ def observed_response(
     shape = len(frequencies), len(held)
     vectors = np.empty((*shape, operator.shape[0] // 3, 3, 3), np.complex128)
     wrench, moved = np.empty((2, *shape, 6, 3), np.complex128)
-    for g, hold in enumerate(held):
-        at, rows = np.searchsorted(view.wanted, hold.unknowns), np.searchsorted(loads, hold.unknowns)
-        viscous = np.asarray(
-            1 + 2j * np.pi * frequencies[:, None] * system.model.viscous[hold.ends] + 1j * loss_factor, np.complex128
-        )
-        forces, wrench[:, g], moved[:, g] = _grasped(
-            hold.receptance(trunk[:, rows][:, :, at], viscous), hold.body, springs
-        )
-        moves = np.swapaxes(trunk[:, rows], 1, 2) @ (hold.spread @ forces)
+    for g, (pad, unknowns) in enumerate(zip(grip_nodes, held, strict=True)):
+        body = rigid_motion(rods.parent, system.state.x, np.asarray(pad))
+        at, rows = np.searchsorted(view.wanted, unknowns), np.searchsorted(loads, unknowns)
+        forces, wrench[:, g], moved[:, g] = _grasped(trunk[:, rows][:, :, at], body, springs)
+        moves = np.swapaxes(trunk[:, rows], 1, 2) @ forces
         _observe(branch, view.base, view.direct, moves, vectors[:, g])
-        if strained is not None and len(hold.ends):
-            more = hold.more_strain(forces, viscous)
-            columns = (3 * hold.ends[:, None] + np.arange(3)).ravel()
-            vectors[:, g] += np.einsum("rc,qcd->qrd", strained[:, columns].toarray(), more).reshape(vectors[:, g].shape)
     return Observed(vectors, wrench[:, :, :3], wrench[:, :, 3:], moved)
 
 
@@ -276,71 +263,6 @@ def _held_unknowns(parent: NDArray[Any], pad: NDArray[Any]) -> NDArray[Any]:
     """Return the unknowns 4 node + component that a grip holds: positions, then spins of the edges between the pads."""
     edges = gripped_edges(parent, tuple(pad.tolist()))
     return np.concatenate([(4 * pad[:, None] + np.arange(3)).ravel(), 4 * edges + 3])
-
-
-class _Hold(NamedTuple):
-    """What one grip holds, H unknowns, and the J joints at its ends, which it stiffens by dW = W' - W.
-
-    With the strain S q of these joints, s = dW S q is what they bear more. So the rods that nobody holds feel the
-    forces Z y = F - S^T s, y = (F, s), and Z^T q is the motion of the pads, and -dW^-1 s.
-
-    Attributes:
-        unknowns: (U,) 4 node + component: the held ones, then those that strain the joints besides.
-        ends: (J,) the joints.
-        spread: (U, H + 3J) Z.
-        body: (H + 3J, 6) see `rigid_motion`; 0 for the joints.
-        give: (J, 3, 3) dW^-1 [rad/(N m)].
-        soft: (J, 3, 3) W^-1.
-    """
-
-    unknowns: NDArray[Any]
-    ends: NDArray[Any]
-    spread: Array
-    body: Array
-    give: Array
-    soft: Array
-
-    def receptance(self, free: ComplexArray, viscous: ComplexArray) -> ComplexArray:
-        """Return (Q, H + 3J, H + 3J) of (Q, U, U) that of the rods, and (Q, J) by what viscosity stiffens a joint."""
-        both: ComplexArray = self.spread.T @ free @ self.spread
-        first = self.spread.shape[1] - 3 * len(self.ends)
-        for k in range(len(self.ends)):
-            at = slice(first + 3 * k, first + 3 * k + 3)
-            both[:, at, at] += self.give[k] / viscous[:, k, None, None]
-        return both
-
-    def more_strain(self, forces: ComplexArray, viscous: ComplexArray) -> ComplexArray:
-        """Return (Q, 3J, 3) by how much more the joints would be strained without the grip under their moments."""
-        bear = forces[:, len(forces[0]) - 3 * len(self.ends) :].reshape(len(forces), -1, 3, 3)
-        elastic = self.soft @ (bear / viscous[:, :, None, None])
-        return elastic.reshape(len(forces), -1, 3)
-
-
-def _holds(rods: Rods, planted: bool, system: Linear, grips: Sequence[NDArray[Any]]) -> list[_Hold]:
-    joints = stiffer_joints(rods, planted)
-    slopes, unknown, _ = joint_slopes(system.model, system.state.x, system.state.frames.m1)
-    free, holds = system.free.ravel(), []
-    for pad in grips:
-        nodes = np.asarray(pad)
-        held, (ends, stiffness) = _held_unknowns(rods.parent, nodes), ends_of_grip(system.model, nodes, joints)
-        if rods.discretisation == "paper":
-            ends, stiffness = ends[:0], stiffness[:0]
-        touched = unknown[ends][slopes[ends].any(axis=1) & free[unknown[ends]]]
-        unknowns = np.concatenate([held, np.setdiff1d(touched, held)])
-        spread = np.zeros((len(unknowns), len(held) + 3 * len(ends)))
-        spread[: len(held), : len(held)] = np.eye(len(held))
-        place = {int(number): row for row, number in enumerate(unknowns)}
-        for k, j in enumerate(ends):
-            for column, number in enumerate(unknown[j]):
-                if int(number) in place:
-                    first = len(held) + 3 * k
-                    spread[place[int(number)], first : first + 3] -= slopes[j, :, column]
-        body = np.zeros((spread.shape[1], 6))
-        body[: len(held)] = rigid_motion(rods.parent, system.state.x, nodes)
-        stiffer = stiffness - joints.free[ends]
-        give, soft = (np.asarray(np.linalg.inv(x), dtype=np.float64) for x in (stiffer, joints.free[ends]))
-        holds.append(_Hold(unknowns, ends, spread, body, give, soft))
-    return holds
 
 
 def rigid_motion(parent: NDArray[Any], positions: Array, pad: NDArray[Any]) -> Array:

@@ -30,7 +30,6 @@ from anther.rods._stepping import (
     new_state,
     record,
 )
-from anther.rods._strains import held
 
 PREDICTORS = ("inertia", "guess displacement", "none")
 
@@ -145,8 +144,6 @@ def simulate(
         state = new_state(rods.nodes, frames)
     else:
         state = loaded_state(rods, model, frames, clamp.free(rods), loads(0.0) if callable(loads) else loads)[1]
-    if base is None:
-        model = held(rods, model, clamp.planted, state, nodes)
     if moving is not None:
         state = _set_moving(model, state, *moving, nodes)
     around = _Surroundings(rods, model, None if start == "plucked" else loads, base if clamp.planted else None)

@@ -202,7 +202,7 @@ def steadily_shaken(plant: PlantModel, drive: Drive, springs: Springs = RIGID) -
     )
     seen = observables(plant)
     turned = rocking.rotation(path.times) + linear.pads[3:].imag
-    vectors = _vectors(plant, seen, path, drive.nodes, turned)[-STEPS - 1 :]
+    vectors = _vectors(plant, seen, path, drive.node, turned)[-STEPS - 1 :]
     angle, order = 2 * np.pi * (np.arange(STEPS + 1) / STEPS - 0.5), np.array([1, 2, 3])
     phase = order * angle[:, None]
     basis = np.concatenate([np.ones((STEPS + 1, 1)), angle[:, None], np.cos(phase), np.sin(phase)], axis=1)
@@ -212,15 +212,15 @@ def steadily_shaken(plant: PlantModel, drive: Drive, springs: Springs = RIGID) -
     return Shaken(amplitude, _peaks(seen, vectors, jolts))
 
 
-def _vectors(plant: PlantModel, seen: Observables, path: Trajectory, grip: tuple[int, ...], turned: Array) -> Array:
+def _vectors(plant: PlantModel, seen: Observables, path: Trajectory, held: int, turned: Array) -> Array:
     """Return (T, K, 3) the observed vectors over time; what flowers do relative to the pads has the material's gain.
 
-    The pads have the place of the first node of `grip`, and the rotation vectors `turned` (T, 3) from rest. Strains are
-    those of the simulated state itself, frames and all, with the moments of the linear theory's measure.
+    The pads have the place of the node `held`, and the rotation vectors `turned` (T, 3) from rest. Strains are those of
+    the simulated state itself, frames and all, with the moments of the linear theory's measure.
     """
-    held, moved = grip[0], np.zeros((*path.positions.shape[:2], 4))
+    moved = np.zeros((*path.positions.shape[:2], 4))
     moved[..., :3] = path.positions - plant.rods.nodes
-    strains = strain_changes(plant.rods, path.positions, path.directors, plant.clamp.planted, grip)
+    strains = strain_changes(plant.rods, path.positions, path.directors, plant.clamp.planted)
     vectors, bent = (
         (operator @ of.reshape(len(of), -1).T).T.reshape(len(of), -1, 3)
         for operator, of in ((seen.operator, moved), (seen.bending, strains))

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csr_array, vstack
+from scipy.sparse import vstack
 from scipy.stats import qmc
 
 from anther.core.errors import StageFailure
@@ -165,12 +165,8 @@ def motions(
         points: (P,) rod nodes that are observed too.
     """
     rods, seen = version.plant.rods, observables(version.plant, like)
-    operator: Any = vstack([seen.operator, displacements(points, len(rods.nodes))], format="csr")
-    bent: Any = coo_array(seen.bending)
-    at, column = bent.coords
-    row = 3 * seen.strains[at // 3] + at % 3
-    strained = csr_array((bent.data, (row, column)), (operator.shape[0], bent.shape[1]))
-    response = _observed(version, grips, operator, frequencies, strained)
+    operator = vstack([seen.operator, displacements(points, len(rods.nodes))], format="csr")
+    response = _observed(version, grips, operator, frequencies)
     moved, held = response.vectors, np.array([grip[0] for grip in grips])
     stem = rods.nodes[held] - rods.nodes[rods.parent[held]]
     stem /= np.linalg.norm(stem, axis=1, keepdims=True)
@@ -231,15 +227,11 @@ def flower_motion(
     return answer(version, grips, direction, frequencies).flowers
 
 
-def _observed(
-    version: Version, grips: Sequence[NDArray[Any]], operator: Any, frequencies: Array, strained: Any = None
-) -> Observed:
+def _observed(version: Version, grips: Sequence[NDArray[Any]], operator: Any, frequencies: Array) -> Observed:
     """Return what an operator sees of one scenario. The damping ratio is the same at every frequency (hysteretic)."""
     plant, loss = version.plant, 2 * version.plant.material.damping_ratio
     springs = version.pads.springs
-    return observed_response(
-        plant.rods, plant.clamp, grips, operator, frequencies, loss_factor=loss, springs=springs, strained=strained
-    )
+    return observed_response(plant.rods, plant.clamp, grips, operator, frequencies, loss_factor=loss, springs=springs)
 
 
 def _answered(plant: PlantModel, grips: Sequence[NDArray[Any]], vectors: ComplexArray, pads: ComplexArray) -> Any:
