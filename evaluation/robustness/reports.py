@@ -315,7 +315,7 @@ KINDS: dict[str, Check] = {
     "18": measured,
     "19": inverted,
     "20a": shaken("good.swc", None, "--youngs", "100e6", "--density", "1.05", words=("density", "5000")),
-    "20b": shaken("good.swc", None, *STIFF, words=(r"stand from E = 9\.\d+e\+06 Pa",)),
+    "20b": shaken("good.swc", None, *STIFF, words=("allowed: 10000 <= youngs",)),
 }  # fmt: skip
 """By the number of their line in the folder's README."""
 SLOW = {"06", "07a", "08", "18", "19"}
@@ -331,6 +331,9 @@ def in_copy() -> Iterator[Path]:
         shutil.copytree(REPORTS, folder, symlinks=True, copy_function=shutil.copyfile)
         for path in folder.rglob("*"):
             path.chmod(0o755 if path.is_dir() else 0o644)
+            if path.suffix == ".py":  # written for the places that these modules had
+                text = path.read_text().replace("anther.devices", "anther.robot.devices")
+                path.write_text(text.replace("anther.geometry", "anther.core.geometry"))
         link = folder / "18_foreign_files_in_a_folder/clouds/day 2"
         if link.is_file():
             way = link.read_text().strip()

@@ -49,7 +49,7 @@ def test_a_runs_plan_is_written_and_printed(folder: Path, capsys: pytest.Capture
     assert (folder / "o" / "shake_plan.png").stat().st_size > 10_000
     run(Args(folder, frequencies=6, params=FAST))
     words = capsys.readouterr().out
-    for part in ("Runner-up", "against slip", "9 of 10 scenarios", "m/s2]"):
+    for part in ("Runner-up", "force of the pads", "9 of 10 scenarios", "m/s2]"):
         assert part in words
 
 
