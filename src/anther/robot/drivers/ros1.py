@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import select
 import socket
 import struct
 import threading
@@ -250,7 +251,7 @@ class Publisher:
             raise ValueError(f"{self._topic} is {own['type']} {own['md5sum']}, not {asked.get('md5sum')}")
         _write_header(line, own | {"callerid": self._name, "latching": str(int(self._latch)), "topic": self._topic})
         line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        line.settimeout(WRITE)
+        line.setblocking(False)
         with self._lock:
             self._lines.append(line)
             if self._last:
@@ -263,8 +264,15 @@ class Publisher:
                 self._lines.pop().close()
 
     def _send(self, line: socket.socket, packet: bytes) -> None:
+        """Send a packet at once: to a socket with a timeout Python first waits, in which a command can grow old."""
+        sent = 0
         try:
-            line.sendall(packet)
+            while sent < len(packet):
+                try:
+                    sent += line.send(packet[sent:])
+                except BlockingIOError:
+                    if not select.select([], [line], [], WRITE)[1]:
+                        raise
         except OSError:
             self._lines.remove(line)
             line.close()
