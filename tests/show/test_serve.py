@@ -336,7 +336,7 @@ def test_charts_stay_within_their_box() -> None:
     ]
     drawn = charts(days, day, day + timedelta(days=6))
     assert [len(chart.bars) for chart in drawn] == [5, 5, 5, 5, 4]
-    assert [chart.last for chart in drawn] == ["41", "9.8 %", "80.5 %", "9.8 %", "12.0 m/s²"]
+    assert [chart.last for chart in drawn] == ["41", "9.8 %", "0.0 %", "90.2 %", "12.0 m/s²"]
     for bar in (bar for chart in drawn for bar in chart.bars):
         assert 0 <= bar.x <= bar.x + bar.width <= 600
         assert bar.y + bar.height == pytest.approx(100)
