@@ -328,7 +328,7 @@ def decode(value: Any, kind: Any, name: str = "") -> Any:
         return _decoded_record(value, cast(type, kind), name or cast(type, kind).__name__)
     if get_origin(kind) in (tuple, dict):
         return _decoded_parts(value, get_origin(kind), get_args(kind), name)
-    return _decoded_scalar(value, kind, name)
+    return np.array(value) if get_origin(kind) is np.ndarray else _decoded_scalar(value, kind, name)
 
 
 def _decoded_null(field: Field) -> float | None:
