@@ -35,19 +35,27 @@ PUSH = 60.0  # N, a firm push by hand, our choice
 LOSS = 0.05  # of the messages
 LATE = 0.2  # s
 FRAMES = 30.0  # Hz
+TURN = 1e-4
+"""The machines' threads take turns every so often [s]: with Python's 5 ms a command waited up to 25 ms to be heard."""
 MOVES, WAITS = 0.05, 3.0  # rad/s of a joint that moves; s that are waited for one
 
 
 class Lossy(FakeSawyer):
-    """A fake Sawyer of whose messages, and of whose commands, a share `lost` never arrives."""
+    """A fake Sawyer of whose messages, and of whose commands, a share `lost` never arrives.
+
+    Attributes:
+        ways: (time, age) [s] of each command when it was taken, by its own stamp.
+    """
 
     def __init__(self, master: str, joints: np.ndarray) -> None:
-        self.lost, self._rng = 0.0, np.random.default_rng(0)
+        self.lost, self._rng, self.ways = 0.0, np.random.default_rng(0), list[tuple[float, float]]()
         super().__init__(master, rate=100.0, joints=joints)
         says = self._joints.publish
         self._joints.publish = lambda message: None if self._rng.random() < self.lost else says(message)
 
     def _command(self, message: Any) -> None:
+        told, now = message.header.stamp, time.time()
+        self.ways.append((self.clock(), now - told.sec - 1e-9 * told.nanosec))
         if self._rng.random() >= self.lost:
             super()._command(message)
 
@@ -62,6 +70,7 @@ class Machines:
 
     def __init__(self, folder: Path, joints: np.ndarray) -> None:
         folder.mkdir(parents=True, exist_ok=True)
+        sys.setswitchinterval(TURN)
         self.file, self._folder, self._master = folder / "cell.toml", folder, FakeMaster()
         self.robot, self.gripper = Lossy(self._master.uri, joints), FakeRobotiq()
         self.gripper.active = True
