@@ -171,9 +171,9 @@ def compiled(constant: Constant) -> bool:
         for statement in tree.body:
             names |= {name for name, value in _pairs(statement) if names & _names(value)}
         for node in tree.body:
-            if isinstance(node, ast.FunctionDef) and "njit" in ast.dump(ast.List(node.decorator_list)):
-                if names & _names(node):
-                    return True
+            jitted = isinstance(node, ast.FunctionDef) and "njit" in ast.dump(ast.List(node.decorator_list))
+            if jitted and names & _names(node):
+                return True
     return False
 
 

@@ -35,14 +35,14 @@ LONGEST = 600
 """A suite that takes longer hangs [s]: that is a decision too."""
 
 
-def one_constant(row: Row, folder: Path) -> Row:  # noqa: ARG001  the inputs are shared
+def one_constant(row: Row, folder: Path) -> Row:
     """Return which decisions change, and in which cases, for each factor; how many cases there are."""
     inputs = Path(row["inputs"])
     before = json.loads((inputs / "decisions.json").read_text())
     found: Row = {}
     for factor in FACTORS:
         after = decisions(row["room"], inputs, row["module"], row["name"], factor)
-        base = {case: known for case, known in before[stage_of(row["module"])].items()}
+        base = before[stage_of(row["module"])]
         found[f"{factor:.2f}"] = {"failed": after} if isinstance(after, str) else changed(base, after)
         found["cases"] = len(base)
     return found
@@ -98,7 +98,9 @@ def report(rows: Sequence[Row], values: dict[tuple[str, str], str]) -> Iterator[
         for row in mine:
             place = row["module"].removeprefix(f"anther.{room}").removeprefix(".") or "__init__"
             value = values[row["module"], row["name"]]
-            lines.append((f"{place} {row['name']}", value[:40], percent(worst(row)), *map(_words, differing(row).values())))
+            lines.append(
+                (f"{place} {row['name']}", value[:40], percent(worst(row)), *map(_words, differing(row).values()))
+            )
         yield f"{room}: {len(mine)} constants, {sum(worst(row) == 0 for row in mine)} of which change no decision."
         yield markdown(("constant", "value", "cases", "times 1.5", "divided by 1.5"), lines)
 
@@ -122,7 +124,9 @@ def _asked(constant: Constant, words: Sequence[str]) -> bool:
 def count_table(every: Sequence[Constant]) -> RenderableType:
     """Return the constants of each room, and the assignments that bind them: one may bind several."""
     rooms = {room: [c for c in every if c.room == room] for room in sorted({c.room for c in every})}
-    lines = [(room, len(mine), len({(c.module, c.line) for c in mine})) for room, mine in {**rooms, "all": every}.items()]
+    lines = [
+        (room, len(mine), len({(c.module, c.line) for c in mine})) for room, mine in {**rooms, "all": every}.items()
+    ]
     return markdown(("room", "constants", "assignments"), lines)
 
 
@@ -134,7 +138,12 @@ def main() -> None:
         "--only": ((), "constants whose module or name holds one of these"),
     }
     args = options(
-        __doc__, quick="two plants, and every 32nd scan", jobs="constants", out="runs/sensitivity", data="clouds", own=own
+        __doc__,
+        quick="two plants, and every 32nd scan",
+        jobs="constants",
+        out="runs/sensitivity",
+        data="clouds",
+        own=own,
     )
     every = constants()
     numbers: dict[str, Any] = counted(every)

@@ -46,7 +46,9 @@ def changed(before: Decisions, after: Decisions) -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
     for case, known in before.items():
         now = after.get(case, {})
-        different = {"result"} if set(known) != set(now) else {name for name in known if differs(known[name], now[name])}
+        different = (
+            {"result"} if set(known) != set(now) else {name for name in known if differs(known[name], now[name])}
+        )
         for name in different:
             found.setdefault(name, []).append(case)
     return found

@@ -33,14 +33,15 @@ from anther.perception import (
 )
 from anther.plant import Crop
 from evaluation.perception.real.plants import HARD, LABELLED, labelled_plants
-from evaluation.perception.skeleton_truth import pooled, polyline, score, visible_flowers
+from evaluation.perception.skeleton_truth import polyline, pooled, score, visible_flowers
 
 PLANTS: tuple[tuple[Crop, int], ...] = (("tomato", 10), ("pepper", 10), ("pepper", 13))
 VIEWS = 8
 FILES = ("pheno4d_tomato_03-05", "gavriel_maize_28.2.23_8", "salk_tomato_D26", "sice_robot_cloud0")
 """Clouds of several scanners, units and axes."""
 STAGES = ("masks", "cloud", "skeleton", "stem")
-"""Packages and modules of the room, in order; what stands before the masks begins there, what follows the stem there."""
+"""Packages and modules of the room, in order; what stands before the masks begins there, what follows the stem
+there."""
 FIRST = ("capture", "images", "transforms")
 
 

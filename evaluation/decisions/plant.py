@@ -30,7 +30,7 @@ def prepare(folder: Path, data: Path, quick: bool) -> None:
         path.write_bytes(pickle.dumps(seen))
 
 
-def decide(folder: Path, module: str) -> dict[str, dict[str, Any]]:  # noqa: ARG001  every case is built anew
+def decide(folder: Path, module: str) -> dict[str, dict[str, Any]]:
     """Return what is decided in each case."""
     found = {"bench": _bench(), "breezes": _breezes()}
     for path in sorted(folder.glob("*.case")):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from anther.perception.cloud import Cloud
-from anther.perception.flowers import SUPPOSED, Flowers, find_flowers, flower_centres, supposed_flowers
+from anther.perception.flowers import PEDICEL, Flowers, find_flowers, flower_centres, supposed_flowers
 from anther.perception.masks import FLOWER, PLANT
 from anther.perception.skeleton import Skeleton
 from anther.perception.stem import BRANCH, TRUSS, Stem, find_stem
@@ -110,5 +110,5 @@ def test_flowers_nobody_saw_are_supposed_at_the_ends_of_trusses_or_branches_or_e
         plant = Stem(STEM.node_ids, STEM.arc_length, STEM.attachments, organ.astype(np.uint8))
         found = supposed_flowers(SKELETON, plant)
         assert found.attachment.tolist() == [carrier]
-        assert np.linalg.norm(found.positions[0] - SKELETON.nodes[carrier]) == pytest.approx(SUPPOSED)
+        assert np.linalg.norm(found.positions[0] - SKELETON.nodes[carrier]) == pytest.approx(PEDICEL)
         assert "no flower was seen" in found.notes[0]

@@ -24,10 +24,6 @@ from anther.perception.transforms import OPENGL_TO_OPENCV, PIXEL_CENTRE, check_v
 
 __all__ = ["OPENGL_TO_OPENCV", "PIXEL_CENTRE", "Capture", "check_views", "in_threads", "viewed_box"]
 
-_DEPTH_UNITS = (1e-4, 1e-3)  # [m] per 16-bit step: 6.5 m in tenths of a millimetre, else 65 m in millimetres
-_PLAUSIBLE_DEPTH = (0.02, 20.0)  # [m] median of a view's readings
-_PLAUSIBLE_POSITION = 50.0  # [m] from the world's origin
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Capture:
@@ -117,22 +113,23 @@ def _check_replaceable(folder: Path) -> None:
 
 def _check_scale(depth: NDArray[Any], T_world_cam: Array) -> None:
     """Refuse metres mistaken for millimetres, or the other way round, in depth or poses."""
+    nearest, farthest, widest = 0.02, 20.0, 50.0  # median of the readings and distance of a camera [m]; guesses
     readings = depth[:: max(1, len(depth) // 5), ::8, ::8]
     if np.any(readings > 0):
         middle = float(np.median(readings[readings > 0]))
-        if not _PLAUSIBLE_DEPTH[0] <= middle <= _PLAUSIBLE_DEPTH[1]:
+        if not nearest <= middle <= farthest:
             raise bad_input(
                 "depth",
                 given=f"a median of {middle:g} m",
-                allowed=f"{_PLAUSIBLE_DEPTH[0]:g} to {_PLAUSIBLE_DEPTH[1]:g} m",
+                allowed=f"{nearest:g} to {farthest:g} m",
                 do="Is it in metres? In a folder, depth_unit_scale_factor says metres per step: 0.001 for millimetres.",
             )
     away = np.linalg.norm(T_world_cam[:, :3, 3], axis=1)
-    if away.max() > _PLAUSIBLE_POSITION:
+    if away.max() > widest:
         raise bad_input(
             "T_world_cam",
             given=f"a camera {away.max():g} m from the world's origin (view {away.argmax()})",
-            allowed=f"at most {_PLAUSIBLE_POSITION:g} m",
+            allowed=f"at most {widest:g} m",
             do="Are the poses in metres?",
         )
 
@@ -168,9 +165,9 @@ def viewed_box(capture: Capture) -> Box:
 
 
 def _write_folder(capture: Capture, folder: Path) -> None:
-    furthest = float(capture.depth.max())
-    check_range("greatest depth", furthest, 0, _DEPTH_UNITS[-1] * 65535, "m")
-    unit = next(u for u in _DEPTH_UNITS if furthest <= u * 65535)
+    furthest, steps = float(capture.depth.max()), 2**16 - 1
+    check_range("greatest depth", furthest, 0, 1e-3 * steps, "m")
+    unit = 1e-4 if furthest <= 1e-4 * steps else 1e-3  # [m] per step: up to 6.5 m in tenths of a millimetre
     for name in ("depth", "rgb") if capture.rgb is not None else ("depth",):
         (folder / name).mkdir(parents=True)
 

@@ -37,10 +37,8 @@ LENS_KEYS = re.compile(
 )
 """Names of what bends an image or slants its axes."""
 
-_MOST_PIXELS = 2**28  # of all views together: some 300 of a D455, 2 GB with colour. A guess
 _KEYS = ("fl_x", "fl_y", "cx", "cy", "w", "h")
 _MODELS = ("camera_model", "distortion_model", "lens_model")
-_ALIKE = 0.1  # focal lengths that differ by no more are one camera's that focuses; a guess
 _UNIT = "depth_unit_scale_factor"
 _UNITS = (_UNIT, "integer_depth_scale")
 """Metres per step of depth, as nerfstudio and instant-ngp call it."""
@@ -174,10 +172,11 @@ def _common(cameras: list[Intrinsics]) -> Intrinsics:
     focal = np.abs(numbers[:, :2] / middle[:2] - 1).max(axis=1)
     sizes = [(c.width, c.height) != (cameras[0].width, cameras[0].height) for c in cameras]
     odd = int(np.argmax(sizes)) if any(sizes) else int(np.argmax(focal))
-    if any(sizes) or focal.max() > _ALIKE:
+    alike = 0.1  # a camera that focuses changes its focal length by no more; a guess
+    if any(sizes) or focal.max() > alike:
         raise _refused(
             given=f"frame {odd} with other intrinsics than the others (fl_x {cameras[odd].fx:g}, most {middle[0]:g})",
-            allowed=f"one camera for all views, its focal length the same to {_ALIKE:.0%}",
+            allowed=f"one camera for all views, its focal length the same to {alike:.0%}",
             do="Save each camera's views as a capture of its own, or resample them to one camera.",
         )
     fx, fy, cx, cy = middle.tolist()
@@ -326,10 +325,10 @@ def check_views(views: int, camera: Intrinsics) -> tuple[int, int]:
     Raises:
         InputError: they are too many or too large.
     """
-    pixels = views * camera.width * camera.height
-    if pixels > _MOST_PIXELS:
+    pixels, most = views * camera.width * camera.height, 2**28  # some 300 views of a D455, 2 GB with colour; a guess
+    if pixels > most:
         given = f"{views} views of {camera.width} x {camera.height} px"
-        allowed = f"at most {_MOST_PIXELS / 1e6:.0f} million pixels"
+        allowed = f"at most {most / 1e6:.0f} million pixels"
         raise bad_input("capture", given=given, allowed=allowed, do="Take fewer views, or shrink the images.")
     return camera.width, camera.height
 

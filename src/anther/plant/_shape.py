@@ -16,21 +16,17 @@ from scipy.stats import theilslopes
 from anther.core.geometry import Array, occupied_cells
 from anther.perception.cloud import Cloud
 from anther.perception.flowers import Flowers
+from anther.perception.formats.skeleton_file import THINNEST
 from anther.perception.masks import FLOWER
 from anther.perception.skeleton import Skeleton
-from anther.perception.stem import Stem
+from anther.perception.stem import PLANAR_BLADE, Stem
 from anther.rods import Clamp, Rods, least_stiffness, stands
 
-BLADE = 0.65
-"""Flatness of a skeleton node beyond which a branch runs in a leaf blade [-]; midribs have 0.85 in the median, petioles
-0.4 (measured on development plants of the simulation)."""
 BRANCH_SHARE = 0.7
-"""Largest radius of a branch at its base over that of what it stands on [-]. Petiole bases measure 4-6 mm on stems of
+"""Largest radius of a branch at its base over that of what it stands on [-]: petiole bases measure 4-6 mm on stems of
 8-12 mm (facts: pollination 2 [R])."""
-LEAST_RADIUS = 0.5e-3
-"""Of any stem or branch edge [m]."""
-LEAF_VOXEL = 0.006
-"""Size of the cubes that count leaf area, larger where the cloud is sparser [m]."""
+LEAST_RADIUS = THINNEST
+"""Of any stem or branch edge [m]: a pedicel's."""
 PEDUNCLE_RADIUS = 1.25e-3
 """Of the stalk between a branch and a flower farther away than a pedicel is long [m] (facts [R])."""
 
@@ -95,8 +91,7 @@ def leaf_mass(skeleton: Skeleton, stem: Stem, cloud: Cloud, *, areal_density: fl
     """Return the leaf mass (J,) that hangs at each node [kg]: blade area seen in the cloud times areal density.
 
     Points beside the main stem are leaf; they weigh on their nearest branch node. The area is counted in cubes: a sheet
-    of area A and apparent thickness t, turned at random, meets A (3/2 h + t) / h^3 cubes of side h (Crofton). On ten
-    development plants of the simulation the mass is 1.14-1.23 times the truth, the area 1.0-1.1 times.
+    of area A and apparent thickness t, turned at random, meets A (3/2 h + t) / h^3 cubes of side h (Crofton).
 
     Args:
         skeleton: carries the leaves.
@@ -109,7 +104,7 @@ def leaf_mass(skeleton: Skeleton, stem: Stem, cloud: Cloud, *, areal_density: fl
     branch = np.flatnonzero(~_on_main_stem(stem, len(mass)))
     if len(points) < 10 or not len(branch):
         return mass
-    h = max(LEAF_VOXEL, 2 * _spacing(points))
+    h = max(0.006, 2 * _spacing(points))  # [m]; a sheet that fills its cubes
     cubes = occupied_cells(points, h)
     nearest = branch[KDTree(skeleton.nodes[branch]).query((cubes + 0.5) * h)[1]]
     area = len(cubes) * h**3 / (1.5 * h + _thickness(points))
@@ -173,7 +168,7 @@ def in_blade(skeleton: Skeleton, stem: Stem) -> NDArray[np.bool_]:
     """Return (J,) which nodes are branch in a leaf blade: where it is flat, and all beyond; none if unknown."""
     blade = np.zeros(len(skeleton.nodes), dtype=bool)
     if skeleton.flatness is not None:
-        blade = (skeleton.flatness > BLADE) & ~_on_main_stem(stem, len(blade))
+        blade = (skeleton.flatness > PLANAR_BLADE) & ~_on_main_stem(stem, len(blade))
         for p, j in skeleton.edges.tolist():
             blade[j] |= blade[p]
     return blade
@@ -227,7 +222,7 @@ def _leaf_points(skeleton: Skeleton, stem: Stem, cloud: Cloud) -> Array:
     points = cloud.points[cloud.labels != FLOWER] if cloud.labels is not None else cloud.points
     wood = _on_main_stem(stem, len(skeleton.nodes))
     if skeleton.flatness is not None:
-        wood |= skeleton.flatness <= BLADE
+        wood |= skeleton.flatness <= PLANAR_BLADE
     nodes, radius = skeleton.nodes[wood], skeleton.radius[wood]
     if not len(points):
         return points
@@ -245,7 +240,7 @@ def _spacing(points: Array) -> float:
 def _thickness(points: Array) -> float:
     """Return how thick blades look [m]: 3.5 times the rms distance of points to the plane through what is within 8 mm.
 
-    The factor is the cubes' own, counted on noisy sheets and on development plants (3.2-5.2).
+    The factor is the cubes' own, counted on noisy sheets.
     """
     some = points[:: max(1, len(points) // 500)]
     near = [points[q] for q in KDTree(points).query_ball_point(some, 0.008) if len(q) >= 10]
@@ -262,10 +257,6 @@ def _outward(skeleton: Skeleton, node: int) -> Array:
     return side / np.linalg.norm(side)
 
 
-SOFTEST, STIFFEST = 1e4, 1e12
-"""Range of Young's modulus that is searched [Pa]."""
-
-
 def least_youngs(rods: Rods, clamp: Clamp, fixed: NDArray[np.bool_], stiffening: Array) -> float | None:
     """Return Young's modulus of the main stem at which the rods just stand [Pa], within 2 %; None if none helps.
 
@@ -277,7 +268,7 @@ def least_youngs(rods: Rods, clamp: Clamp, fixed: NDArray[np.bool_], stiffening:
     """
 
     unit = replace(rods, youngs=np.where(fixed, rods.youngs, stiffening))
-    return least_stiffness(unit, clamp, fixed=fixed, between=(SOFTEST, STIFFEST), within=0.02)
+    return least_stiffness(unit, clamp, fixed=fixed, between=(1e4, 1e12), within=0.02)
 
 
 def branch_stiffening(
@@ -293,11 +284,11 @@ def branch_stiffening(
         stem, pedicel, blade: (N,) which edges are main stem, pedicel, and branch in a leaf blade.
         least: factor of every edge in a blade [-].
     """
-    factor = np.where(blade, least, 1.0)
-    stem_needs = least_youngs(rods, Clamp.root(rods), pedicel, np.where(stem, 1.0, _RIGID))
+    factor, rigid = np.where(blade, least, 1.0), 1e3  # takes a part out of the question whether the rest stands
+    stem_needs = least_youngs(rods, Clamp.root(rods), pedicel, np.where(stem, 1.0, rigid))
     if stem_needs is None:
         return factor
-    youngs = np.where(pedicel, _RIGID * np.asarray(rods.youngs), stem_needs)
+    youngs = np.where(pedicel, rigid * np.asarray(rods.youngs), stem_needs)
     for organ in (blade & ~blade[rods.parent], ~stem & ~pedicel & stem[rods.parent]):
         for base in np.flatnonzero(organ[1:]) + 1:
             beyond = _beyond(rods, int(base))
@@ -331,7 +322,3 @@ def _part(rods: Rods, nodes: NDArray[np.intp]) -> Rods:
         f.name: getattr(rods, f.name)[nodes] for f in fields(rods) if f.init and np.ndim(getattr(rods, f.name)) == 1
     }
     return replace(rods, **values | {"nodes": rods.nodes[nodes], "parent": parent}, natural=None)
-
-
-_RIGID = 1e3
-"""Factor that takes a part out of the question whether the rest stands."""

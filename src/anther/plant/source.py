@@ -19,7 +19,7 @@ from anther.core.errors import StageFailure, bad_input
 from anther.core.geometry import Array
 from anther.core.runs import FILES, kept
 from anther.perception.cloud import Cloud
-from anther.perception.flowers import Flowers
+from anther.perception.flowers import PEDICEL, Flowers
 from anther.perception.formats.skeletons import SkeletonFile
 from anther.perception.skeleton import Skeleton
 from anther.perception.stem import Stem
@@ -28,10 +28,6 @@ from anther.plant.model import PEPPER, TOMATO, Material, PlantModel, plant_with_
 from anther.rods import Clamp, Rods, least_stiffness, standing
 
 PRIORS: dict[Crop, Material] = {"tomato": TOMATO, "pepper": PEPPER}
-PEDICEL = 0.015
-"""A flower named as a node of a skeleton hangs this far beyond it [m]: a pedicel (facts: pollination 2)."""
-DENSITY = (10.0, 5000.0)
-"""Allowed [kg/m^3], as in `Material`."""
 
 
 class Made(NamedTuple):
@@ -176,9 +172,8 @@ def _check(made: Made) -> None:
     check_range("damping_ratio", made.changes.get("damping_ratio", 0.0), 0, 10)
     check_range("bend_over_twist", made.changes.get("bend_over_twist", 0.0), 0, 1000)
     check_range("least_radius", made.least_radius, 0, 1, "m")
-    if not DENSITY[0] <= (density := made.changes.get("density", DENSITY[0])) <= DENSITY[1]:
-        allowed, do = f"{DENSITY[0]:g} to {DENSITY[1]:g} kg/m3", "1.05 g/cm3 are 1050 kg/m3."
-        raise bad_input("density", given=f"{density:g}", allowed=allowed, do=do)
+    if not 10 <= (density := made.changes.get("density", 10.0)) <= 5000:
+        raise bad_input("density", given=f"{density:g}", allowed="10 to 5000 kg/m3", do="1.05 g/cm3 are 1050 kg/m3.")
 
 
 def _of_run(folder: Path, made: Made) -> tuple[SourcePlant, Skeleton | None, Stem | None, Cloud | None]:

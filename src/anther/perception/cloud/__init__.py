@@ -39,19 +39,14 @@ from anther.perception.cloud._fusion import (
     pixel_normals,
     supported_pixels,
 )
+from anther.perception.cloud._wrong_views import SEARCH
 from anther.perception.cloud.ply import read_ply, write_ply
-from anther.perception.masks import BACKGROUND, Masks
+from anther.perception.masks import BACKGROUND, LEAST_PIXELS, Masks
 
 __all__ = ["Cloud", "Params", "fuse", "likely_cause"]
 
-MARGIN = 0.05
-"""Pixels this far outside the workspace still take part in the registration [m]: a pose may be off by a few cm."""
-
-_MOST_CELLS = 1e8  # of obstacles: 28 bytes each
-
 Progress = Callable[[int, int], None]
 """Called with the number of steps done and of all."""
-LEAST_POINTS = 200  # with fewer there is no plant
 OBSTACLE_VOXEL = 0.01
 """Spacing of the obstacle points [m]."""
 
@@ -151,7 +146,7 @@ def fuse(
     """
     params = params or Params()
     box = workspace or viewed_box(capture)
-    box.cells(OBSTACLE_VOXEL, _MOST_CELLS)
+    box.cells(OBSTACLE_VOXEL, 1e8)  # of 28 bytes each
     labels = check_array("mask labels", masks.labels, capture.depth.shape, dtype="uint8")
     report = _steps(progress, 5)
     pixels = plant_pixels(capture, labels, box)
@@ -198,9 +193,9 @@ def plant_pixels(capture: Capture, labels: NDArray[Any], box: Box) -> list[Surfa
     Args:
         capture: the views.
         labels: (V, H, W) of the masks.
-        box: the workspace [m]; pixels more than `MARGIN` outside are left out.
+        box: the workspace [m]; pixels farther outside than a wrong pose is searched for are left out.
     """
-    wide = Box(box.lower - MARGIN, box.upper + MARGIN)
+    wide = Box(box.lower - SEARCH, box.upper + SEARCH)
 
     def of_view(view: int) -> SurfacePoints:
         depth = capture.depth[view]
@@ -249,10 +244,10 @@ def _background_cells(
 
 
 def _require(count: int, what: str) -> None:
-    if count < LEAST_POINTS:
+    if count < LEAST_PIXELS:
         raise StageFailure(
             "no_plant_found",
-            f"cloud: {count} {what}; at least {LEAST_POINTS} are needed. Check the masks, the depth images "
+            f"cloud: {count} {what}; at least {LEAST_PIXELS} are needed. Check the masks, the depth images "
             "and the workspace.",
         )
 

@@ -119,14 +119,10 @@ def depth_image(topic: str, message: Any, unit: float) -> NDArray[np.float32]:
     raise bad_input(topic, given=given, allowed=allowed, do="Name another depth topic.")
 
 
-_HEADER = 12
-"""compressed_depth_image_transport's: an int32, and two float32 by which it packs metres."""
-
-
 def _depth_of_inverse(topic: str, message: Any) -> NDArray[np.float32]:
     """Return (H, W) depth [m] that was packed as steps v of its inverse: depth = a / (v - b); v = 0 is no reading."""
     steps, data = _depth_steps(topic, message), bytes(message.data)
-    a, b = np.frombuffer(data[4:_HEADER], "<f4")
+    a, b = np.frombuffer(data[4:12], "<f4")  # compressed_depth_image_transport's header: an int32 and these
     if data.startswith(_PNG) or not np.isfinite([a, b]).all() or a <= 0:
         given, do = f"{message.format} without the numbers that it is packed by", "Record compressedDepth."
         raise bad_input(topic, given=given, allowed="compressedDepth of 32FC1", do=do)
@@ -138,7 +134,7 @@ def _depth_steps(topic: str, message: Any) -> NDArray[np.uint16]:
     """Return (H, W) of a packed depth image: a PNG of 16 bits, perhaps behind a header, or RVL."""
     data = bytes(message.data)
     if "rvl" in message.format.lower():
-        return _unpacked_rvl(topic, data[_HEADER:])
+        return _unpacked_rvl(topic, data[12:])  # behind that header
     at = data.find(_PNG, 0, 64)
     whole = at >= 0 and is_intact(data[at:])
     image = cv2.imdecode(np.frombuffer(data[at:], np.uint8), cv2.IMREAD_UNCHANGED) if whole else None

@@ -22,10 +22,6 @@ from anther.perception.formats._raw_points import RawPoints, places, stated, uni
 _NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf)", re.IGNORECASE)
 _WORDS = re.compile(r"[^\s,;]+")
 _COMMENT = ("#", "//", "%")
-_SAMPLE = 200
-"""Lines from which separator and decimals are told."""
-_UNIT_LENGTH = 0.02
-"""Columns are a normal's where most have length one to within this [-]."""
 _DO = "Export with decimal points, columns separated by semicolons, tabs or blanks."
 
 
@@ -42,7 +38,7 @@ def read_text(path: Path) -> RawPoints:
         raise bad_input(str(path), given="unreadable (no row of numbers)", allowed="rows of x y z", do="Export again.")
     if '"' in body[0]:
         body = [";".join(cells) for cells in csv.reader(body, delimiter=_quoted_separator(body[0]))]
-    separator, comma = _layout(path, body[:_SAMPLE])
+    separator, comma = _layout(path, body[:200])
     names = _names(lines[:begin], body[0], separator)
     table = _table(path, body, separator, comma)
     count = next((int(line) for line in lines[:begin] if line.isdecimal()), None)
@@ -209,7 +205,8 @@ def _colour_columns(extra: Array, *, counted: bool) -> int | None:
 
 
 def _is_normal(three: Array) -> bool:
-    return bool((np.abs(np.linalg.norm(three, axis=1) - 1) < _UNIT_LENGTH).mean() > 0.5)
+    """Return whether most rows (N, 3) have the length one, to within 2 %."""
+    return bool((np.abs(np.linalg.norm(three, axis=1) - 1) < 0.02).mean() > 0.5)
 
 
 def _is_colour(three: Array) -> bool:

@@ -15,8 +15,6 @@ from anther.core.geometry import TO_Z_UP, Array
 METRES: dict[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "0.01mm": 1e-5, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
 _COMMON = ("m", "cm", "mm", "0.01mm")
 """Units that are advised; who has others knows it."""
-SMALLEST, LARGEST = 0.005, 20.0
-"""What is smaller or larger is no plant [m]: a 0.6 m plant in mm, read as metres, measures 600 m."""
 MOST_POINTS = 20_000_000
 """Most points of a cloud that is read: with colours and copies some 2 GB. A guess."""
 LIKELY = (0.03, 5.0)

@@ -17,7 +17,6 @@ from anther.core.geometry import Array, transform
 
 _STREAM_END = "/image/data"
 _ZSTD = b"\x28\xb5\x2f\xfd"  # RFC 8878
-_LARGEST = 1 << 28
 
 
 def stream_of(image: str) -> str:
@@ -65,7 +64,7 @@ def unpacked(data: bytes) -> bytes:
         from compression import zstd  # type: ignore[import-not-found]  # noqa: PLC0415  # Python 3.14
     except ImportError:
         from backports import zstd  # noqa: PLC0415  # rosbags brings it
-    return zstd.ZstdDecompressor().decompress(data, max_length=_LARGEST)
+    return zstd.ZstdDecompressor().decompress(data, max_length=1 << 28)
 
 
 def camera_info(topic: str, text: str) -> SimpleNamespace:

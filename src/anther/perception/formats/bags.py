@@ -34,8 +34,6 @@ from anther.perception.formats._bag_messages import (
     sorted_series,
 )
 
-_SAME_CAMERA = 1e-3  # relative difference of intrinsics that counts as one camera
-
 
 @dataclass(frozen=True, slots=True)
 class BagOptions(Record):
@@ -203,7 +201,7 @@ def _cameras(path: str, topics: Topics, held: _Contents) -> tuple[BagCamera, Bag
         raise bad_input(path, given=f"nothing on {topics.color.info}", allowed="a CameraInfo", do="Record it as well.")
     depth = held.infos.get(topics.depth.info, color)
     a, b = color.intrinsics, depth.intrinsics
-    same = (a.width, a.height) == (b.width, b.height) and np.allclose(a.matrix, b.matrix, rtol=_SAME_CAMERA)
+    same = (a.width, a.height) == (b.width, b.height) and np.allclose(a.matrix, b.matrix, rtol=1e-3)
     ends = [held.extrinsics.get(topic) for topic in (topics.color.extrinsics, topics.depth.extrinsics)]
     if ends[0] is not None and ends[1] is not None:
         T_color_depth = ends[0] @ inverse(ends[1])

@@ -23,18 +23,16 @@ from anther.core.geometry import TO_Z_UP, Array
 from anther.perception.cloud import Cloud, ply
 from anther.perception.formats._cloud_text import read_text
 from anther.perception.formats._raw_points import (  # fmt: skip
-    LARGEST,
     LIKELY,
     METRES,
     MOST_POINTS,
-    SMALLEST,
     RawPoints,
     other_units,
     stated,
     unused_note,
 )
 from anther.perception.formats._scans import read_e57, read_las
-from anther.perception.skeleton import skeletonize
+from anther.perception.skeleton import FEWEST_POINTS, LARGEST, SMALLEST, skeletonize
 from anther.perception.stem import find_stem
 
 __all__ = [
@@ -53,14 +51,8 @@ __all__ = [
 ]
 
 SUFFIXES = (".ply", ".pcd", ".las", ".laz", ".e57", ".xyz", ".txt", ".csv", ".asc", ".pts", ".npz")
-_FEWEST = 50
-_MOST_BROKEN = 0.05
 DOUBT = 2.0
 """An axis whose stem is not so many times worse than the best may be up (docs/formats.md)."""
-_COARSE = 120
-_BASE, _SURE = 0.25, 0.5
-"""The cloud is thinned to one point per cube of plant size / 120; a base is the lowest quarter, likelier a stem
-than not."""
 
 _CUT = "Is it truncated, or another format?"
 
@@ -143,11 +135,11 @@ def _read(path: Path, plant: int | None) -> RawPoints:
 
 
 def _check_enough(path: Path, finite: np.ndarray) -> None:
-    if len(finite) and (~finite).mean() > _MOST_BROKEN:
-        given, allowed = f"{(~finite).mean():.0%} of the points NaN or infinite", f"at most {_MOST_BROKEN:.0%}"
+    if len(finite) and (~finite).mean() > 0.05:
+        given, allowed = f"{(~finite).mean():.0%} of the points NaN or infinite", "at most 5%"
         raise bad_input(str(path), given=given, allowed=allowed, do="Repair the export.")
-    if np.count_nonzero(finite) < _FEWEST:
-        given, allowed = f"{np.count_nonzero(finite)} points", f"{_FEWEST} or more"
+    if np.count_nonzero(finite) < FEWEST_POINTS:
+        given, allowed = f"{np.count_nonzero(finite)} points", f"{FEWEST_POINTS} or more"
         raise bad_input(str(path), given=given, allowed=allowed, do="Is it the right file?")
 
 
@@ -164,7 +156,7 @@ def _check_size(path: Path, points: np.ndarray, units: str) -> tuple[str, ...]:
 def axis_notes(points: Array) -> tuple[str, ...]:
     """Return a note where another axis than z is as likely up of points (N, 3) as they stand in the file [m]."""
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
-    thin = np.asarray(voxelgrid_sampling(points, size / _COARSE).points())[:, :3]
+    thin = np.asarray(voxelgrid_sampling(points, size / 120).points())[:, :3]
     worth = {axis: stem_worth(thin[:, order]) for axis, order in TO_Z_UP.items()}
     likely = [axis for axis, value in worth.items() if DOUBT * value >= max(worth.values())]
     if len(likely) > 1:
@@ -173,10 +165,11 @@ def axis_notes(points: Array) -> tuple[str, ...]:
 
 
 def stem_worth(points: Array) -> float:
-    """Return how good a stem the points (N, 3) have if z is up; 0 without one, or if its base is likelier none.
+    """Return how good a stem the points (N, 3) have if z is up; 0 without one.
 
-    It is the product of how thick the stem's base is over the plant's size, how sure its axis there, how upright the
-    stem, and what share of the plant's height it rises.
+    It is 0 too where the stem's base, its lowest quarter, is likelier none. Else it is the product of how thick the
+    stem's base is over the plant's size, how sure its axis there, how upright the stem, and what share of the plant's
+    height it rises.
     """
     try:
         tree = skeletonize(Cloud(np.ascontiguousarray(points)))
@@ -184,11 +177,11 @@ def stem_worth(points: Array) -> float:
     except AntherError:
         return 0.0
     line, length = tree.nodes[stem.node_ids], float(stem.arc_length[-1])
-    base = stem.node_ids[stem.arc_length <= max(_BASE * length, stem.arc_length[1])]
+    base = stem.node_ids[stem.arc_length <= max(0.25 * length, stem.arc_length[1])]
     extent = np.ptp(tree.nodes, axis=0)
     rise = max(float(line[-1, 2] - line[0, 2]), 0.0)
     sure = 0.0 if tree.confidence is None else float(tree.confidence[base].mean())
-    if sure < _SURE:
+    if sure < 0.5:
         return 0.0
     thick = float(np.median(tree.radius[base])) / float(np.linalg.norm(extent))
     return thick * sure * rise / length * rise / float(extent[2])
@@ -249,14 +242,10 @@ def read_pcd(path: Path) -> RawPoints:
     if not seen.all():
         notes.append(f"{np.sum(~seen)} of {count} points hold no reading (NaN) and are left out")
         points, colors = points[seen], None if colors is None else colors[seen]
-    units, up = stated(
-        [line for line in content[:_PCD_HEAD].decode("ascii", "replace").splitlines() if line[:1] == "#"]
-    )
+    units, up = stated([line for line in content[:2000].decode("ascii", "replace").splitlines() if line[:1] == "#"])
     return RawPoints(points, colors, units, up, notes=(*unused_note(unused), *notes))
 
 
-_PCD_HEAD = 2000
-"""Comments stand within these first bytes."""
 _NPZ_COLORS = ("colors", "colours", "rgb", "color")
 _NPZ_KEYS = {"points", "points_x100", "offsets", "units", "up", *_NPZ_COLORS}
 

@@ -77,8 +77,6 @@ def _direction(up: str) -> Array:
 DEPTH_MAPS = ("geometric", "photometric")
 """Kinds of depth map, the better first."""
 
-_ALIKE = 1e-6  # relative difference of focal lengths and principal points that counts as one camera
-
 
 def read_colmap_capture(folder: Path | str, scale: float | None = None, up: str | None = None) -> Capture:
     """Return the views of a COLMAP dense workspace, in metres with z up.
@@ -170,7 +168,7 @@ def _intrinsics(cameras: dict[int, ColmapCamera], images: list[ColmapImage]) -> 
     first = used[0].pinhole()
     for other in used[1:]:
         same_size = (other.width, other.height) == (used[0].width, used[0].height)
-        if not same_size or not np.allclose(other.pinhole(), first, rtol=_ALIKE, atol=0):
+        if not same_size or not np.allclose(other.pinhole(), first, rtol=1e-6, atol=0):
             raise bad_input(
                 "COLMAP cameras",
                 given=f"{len(used)} different cameras",
@@ -213,7 +211,6 @@ MODELS = {
 """Camera model -> number of parameters, in the order of COLMAP's model ids (0, 1, ...)."""
 
 _SAME_FOCAL = {"SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"}
-_LONGEST_NAME = 4096
 _SAID = re.compile(r"# Number of (?:cameras|images|points): (\d+)")
 _CUT = "Is it truncated?"
 
@@ -321,7 +318,7 @@ def _images_binary(data: bytes) -> Iterator[ColmapImage]:
     at = 8
     for _ in range(struct.unpack_from("<Q", data)[0]):
         _, *pose, camera = struct.unpack_from("<i7di", data, at)
-        end = data.index(b"\0", at + 64, at + 64 + _LONGEST_NAME)
+        end = data.index(b"\0", at + 64, at + 64 + 4096)  # PATH_MAX of Linux
         name = data[at + 64 : end].decode("utf-8")
         seen = struct.unpack_from("<Q", data, end + 1)[0]
         at = end + 9 + 24 * seen

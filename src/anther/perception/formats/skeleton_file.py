@@ -17,10 +17,8 @@ from anther.core.choices import Units
 from anther.core.errors import bad_input
 from anther.core.geometry import Array
 from anther.core.records import Range, Record, Shape
-from anther.perception.formats._raw_points import LIKELY, METRES, SMALLEST, other_units
-from anther.perception.skeleton import Skeleton
-
-LARGEST_PLANT = 20.0  # [m], a tall tree; a larger number is most likely in millimetres
+from anther.perception.formats._raw_points import LIKELY, METRES, other_units
+from anther.perception.skeleton import LARGEST, SMALLEST, Skeleton
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,11 +64,11 @@ class SkeletonFile(Record):
         told = units or self.units
         metres = METRES[told or "m"]
         size = float(np.linalg.norm(np.ptp(self.nodes, axis=0))) * metres
-        lower, upper = SMALLEST, LARGEST_PLANT if told else LIKELY[1]
+        lower, upper = SMALLEST, LARGEST if told else LIKELY[1]
         if not lower <= size <= upper:
             given = f"a plant of {size:.3g} m (read in {told or 'metres'})"
             allowed = f"{lower:g} <= size <= {upper:g} m"
-            right = " If it is right: --units m." if LIKELY[1] < size <= LARGEST_PLANT else ""
+            right = " If it is right: --units m." if LIKELY[1] < size <= LARGEST else ""
             do = other_units(size, told or "m") + right
             raise bad_input("skeleton", given=given, allowed=allowed, do=do)
         if self.radius is not None and self.radius.min() < 0:
@@ -183,7 +181,7 @@ def rooted(
     n = len(nodes)
     numbers = np.arange(n) if numbers is None else numbers
     if len(edges) == n - 1 and n > 2 and edges.min() >= 0 and edges.max() < n:
-        same = np.linalg.norm(nodes[edges[:, 0]] - nodes[edges[:, 1]], axis=1) <= ALIKE * np.ptp(nodes, axis=0).max()
+        same = np.linalg.norm(nodes[edges[:, 0]] - nodes[edges[:, 1]], axis=1) <= 1e-6 * np.ptp(nodes, axis=0).max()
         if same.any() and not same.all():
             return _merged(nodes, edges, same, radius, numbers, root, labels)
     if n < 2 or len(edges) != n - 1 or edges.min() < 0 or edges.max() >= n:
@@ -199,10 +197,6 @@ def rooted(
     above = np.where(parent[order] < 0, -1, place[parent[order]])
     named = None if labels is None else tuple(labels[j] for j in order)
     return SkeletonFile(nodes[order], above, None if radius is None else radius[order], numbers[order], named)
-
-
-ALIKE = 1e-6
-"""Nodes nearer to each other than this share of the plant's size are one point twice."""
 
 
 def _merged(

@@ -25,7 +25,7 @@ from anther.core.geometry import Array
 from anther.perception.cloud.ply import read_elements
 from anther.perception.formats._mtg import read_mtg, write_mtg
 from anther.perception.formats._raw_points import places, stated
-from anther.perception.formats.skeleton_file import LARGEST_PLANT, SkeletonFile, rooted
+from anther.perception.formats.skeleton_file import SkeletonFile, rooted
 from anther.perception.skeleton import Skeleton
 
 
@@ -145,12 +145,7 @@ def read_graphml(path: Path | str) -> SkeletonFile:
     )
 
 
-__all__ = ["LARGEST_PLANT", "READS", "WRITES", "SkeletonFile", "Units", "read_skeleton", "write_skeleton"]
-
-_SWC = 7
-"""Columns of an SWC: id, type, x, y, z, radius, parent."""
-SWC_CUSTOM = 7
-"""SWC leaves types from here on to the user (http://www.neuronland.org/NLMorphologyConverter/MorphologyFormats/SWC)."""
+__all__ = ["READS", "WRITES", "SkeletonFile", "Units", "read_skeleton", "write_skeleton"]
 
 
 def read_skeleton(path: Path | str, units: Units | None = None) -> SkeletonFile:
@@ -208,7 +203,8 @@ def _write_npz(path: Path, skeleton: Skeleton, labels: Sequence[str] | None) -> 
 
 
 def _write_swc(path: Path, skeleton: Skeleton, labels: Sequence[str] | None) -> None:
-    kinds = {name: SWC_CUSTOM + i for i, name in enumerate(dict.fromkeys(labels or ()))}
+    own = 7  # SWC leaves types from here on to the user
+    kinds = {name: own + i for i, name in enumerate(dict.fromkeys(labels or ()))}
     lines = ["# anther skeleton; metres; id type x y z radius parent"]
     if kinds:
         lines.append("# types: " + " ".join(f"{kind}={name}" for name, kind in kinds.items()))
@@ -246,14 +242,14 @@ def _with_stated(tree: SkeletonFile, lines: Sequence[str]) -> SkeletonFile:
     comments = [line for line in lines if line.lstrip().startswith(("#", "comment"))]
     units, up = stated(comments)
     names = [line.lstrip("# \t").split() for line in comments]
-    units = units or next((found for line in names if len(line) == _SWC and (found := places(line)[1])), None)
+    units = units or next((found for line in names if len(line) == 7 and (found := places(line)[1])), None)
     notes = (f"the file states that {up} is up and is read with z up",) if up not in (None, "z") else ()
     return replace(tree, units=units, notes=(*tree.notes, *notes))
 
 
 def _read_swc(path: Path) -> SkeletonFile:
     lines = read_lines(path)
-    table = _table(lines, _SWC)
+    table = _table(lines, 7)  # id, type, x, y, z, radius, parent
     numbers, above = (_whole(table[:, column]) for column in (0, 6))
     if len(set(numbers.tolist())) < len(numbers):
         raise bad_input("SWC", given="an id twice", allowed="distinct ids", do="Number the samples anew.")

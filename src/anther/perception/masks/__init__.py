@@ -27,10 +27,7 @@ from anther.perception.masks._voting import EMPTY, GROUND, RIM, clear, read_back
 
 __all__ = ["BACKGROUND", "FLOWER", "PLANT", "Masks", "Params", "segment", "without_ground"]
 
-BACKGROUND, PLANT, FLOWER = 0, 1, 2
-
-GROUND_BORDER = 0.6
-"""A patch without depth is no plant if its border with the ground is longer than this share of that with the plant."""
+BACKGROUND, PLANT, FLOWER = range(3)
 
 LEAST_PIXELS = 200
 """With fewer plant pixels in all views together there is no plant."""
@@ -155,11 +152,11 @@ def _drop_pixels_without_depth(
 
 
 def _patches_of(blind: NDArray[np.bool_], plant: NDArray[np.bool_], ground: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the connected patches of `blind` (H, W) that border `plant`, and `ground` much less."""
+    """Return the connected patches of `blind` (H, W) that border `plant`, and `ground` at most 0.6 times as long."""
     count, numbered = cv2.connectedComponents(blind.astype(np.uint8), connectivity=8)
     patch, window = np.asarray(numbered, dtype=np.int32), np.ones((5, 5), np.uint8)
-    beside_plant, beside_ground = (
+    near_plant, near_ground = (
         np.bincount(patch[blind & (cv2.dilate(part.astype(np.uint8), window) > 0)], minlength=count)
         for part in (plant, ground)
     )
-    return blind & ((beside_plant > 0) & (beside_ground <= GROUND_BORDER * beside_plant))[patch]
+    return blind & ((near_plant > 0) & (near_ground <= 0.6 * near_plant))[patch]

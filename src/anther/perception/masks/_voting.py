@@ -22,7 +22,6 @@ not green."""
 
 PETAL_VIEWS, LAYERS = 4, 5
 """Layer of the vote grid after the four colours: in how many views petals voted; and the number of all layers."""
-_BLEED_REACH, _BLEED_DEPTH = 3, 0.05  # [px], [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,10 +105,10 @@ def _bleeds(
     rgb: NDArray[Any], depth: NDArray[Any], v: NDArray[Any], u: NDArray[Any], alike: float
 ) -> NDArray[np.bool_]:
     """Return (n,) which pixels have the colour of a background near them: then they are that, wrongly placed."""
-    bleeding, steps = np.zeros(len(v), dtype=bool), (-_BLEED_REACH, 0, _BLEED_REACH)
+    bleeding, steps, behind_by = np.zeros(len(v), dtype=bool), (-3, 0, 3), np.float32(0.05)  # [px], [m]
     for dv, du in product(steps, steps):
         j, i = np.clip(v + dv, 0, depth.shape[0] - 1), np.clip(u + du, 0, depth.shape[1] - 1)
-        behind = (depth[j, i] > depth[v, u] + np.float32(_BLEED_DEPTH)) | (depth[j, i] <= 0)
+        behind = (depth[j, i] > depth[v, u] + behind_by) | (depth[j, i] <= 0)
         bleeding |= behind & (np.abs(rgb[j, i].astype(np.int16) - rgb[v, u]) < alike).all(axis=1)
     return bleeding
 

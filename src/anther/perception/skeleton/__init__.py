@@ -35,19 +35,19 @@ from anther.perception.skeleton.voxel_solid import (
 
 __all__ = ["Params", "Skeleton", "nearest_node", "skeletonize"]
 
-_FEWEST_POINTS = 50
-_MANY_POINTS = 80_000
-_ENOUGH_POINTS = 80_000  # cross-sections of more are not better (measured on ten simulated captures)
-_FINEST = 700  # a cloud of many points is thinned to one per cube of plant size / _FINEST
-_MOST_VOXELS = 1500  # along the plant: with more, filled hollows take gigabytes
+FEWEST_POINTS = 50
+"""A plant of fewer points has no skeleton."""
+SMALLEST, LARGEST = 0.005, 20.0
+"""Whatever is smaller or larger is no plant [m], but one in other units: a seedling in mm read as metres, a tree."""
+ENOUGH_POINTS = 80_000
+"""Points beyond these cost time and change no decision; a cloud of more is thinned."""
 _REACH, _FLAT = 6.0, 0.5  # surroundings looked at [voxels], and the planarity that counts as a blade
 RESOLUTION = 350.0
-"""Voxels along the plant's size, where nobody gives the voxels' edge."""
+"""Voxels along the plant's size by default; a cloud is thinned to twice as many points along it."""
 CLOSE = 2
 """Gaps of up to so many voxels are closed."""
 HOLLOW = 0.06
 """Stems hollow in the scan are filled up to this diameter, relative to the plant's size."""
-_SURE = 0.75  # a root that is less likely is said
 _BRIDGE = 0.15  # gaps up to this share of the plant's size are bridged
 _SPECK = 0.02  # fragments shorter than this share of the plant's size are dropped
 _SPUR_PER_WIDTH, _SPUR = 2.5, 6.0
@@ -168,10 +168,10 @@ def skeletonize(cloud: Cloud, params: Params | None = None) -> Skeleton:
     params = params or Params()
     points = _plant_points(cloud)
     size = _plant_size(points)
-    if len(points) > _MANY_POINTS:
-        points = np.asarray(voxelgrid_sampling(points, size / _FINEST).points())[:, :3]
+    if len(points) > ENOUGH_POINTS:
+        points = np.asarray(voxelgrid_sampling(points, size / (2 * RESOLUTION)).points())[:, :3]
     if params.voxel is not None:
-        check_range("voxel", params.voxel, size / _MOST_VOXELS, size / 10, "m")  # finer, hollows fill with millions
+        check_range("voxel", params.voxel, size / 1500, size / 10, "m")  # finer, filled hollows take gigabytes
     voxel = params.voxel or max(size / RESOLUTION, 1.3 * point_spacing(points))
     solid = solidify(points, voxel, close=CLOSE, fill=HOLLOW * size)
     voxels, notes = _connected(solid, size)
@@ -179,7 +179,7 @@ def skeletonize(cloud: Cloud, params: Params | None = None) -> Skeleton:
     spacing = params.spacing or size / 110
     curves = resample(coarse, stem_gain(coarse), spacing)
     fattening = _FATTENING * (cloud.footprint or 0) if params.fattening is None else params.fattening
-    surface = points[:: -(-len(points) // _ENOUGH_POINTS)]
+    surface = points[:: -(-len(points) // ENOUGH_POINTS)]
     curves = centred(curves, surface, rounds=params.recentre, fattening=fattening)
     hidden = distance_to_soil(curves.nodes[0], beginning(curves), cloud.obstacles)
     if hidden > 0:
@@ -193,19 +193,15 @@ def skeletonize(cloud: Cloud, params: Params | None = None) -> Skeleton:
     )
 
 
-AWAY = 0.1
-"""A place that somebody names is on the plant if it is no farther from it than this, relative to the plant's size."""
-
-
 def nearest_node(name: str, place: ArrayLike, nodes: Array) -> int:
     """Return which of the nodes (J, 3) [m] is nearest to a named place (3,) [m].
 
     Raises:
-        InputError: it is too far from all of them to be meant.
+        InputError: it is farther from all of them than a tenth of the plant's size.
     """
     at = check_array(name, np.asarray(place, dtype=np.float64), (3,))
     gap = np.linalg.norm(nodes - at, axis=1)
-    if gap.min() > AWAY * np.linalg.norm(np.ptp(nodes, axis=0)):
+    if gap.min() > 0.1 * np.linalg.norm(np.ptp(nodes, axis=0)):
         low, high = nodes.min(axis=0).round(3).tolist(), nodes.max(axis=0).round(3).tolist()
         given, do = f"{at.tolist()}, {gap.min():.3g} m from the plant", "Give it in metres, z up, as in the results."
         raise bad_input(name, given=given, allowed=f"on the plant, which is from {low} to {high} m", do=do)
@@ -214,11 +210,11 @@ def nearest_node(name: str, place: ArrayLike, nodes: Array) -> int:
 
 def _plant_points(cloud: Cloud) -> Array:
     flower = cloud.labels == FLOWER
-    points = cloud.points[~flower] if np.count_nonzero(~flower) >= _FEWEST_POINTS else cloud.points
-    if len(points) < _FEWEST_POINTS:
+    points = cloud.points[~flower] if np.count_nonzero(~flower) >= FEWEST_POINTS else cloud.points
+    if len(points) < FEWEST_POINTS:
         raise StageFailure(
             "no_plant_found",
-            f"skeleton: got {len(points)} plant points; allowed: {_FEWEST_POINTS} or more. "
+            f"skeleton: got {len(points)} plant points; allowed: {FEWEST_POINTS} or more. "
             "Is the cloud empty or the mask wrong?",
         )
     return points
@@ -227,10 +223,9 @@ def _plant_points(cloud: Cloud) -> Array:
 def _plant_size(points: Array) -> float:
     """Return the diagonal of the bounding box of all but the outermost 1 % of the points [m]."""
     size = float(np.linalg.norm(np.subtract(*np.quantile(points, [0.995, 0.005], axis=0))))
-    if not 0.005 <= size <= 20:
-        raise bad_input(
-            "plant size", given=f"{size:g} m", allowed="0.005 <= size <= 20 m", do="Are the units right (m or mm)?"
-        )
+    if not SMALLEST <= size <= LARGEST:
+        allowed = f"{SMALLEST:g} <= size <= {LARGEST:g} m"
+        raise bad_input("plant size", given=f"{size:g} m", allowed=allowed, do="Are the units right (m or mm)?")
     return size
 
 
@@ -263,7 +258,7 @@ def _paths(voxels: Voxels, source: int, size: float) -> tuple[RawTree, LevelSets
 def _base(tree: RawTree) -> tuple[int, float, tuple[str, ...]]:
     """Return the node where the plant stands, how sure that is; where it is doubtful, a note that names its rival."""
     node, sure, rival = find_root(tree)
-    if sure >= _SURE:
+    if sure >= 0.75:
         return node, sure, ()
     x, y, z = tree.nodes[rival]
     words = f"root: with a probability of {sure:.0%}; else the plant may stand at {x:.3f},{y:.3f},{z:.3f}"

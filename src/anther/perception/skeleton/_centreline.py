@@ -257,20 +257,15 @@ def _radii(curves: Curves, points: Array, fattening: float) -> Curves:
     radius, width = np.where(known, radius, curves.radius), np.where(known, at.wide - fattening, curves.width)
     for number, (chain, own) in enumerate(zip(curves.chains, curves.own, strict=True)):
         for values in (radius, width):
-            values[own] = median_filter(values[own], size=min(_MEDIAN, len(own)), mode="nearest")
+            values[own] = median_filter(values[own], size=min(5, len(own)), mode="nearest")
         carrier = radius[chain[0]] if number else float(np.median(radius[own[: max(len(own) // 4, 3)]]))
         radius[own] = np.minimum(radius[own], _THICKER * carrier)
-    radius = np.maximum(radius, _SMALLEST)
+    radius = np.maximum(radius, 1e-4)  # [m], finer than any sensor
     return replace(curves, radius=radius, width=np.maximum(width, radius))
 
 
-_SMALLEST = 1e-4  # no radius is reported smaller [m]
-_MEDIAN = 5
-"""Radii are the medians over so many nodes."""
-
-
 _ENOUGH = 200
-"""More points than this do not make a cross-section better."""
+"""Points of a section beyond these are thinned: they cost time and change no decision."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

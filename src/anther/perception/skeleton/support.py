@@ -26,8 +26,6 @@ from anther.perception.skeleton.raw_tree import (
 )
 from anther.perception.skeleton.voxel_solid import nearest
 
-_ENOUGH = 40_000  # more points than this make the node statistics no better
-
 FITTED = (-4.12, 4.63, 6.58)
 """Constant and weights of `node_support` in the log-odds: `python -m evaluation.perception.confidence --fit`."""
 
@@ -58,7 +56,7 @@ def node_support(nodes: Array, parent: NDArray[Any], radius: Array, flatness: Ar
     Columns: how sharply the surface lies at one radius, exp(-2 scatter / radius); how little the surroundings are a
     plane, 1 - flatness.
     """
-    points = points[:: max(len(points) // _ENOUGH, 1)]
+    points = points[:: max(len(points) // 40_000, 1)]  # more make the statistics no better
     _, owner = nearest(points, nodes)
     offset, tangent = points - nodes[owner], _tangents(nodes, parent)[owner]
     along = np.sum(offset * tangent, axis=1)

@@ -11,18 +11,33 @@ from numpy.typing import NDArray
 from anther.core.errors import StageFailure, bad_input
 from anther.core.geometry import Array
 from anther.core.records import Range, Record, Shape, Share, Stored
-from anther.perception.skeleton import Skeleton, nearest_node
+from anther.perception.skeleton import LARGEST, SMALLEST, Skeleton, nearest_node
 from anther.perception.skeleton.raw_tree import chains, edge_lengths, longest_way
 from anther.perception.stem._main_axis import SHORTEST, fork_at, growth_end, path_score
-from anther.perception.stem._organs import BRANCH, LEAF, ORGAN_NAMES, SPUR, STEM, TRUSS, classify, stem_breadth
+from anther.perception.stem._organs import (
+    BRANCH,
+    LEAF,
+    LONGEST_PEDICEL,
+    ORGAN_NAMES,
+    PEDICEL,
+    PLANAR_BLADE,
+    SPUR,
+    STEM,
+    TRUSS,
+    classify,
+    stem_breadth,
+)
 from anther.perception.stem.confidence import doubt, rise_share, second_stem, stem_confidence
 
-__all__ = ["BRANCH", "LEAF", "ORGAN_NAMES", "STEM", "TRUSS", "Params", "Stem", "find_stem"]
+__all__ = [
+    "BRANCH", "LEAF", "LONGEST_PEDICEL", "ORGAN_NAMES", "PEDICEL", "PLANAR_BLADE", "STEM", "TRUSS", "Params", "Stem",
+    "find_stem",
+]  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
 class Params(Record):
-    """What a person may know better. What makes a path the main stem stands as constants beside its use.
+    """What a person may know better.
 
     Attributes:
         tip: where the main stem ends [m], by who knows better; None: it is found.
@@ -130,8 +145,8 @@ def _attachments(skeleton: Skeleton, node_ids: NDArray[Any], organ: NDArray[Any]
 
 def _plausible(nodes: Array, arc_length: Array, size: float) -> None:
     rise = nodes[:, 2].max() - nodes[0, 2]
-    if not 0.005 <= size <= 20:
-        problem = f"the plant measures {size:g} m (allowed: 0.005 to 20 m). Wrong units?"
+    if not SMALLEST <= size <= LARGEST:
+        problem = f"the plant measures {size:g} m (allowed: {SMALLEST:g} to {LARGEST:g} m). Wrong units?"
     elif arc_length[-1] < SHORTEST * size:
         problem = (
             f"the best candidate is {arc_length[-1] * 1e3:.1f} mm long on a plant of {size * 1e3:.0f} mm "

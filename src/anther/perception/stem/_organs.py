@@ -33,16 +33,15 @@ _NARROW = 4.0  # a section as broad as the main stem tells nothing, one narrower
 _STUB = 2.5  # an axis that leaves another is leaf when it is shorter than this, relative to the stem's half width
 SPUR = 3.0  # a leaf that leaves the stem counts as attached when longer than this, relative to the stem's half width
 _TRUSS_BREADTH = 4.0  # only a node not broader than this times the stem bears flowers: pedicels broaden a truss
-_FLOWER_REACH = 0.03
-"""And only when it is so near to the flower's centre [m]: a pedicel (9 to 22 mm; facts: pollination), a few millimetres
-of flower, and half the distance between nodes."""
+PEDICEL, LONGEST_PEDICEL = 0.015, 0.025
+"""Length of a pedicel and of the longest with its flower [m]: 9 to 22 mm (facts: pollination 2)."""
 _LEAF_PER_FLOWER = 0.02  # a limb is a truss when it bears more flowers than it has leaf, at so much length each [m]
 
 
 def classify(skeleton: Skeleton, main: NDArray[Any], flowers_at: Array) -> NDArray[np.uint8]:
     """Return (J,) the organ of every node, with the main stem's nodes and the centres of flowers (F, 3) [m] given."""
     breadth = skeleton.breadth / stem_breadth(skeleton, main)
-    bears, beside = _flower_bearers(skeleton.nodes, flowers_at, breadth < _TRUSS_BREADTH, _FLOWER_REACH)
+    bears, beside = _flower_bearers(skeleton.nodes, flowers_at, breadth < _TRUSS_BREADTH, 2 * PEDICEL)
     axis = _axes(skeleton, main, breadth)
     organ = np.where(axis, BRANCH, LEAF).astype(np.uint8)
     organ[main] = STEM

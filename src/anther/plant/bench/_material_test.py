@@ -33,10 +33,6 @@ from anther.plant.model import TOMATO, Material
 SCHEMA = 1
 DISAGREEMENT = 2.0
 """Estimates farther apart than so many standard errors of their difference are called in disagreement [-]."""
-LEAST_EXPLAINED = 0.7
-"""A fit that explains less of a trace's variance while it decays is warned about [-]."""
-LARGE_DROOP = 0.2
-"""A horizontal stem that hangs lower than this share of its length is warned about [-]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -328,7 +324,7 @@ def _warnings(
             "orientation, a clamp that gives, or too few radii are the usual causes. The result lies halfway, half the "
             "distance being one more error."
         )
-    if vibration is not None and vibration.explained < LEAST_EXPLAINED:
+    if vibration is not None and vibration.explained < 0.7:
         said.append(
             f"the fit explains only {vibration.explained:.0%} of a trace: it is not one decaying oscillation. Cut off "
             "what lies before the release (--start), or pluck more gently."
@@ -343,7 +339,7 @@ def _warnings(
     horizontal = test.orientation == "horizontal" or len(test.tip_mass) > 0
     if test.stem is not None and estimates and horizontal:
         sag = droop(test.stem, estimates[-1].value, density.value)
-        if sag > LARGE_DROOP:
+        if sag > 0.2:
             said.append(
                 f"held horizontal, the stem's tip hangs {sag:.0%} of its length low; its shape without weight is taken "
                 "as straight. Cut it shorter or take leaves off for a better test."
