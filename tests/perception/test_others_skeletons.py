@@ -126,12 +126,12 @@ def test_a_material_in_other_units_is_refused(tmp_path: Path, options: dict[str,
 
 def test_the_stiffness_that_would_hold_a_plant_is_told_however_far_off(tmp_path: Path) -> None:
     path = write(tmp_path / "a.swc", rows())
-    told = set()
+    stated = set()
     for youngs in (1e4, 3e4, 1e5):
         with pytest.raises(StageFailure, match=r"would stand from E = [0-9.e+]+ Pa.*100 MPa is 100e6") as failure:
             read_plant(path, Made(changes={"youngs": youngs}), bare=True)
-        told.add(str(failure.value).split("E = ")[2].split(" Pa")[0])
-    assert len({f"{float(value):.1e}" for value in told}) == 1
+        stated.add(str(failure.value).split("E = ")[2].split(" Pa")[0])
+    assert len({f"{float(value):.1e}" for value in stated}) == 1
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Blades told from stems, paths that keep to stems, sections, and the stem down to the soil."""
+"""Blades distinguished from stems, paths that keep to stems, sections, and the stem down to the soil."""
 
 from __future__ import annotations
 
@@ -106,8 +106,8 @@ def test_a_broad_blade_has_one_smooth_midrib() -> None:
 
 def test_paths_side_by_side_in_one_stem_become_one() -> None:
     line = np.stack([np.zeros(20), np.zeros(20), np.arange(20.0)], axis=1)
-    beside = np.concatenate([line[1:11] + np.array([0.5, 0, 0]), [[1.5 + k, 0, 11 + k] for k in range(5)]])
-    nodes = np.concatenate([line, beside])
+    close = np.concatenate([line[1:11] + np.array([0.5, 0, 0]), [[1.5 + k, 0, 11 + k] for k in range(5)]])
+    nodes = np.concatenate([line, close])
     parent = np.concatenate([[-1], np.arange(19), [0], np.arange(20, 34)])
     order = np.argsort(nodes[:, 2], kind="stable")
     rank = np.argsort(order)

@@ -38,8 +38,8 @@ def test_the_plant_stands_where_somebody_says(cloud: Cloud, method: Literal["geo
     found = skeletonize(cloud, Params(method=method))
     leaf = farthest_leaf(found)
     assert np.linalg.norm(found.nodes[0] - leaf) > 0.05
-    told = skeletonize(cloud, Params(method=method, root=tuple(leaf)))
-    assert np.linalg.norm(told.nodes[0] - leaf) < 0.01
+    rooted = skeletonize(cloud, Params(method=method, root=tuple(leaf)))
+    assert np.linalg.norm(rooted.nodes[0] - leaf) < 0.01
 
 
 def test_the_main_stem_ends_where_somebody_says(cloud: Cloud) -> None:

@@ -1,6 +1,6 @@
 """Capture: the RGB-D views of one plant, and the folder they are kept in. Dimensions: V views, H x W pixels.
 
-The folder is nerfstudio's: `transforms.json` beside PNG images (docs/capture.md).
+The folder is nerfstudio's: `transforms.json` with PNG images (docs/capture.md).
 """
 
 from __future__ import annotations
@@ -135,7 +135,7 @@ def _check_scale(depth: NDArray[Any], T_world_cam: Array) -> None:
 
 
 def _check_apart(poses: Array) -> None:
-    """Refuse views that were all taken from one and the same place: nothing could be told about depth."""
+    """Refuse views that were all taken from one and the same place, which say nothing about depth."""
     if len(poses) > 1 and np.abs(poses - poses[0]).max() < 1e-6:
         raise bad_input(
             "transforms.json",

@@ -63,7 +63,7 @@ def find_flowers(cloud: Cloud, skeleton: Skeleton, stem: Stem, *, centres: Array
 
 
 def flower_centres(cloud: Cloud) -> Array:
-    """Return flower centres (F, 3) [m], wherever they hang: `find_stem` tells trusses by them.
+    """Return flower centres (F, 3) [m], wherever they hang: `find_stem` recognizes trusses by them.
 
     Clusters of points labelled flower, 5 mm apart, that are at most 33 mm long, as flowers are: longer ones are split,
     pieces joined, specks dropped.

@@ -148,7 +148,7 @@ def _radius_about(radius: Array, arc: Array, share: float) -> tuple[float, float
 
 
 def organs_of(stem: Stem, species: Species | None) -> Stem:
-    """Return the stem with the organs of a species: of maize every limb is a leaf; else as their shape tells."""
+    """Return the stem with the organs of a species: of maize every limb is a leaf; else by their shape."""
     if species != "maize":
         return stem
     return replace(stem, organ=np.where(stem.organ == STEM, STEM, LEAF).astype(np.uint8))

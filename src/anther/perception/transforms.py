@@ -115,8 +115,8 @@ def _frames(meta: Any) -> list[dict[str, Any]]:
 
 def _check_meaning(meta: dict[str, Any], frames: list[dict[str, Any]]) -> None:
     """Refuse what would change depth or poses in a way that is not read."""
-    told = meta | {key: value for frame in frames for key, value in frame.items()}
-    for key, value in told.items():
+    stated = meta | {key: value for frame in frames for key, value in frame.items()}
+    for key, value in stated.items():
         if key not in _UNITS and _OTHER_UNITS.fullmatch(key) and value not in (None, 1):
             do = f"Write metres per step as {_UNIT}: 0.001 for millimetres."
             raise _refused(given=f"{key} {value!r}", allowed=_UNIT, do=do)
@@ -131,9 +131,9 @@ def _check_meaning(meta: dict[str, Any], frames: list[dict[str, Any]]) -> None:
 
 def _camera(view: int, meta: dict[str, Any], frame: dict[str, Any]) -> Intrinsics:
     """Return the camera of a frame: what it states itself, else what all share."""
-    told = meta | {key: frame[key] for key in frame if key in (*_KEYS, *_MODELS) or LENS_KEYS.fullmatch(key)}
-    bent = [k for k, value in told.items() if LENS_KEYS.fullmatch(k) and is_bent(k, value)]
-    models = {key: str(told[key]) for key in _MODELS if told.get(key)}
+    stated = meta | {key: frame[key] for key in frame if key in (*_KEYS, *_MODELS) or LENS_KEYS.fullmatch(key)}
+    bent = [k for k, value in stated.items() if LENS_KEYS.fullmatch(k) and is_bent(k, value)]
+    models = {key: str(stated[key]) for key in _MODELS if stated.get(key)}
     bent += [f"{k} {m[:40]}" for k, m in models.items() if m.lower().replace("_", " ") not in LENS_MODELS]
     if bent:
         raise _refused(
@@ -141,7 +141,7 @@ def _camera(view: int, meta: dict[str, Any], frame: dict[str, Any]) -> Intrinsic
             allowed="a pinhole camera without distortion",
             do="Undistort the images first (ns-process-data or cv2.undistort), then set the coefficients to 0.",
         )
-    values = {key: _number(key, told.get(key)) for key in _KEYS}
+    values = {key: _number(key, stated.get(key)) for key in _KEYS}
     return Intrinsics(
         width=round(values["w"]),
         height=round(values["h"]),
@@ -281,9 +281,9 @@ def _depth(
     return depth
 
 
-def _unit(told: dict[str, Any]) -> float:
+def _unit(stated: dict[str, Any]) -> float:
     """Return metres per step of a frame's depth image."""
-    given = {_number(key, told[key]) for key in _UNITS if key in told}
+    given = {_number(key, stated[key]) for key in _UNITS if key in stated}
     if len(given) > 1:
         raise _refused(
             given=f"{' and '.join(_UNITS)} that differ", allowed="one of them", do="Leave the wrong one out."

@@ -90,7 +90,7 @@ def bar_radius(a: float, b: float) -> float:
 def leaf_mass(skeleton: Skeleton, stem: Stem, cloud: Cloud, *, areal_density: float) -> Array:
     """Return the leaf mass (J,) that hangs at each node [kg]: blade area seen in the cloud times areal density.
 
-    Points beside the main stem are leaf; they weigh on their nearest branch node. The area is counted in cubes: a sheet
+    Points near the main stem are leaf; they weigh on their nearest branch node. The area is counted in cubes: a sheet
     of area A and apparent thickness t, turned at random, meets A (3/2 h + t) / h^3 cubes of side h (Crofton).
 
     Args:
@@ -218,7 +218,7 @@ def _stem_taper(stem: Stem, radius: Array) -> Array:
 
 
 def _leaf_points(skeleton: Skeleton, stem: Stem, cloud: Cloud) -> Array:
-    """Return the points that are neither flower nor beside wood: main stem, and branches outside blades."""
+    """Return the points that are neither flower nor near wood: main stem, and branches outside blades."""
     points = cloud.points[cloud.labels != FLOWER] if cloud.labels is not None else cloud.points
     wood = _on_main_stem(stem, len(skeleton.nodes))
     if skeleton.flatness is not None:

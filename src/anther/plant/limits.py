@@ -109,9 +109,8 @@ MOVED = 5.0
 fields set fruit, gives them 4-24 (facts: pollination 6)."""
 
 
-def moved(felt: ArrayLike) -> bool | None:
-    """Return whether half of the flowers or more felt `MOVED` or more, by what is known of them (F,) [m/s2]; None if
-    nothing is."""
-    felt = np.asarray(felt, dtype=float)
-    felt = felt[np.isfinite(felt)]
-    return bool(np.median(felt) >= MOVED) if len(felt) else None
+def moved(acceleration: ArrayLike) -> bool | None:
+    """Return whether the median flower moved, by the known peak accelerations (F,) [m/s2]; None if none is known."""
+    known = np.asarray(acceleration, dtype=float)
+    known = known[np.isfinite(known)]
+    return bool(np.median(known) >= MOVED) if len(known) else None

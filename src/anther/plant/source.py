@@ -256,7 +256,7 @@ def _at_rest(rods: Rods) -> Rods:
     """Return the rods with the natural shape for which the scanned shape hangs still under gravity.
 
     Raises:
-        StageFailure: it would buckle under its own weight; the message tells the stiffness that would hold it.
+        StageFailure: it would buckle under its own weight; the message states the stiffness that would hold it.
     """
     clamp = Clamp.root(rods)
     if (held := standing(rods, clamp)) is not None:

@@ -78,7 +78,7 @@ class Cloud(Stored):
         T_world_cam: (V, 4, 4) camera poses after registration, or None for an imported cloud.
         notes: what the stage wants the user to know (warnings, registration declined, ...).
         view_agreement: (V,) share of each view's points that lie on a surface other views see, 0..1, after
-            registration; NaN where too little is seen to tell; None without registration.
+            registration; NaN where too little is seen; None without registration.
         view_used: (V,) bool, false for views left out because the others contradict their pose; None if imported.
         footprint: median width of a pixel at the plant [m]; None if imported.
         seen_through: share of what views judge of each other's points that they see through, 0..1, where that is more

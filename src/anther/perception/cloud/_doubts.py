@@ -1,7 +1,7 @@
 """What looks wrong: blind views, a plant cut off or left out, masks that hold the ground, and views that disagree.
 
-Wrong intrinsics or poses put a view's points where other views see through. How much of that there is tells right
-captures from wrong ones; which change would make the views agree tells what is wrong with them.
+Wrong intrinsics or poses put a view's points where other views see through. Its share separates right captures
+from wrong ones; the change that would make the views agree names the cause.
 Every check returns a sentence for the user, or nothing. V views, H x W pixels, N points.
 """
 
@@ -142,7 +142,7 @@ def seen_through(
 def disagreement(
     capture: Capture, points_cam: Sequence[Array], poses: Array, used: NDArray[np.bool_]
 ) -> tuple[tuple[str, ...], float]:
-    """Return what to tell the user of views that disagree, and the share of `seen_through`; nothing and 0 else.
+    """Return notes on views that disagree, and the share of `seen_through`; nothing and 0 where they agree.
 
     Points of a view (N_v, 3) are in its camera frame [m]; the poses (V, 4, 4) are those after registration.
     """
@@ -194,7 +194,7 @@ def _is_grey(rgb: NDArray[Any]) -> bool:
 
 
 def _changes(capture: Capture, points: Sequence[Array]) -> Iterator[tuple[Capture, Sequence[Array], str]]:
-    """Yield captures and points as they would be without a common mistake, and what to tell the user of it."""
+    """Yield captures and points as they would be without a common mistake, and a note on it."""
     T, flip, k = capture.T_world_cam, OPENGL_TO_OPENCV, capture.intrinsics
     yield (
         replace(capture, T_world_cam=T @ flip),

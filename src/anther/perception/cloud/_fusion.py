@@ -291,7 +291,7 @@ def occupied_cells(points: Array, views: NDArray[Any], plant: Array, voxel: floa
     """Return the centres (M, 3) [m] of cells that really hold a surface other than the plant's.
 
     A cell needs points (N, 3) of two `views` (N,), a neighbourhood of such cells, and none of the plant (K, 3): pixels
-    at the plant's edges, wrongly placed beside it, do not make an obstacle.
+    at the plant's edges, wrongly placed next to it, do not make an obstacle.
     """
     if len(points) == 0:
         return np.zeros((0, 3))

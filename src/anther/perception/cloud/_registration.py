@@ -52,7 +52,7 @@ class Registration:
         distance_before, distance_after: median distance of held-out points to other views' surfaces [m].
         reach: of the camera's matching window, see `_wrong_views.Estimate` [rad].
         agreement: (V,) share of a view's points that lie on a surface seen by others, of those near any; NaN where
-            the view has too few points to tell.
+            the view has too few points.
         used: (V,) whether a view's pose can be trusted; the others should be left out.
         notes: what the user should know.
     """

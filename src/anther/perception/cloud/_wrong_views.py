@@ -143,7 +143,7 @@ def mended(sample: Sample, given: Array, found: Estimate) -> tuple[Array, NDArra
 def agreement(sample: Sample, at: Estimate, views: Iterable[int]) -> Array:
     """Return for each of `views` the share of its points that lie on a surface other views see, of those near any.
 
-    0 where a view has points enough but hardly any near what others see; NaN where it has too few to tell. One point
+    0 where a view has points enough but hardly any near what others see; NaN where it has too few. One point
     in four is judged.
     """
     sample = sample.only(np.arange(len(sample.view)) % 4 == 0)

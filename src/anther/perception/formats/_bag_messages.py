@@ -47,7 +47,7 @@ class BagCamera(NamedTuple):
 def camera_of(topic: str, info: Any, *, rectified: bool = False) -> BagCamera:
     """Return the camera of a sensor_msgs/CameraInfo (ROS 1 or 2).
 
-    Of images that are already `rectified` the projection P tells the camera, and the lens is out of them.
+    Of images that are already `rectified` the projection P describes the camera, and lens distortion is removed.
     """
     K = np.array(check_array(f"{topic} K", info.K if hasattr(info, "K") else info.k, (9,)))
     D = np.array(check_array(f"{topic} D", info.D if hasattr(info, "D") else info.d, (None,)))
@@ -62,7 +62,7 @@ def camera_of(topic: str, info: Any, *, rectified: bool = False) -> BagCamera:
 
 
 def _cropped(camera: Intrinsics, info: Any) -> Intrinsics:
-    """Return the camera of the images, where a CameraInfo is of the whole sensor and tells binning and a region."""
+    """Return the camera of the images, where a CameraInfo is of the whole sensor and states binning and a region."""
     x, y = (max(1, int(getattr(info, f"binning_{axis}", 0))) for axis in "xy")
     roi = getattr(info, "roi", None)
     region = (0, 0, 0, 0) if roi is None else (roi.x_offset, roi.y_offset, roi.width, roi.height)
@@ -231,7 +231,7 @@ class PoseSeries(NamedTuple):
 
 @dataclass(slots=True)
 class FrameTree:
-    """The frames of tf: parents and transforms by time; `torn` are those that are told to hang on several."""
+    """The frames of tf: parents and transforms by time; `torn` are those with several parents."""
 
     parent: dict[str, str] = field(default_factory=dict)
     static: dict[str, Array] = field(default_factory=dict)
@@ -256,7 +256,7 @@ class FrameTree:
         return frame in self.parent and any(name in self.moving for name in self._chain(frame, None))
 
     def lookup(self, frame: str, world: str | None) -> Where:
-        """Return what tells a frame's pose in `world`, an ancestor of it (None: the root of its tree), and how far off
+        """Return what gives a frame's pose in `world`, an ancestor of it (None: the root of its tree), and how far off
         the worst link's stamp is. Every moving link is taken at its stamp nearest to the time asked for; fixed links
         are always on time."""
         chain = self._chain(frame.lstrip("/"), None if world is None else world.lstrip("/"))

@@ -29,7 +29,7 @@ def read_text(path: Path) -> RawPoints:
     """Read rows of numbers separated by blanks, commas, semicolons or tabs, with decimal points or commas.
 
     Raises:
-        InputError: no rows, fewer points than the file says, columns that cannot be told, or numbers that cannot.
+        InputError: no rows, fewer points than the file says, or columns or numbers whose meaning is unclear.
     """
     lines = [line.strip() for line in read_lines(path)]
     begin = next((i for i, line in enumerate(lines) if _is_row(line)), len(lines))
@@ -51,7 +51,7 @@ def read_text(path: Path) -> RawPoints:
 
 
 def _is_row(line: str) -> bool:
-    """Tell rows of numbers from names, comments and a leading count."""
+    """Separate rows of numbers from names, comments and a leading count."""
     words = _WORDS.findall(line.replace('"', ""))
     numeric = sum(_NUMBER.fullmatch(word) is not None for word in words)
     return numeric > 1 and 2 * numeric > len(words) and not line.startswith(_COMMENT)

@@ -114,10 +114,10 @@ def _parsed(path: str, lines: list[str], columns: list[str], first: int) -> Skel
         parent = last.get(column if found[1] else column - 1)
         last = {at: node for at, node in last.items() if at < column}
         last[column] = None
-        told = [bool(values.get(axis)) for axis in FEATURES[:3]]
-        if any(told) and not all(told):
+        given = [bool(values.get(axis)) for axis in FEATURES[:3]]
+        if any(given) and not all(given):
             raise bad_input(path, given=f"only some of XX, YY, ZZ in '{line.strip()}'", allowed="all", do="Is it cut?")
-        if all(told):
+        if all(given):
             last[column] = len(nodes)
             nodes.append(np.array([float(values.get(name) or "nan") for name in FEATURES]))
             above.append(parent)

@@ -43,7 +43,7 @@ class BagOptions(Record):
         color_topic, depth_topic: images; None: found by name.
         pose_topic: PoseStamped, TransformStamped, PoseWithCovarianceStamped or Odometry; None: tf where it moves the
             camera, else the only one there is.
-        pose_frame: the frame in tf whose poses that topic tells; None: the one it names, else the camera's.
+        pose_frame: the frame in tf whose poses that topic gives; None: the one it names, else the camera's.
         poses: a trajectory file (time x y z qx qy qz qw) instead: RealSense's own bags hold no poses.
         camera_frame: the camera's optical frame in tf; None: the one its camera info names.
         world_frame: the world's frame in tf; None: the root of the camera's tree.
@@ -83,7 +83,7 @@ class BagViews:
 @dataclass(slots=True)
 class _Contents:
     """What the first pass over a bag collects: every small message, and times by topic, of images those of their stamps
-    or, where RealSense tells them beside, their own."""
+    or, where RealSense records them too, their own."""
 
     infos: dict[str, BagCamera] = field(default_factory=dict)
     poses: list[tuple[float, Array]] = field(default_factory=list)
@@ -118,7 +118,7 @@ def read_bag(path: Path | str, options: BagOptions | None = None) -> BagViews:
         topics = find_topics(bag, options.color_topic, options.depth_topic, options.pose_topic)
         held = _first_pass(bag, topics)
         camera, depth_camera, T_color_depth = _cameras(str(path), topics, held)
-        where, told = _where(str(path), topics, held, options, camera.frame)
+        where, more = _where(str(path), topics, held, options, camera.frame)
         views, notes = _matched(str(path), topics, held, where, options)
         images = _images(bag, topics, held.unit, views)
     for image, color in images:
@@ -137,7 +137,7 @@ def read_bag(path: Path | str, options: BagOptions | None = None) -> BagViews:
         T_world_cam=poses,
         rgb=np.stack([straightened(image, camera.maps, nearest=False) for _, image in images]),
     )
-    return BagViews(capture, np.array([view.time for view in views]), (*notes, *told))
+    return BagViews(capture, np.array([view.time for view in views]), (*notes, *more))
 
 
 def _first_pass(bag: BagFile, topics: Topics) -> _Contents:
@@ -212,13 +212,13 @@ def _cameras(path: str, topics: Topics, held: _Contents) -> tuple[BagCamera, Bag
     else:
         T_color_depth = held.frames.between(color.frame, depth.frame)
     if T_color_depth is None:
-        beside = (
+        joint = (
             f"{_realsense_bag.stream_of(topics.depth.images)}/tf/N and the colour's" if topics.by_sdk else "/tf_static"
         )
         raise bad_input(
             path,
             given=f"depth in frame '{depth.frame}', colour in '{color.frame}', and no fixed transform between them",
-            allowed=f"depth aligned to colour, or what joins them: {beside}",
+            allowed=f"depth aligned to colour, or what joins them: {joint}",
             do="Record both streams with the SDK's recorder."
             if topics.by_sdk
             else "Record aligned_depth_to_color (realsense2_camera: align_depth.enable:=true) or /tf_static.",
@@ -229,7 +229,7 @@ def _cameras(path: str, topics: Topics, held: _Contents) -> tuple[BagCamera, Bag
 def _where(
     path: str, topics: Topics, held: _Contents, options: BagOptions, frame: str
 ) -> tuple[Where, tuple[str, ...]]:
-    """Return what tells the camera's pose at a time, and notes."""
+    """Return what gives the camera's pose at a time, and notes."""
     frame = (options.camera_frame or frame).lstrip("/")
     explicit = any(o is not None for o in (options.pose_topic, options.pose_frame, options.camera_in_pose))
     by_tf = held.frames.moves(frame) and not explicit
@@ -261,7 +261,7 @@ def _where(
 
 
 def _in_pose(topic: str, held: _Contents, given: str | None, frame: str) -> tuple[Array, tuple[str, ...]]:
-    """Return the camera's pose in the frame whose poses a topic tells, and notes.
+    """Return the camera's pose in the frame whose poses a topic gives, and notes.
 
     Raises:
         InputError: it is another frame than the camera's, or that is not said, and nothing joins them.
@@ -273,7 +273,7 @@ def _in_pose(topic: str, held: _Contents, given: str | None, frame: str) -> tupl
             fault, allowed = f"poses of '{own}', a camera in '{frame}'", "fixed transforms between them in /tf_static"
             do = "Record them, or give --camera-in-pose x y z qx qy qz qw, or --pose-frame if it is another frame's."
             raise bad_input(topic, given=fault, allowed=allowed, do=do)
-        return T, (f"{topic} tells the poses of '{own}'; the camera is '{frame}' on it",) if own != frame else ()
+        return T, (f"{topic} gives the poses of '{own}'; the camera is '{frame}' on it",) if own != frame else ()
     if above is not None:
         fault = f"poses that do not say whose they are: the camera's '{frame}' or of what carries it, as '{above}'"
         do = f"Say it: --pose-frame {frame}, or another of {', '.join(sorted({*held.frames.parent.values()}))}."

@@ -1,6 +1,6 @@
 """Read somebody's point cloud: PLY, PCD, LAS, E57, text or NPZ, in the units and with the axis up that it has.
 
-Which axis is up its stem tells, as far as it can: right, it begins thick, round and upright, and rises far.
+If the up axis is not given, it is checked: with the right one, the plant starts with a thick, round, vertical stem.
 N points.
 """
 
@@ -160,7 +160,7 @@ def axis_notes(points: Array) -> tuple[str, ...]:
     worth = {axis: stem_worth(thin[:, order]) for axis, order in TO_Z_UP.items()}
     likely = [axis for axis, value in worth.items() if DOUBT * value >= max(worth.values())]
     if len(likely) > 1:
-        return (f"which axis is up is hard to tell ({' or '.join(likely)}): look, and say --up",)
+        return (f"the up axis is uncertain ({' or '.join(likely)}): check it, and set --up",)
     return () if likely == ["z"] else (f"it looks as if {likely[0]} were up: try --up {likely[0]}",)
 
 

@@ -1,6 +1,6 @@
 """Views and clouds from COLMAP: a dense workspace becomes a `Capture`, a fused PLY or sparse points a `Cloud`.
 
-COLMAP knows neither scale nor up: the user tells them (`scale_and_up`). The world's origin stays the model's. Its own
+COLMAP knows neither scale nor up: the user states them (`scale_and_up`). The world's origin stays the model's. Its own
 files, cameras, images and points3D, text or binary, and depth maps, are read as https://colmap.github.io/format.html
 (output format), cameras.html (camera models) and faq.html (depth maps) say: lengths are model units; pixel centres lie
 at half-integers. V views, N points.
@@ -34,7 +34,7 @@ _ALLOWED = "x, y, z, -x, -y, -z, or three numbers such as 0.1,-0.9,0.3"
 
 
 def scale_and_up(path: object, scale: float | None, up: str | None) -> tuple[float, Array]:
-    """Return (scale [m per model unit], R_world_model (3, 3)) of what the user told.
+    """Return (scale [m per model unit], R_world_model (3, 3)) as the user states them.
 
     The rotation is the shortest that turns `up` to +z.
 

@@ -61,15 +61,15 @@ class SkeletonFile(Record):
         Raises:
             InputError: a size no plant has; or an unlikely one where nobody stated the units.
         """
-        told = units or self.units
-        metres = METRES[told or "m"]
+        stated = units or self.units
+        metres = METRES[stated or "m"]
         size = float(np.linalg.norm(np.ptp(self.nodes, axis=0))) * metres
-        lower, upper = SMALLEST, LARGEST if told else LIKELY[1]
+        lower, upper = SMALLEST, LARGEST if stated else LIKELY[1]
         if not lower <= size <= upper:
-            given = f"a plant of {size:.3g} m (read in {told or 'metres'})"
+            given = f"a plant of {size:.3g} m (read in {stated or 'metres'})"
             allowed = f"{lower:g} <= size <= {upper:g} m"
             right = " If it is right: --units m." if LIKELY[1] < size <= LARGEST else ""
-            do = other_units(size, told or "m") + right
+            do = other_units(size, stated or "m") + right
             raise bad_input("skeleton", given=given, allowed=allowed, do=do)
         if self.radius is not None and self.radius.min() < 0:
             number = int(self.numbers[np.argmin(self.radius)])

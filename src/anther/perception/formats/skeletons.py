@@ -103,8 +103,8 @@ def write_graphml(path: Path | str, skeleton: Skeleton, labels: Sequence[str] | 
 
     graph = nx.DiGraph()
     for j, values in enumerate(np.column_stack([skeleton.nodes, skeleton.radius]).tolist()):
-        told = {} if labels is None else {"organ": labels[j]}
-        graph.add_node(f"n{j}", **dict(zip(("x", "y", "z", "radius"), values, strict=True)), **told)
+        organ = {} if labels is None else {"organ": labels[j]}
+        graph.add_node(f"n{j}", **dict(zip(("x", "y", "z", "radius"), values, strict=True)), **organ)
     graph.add_edges_from((f"n{a}", f"n{b}") for a, b in skeleton.edges)
     with replacing(path) as temporary:
         nx.write_graphml(graph, temporary)
@@ -125,23 +125,23 @@ def read_graphml(path: Path | str) -> SkeletonFile:
         fault = f"not XML ({error})" if isinstance(error, ET.ParseError) else f"no graph ({error})"
         raise bad_input(str(path), given=fault, allowed="GraphML", do="Is it truncated?") from error
     values = dict(graph.nodes(data=True))
-    bare = [name for name, told in values.items() if not {"x", "y", "z"} <= set(told)]
+    bare = [name for name, stated in values.items() if not {"x", "y", "z"} <= set(stated)]
     if bare:
         given, allowed = f"node '{bare[0]}' without x, y, z", "nodes with x, y, z, edges between them"
         raise bad_input(str(path), given=given, allowed=allowed, do="Export it again.")
     index = {name: j for j, name in enumerate(values)}
-    nodes = np.array([[float(told[axis]) for axis in "xyz"] for told in values.values()]).reshape(-1, 3)
+    nodes = np.array([[float(node[axis]) for axis in "xyz"] for node in values.values()]).reshape(-1, 3)
     edges = np.array([[index[a], index[b]] for a, b in graph.edges()], dtype=np.int64).reshape(-1, 2)
-    has = {name: bool(values) and all(name in told for told in values.values()) for name in ("radius", "organ")}
+    has = {name: bool(values) and all(name in node for node in values.values()) for name in ("radius", "organ")}
     tops = np.setdiff1d(np.arange(len(nodes)), edges[:, 1])
     digits = [name.lstrip("n") for name in values]
     return rooted(
         nodes,
         edges,
-        radius=np.array([float(told["radius"]) for told in values.values()]) if has["radius"] else None,
+        radius=np.array([float(node["radius"]) for node in values.values()]) if has["radius"] else None,
         numbers=np.array([int(d) for d in digits]) if all(d.isdecimal() for d in digits) else None,
         root=int(tops[0]) if graph.is_directed() and len(tops) == 1 else None,
-        labels=[str(told["organ"]) for told in values.values()] if has["organ"] else None,
+        labels=[str(node["organ"]) for node in values.values()] if has["organ"] else None,
     )
 
 
@@ -238,7 +238,7 @@ def _read_txt(path: Path) -> SkeletonFile:
 
 
 def _with_stated(tree: SkeletonFile, lines: Sequence[str]) -> SkeletonFile:
-    """Return the tree with the units that comments state; an axis up that is not z is told."""
+    """Return the tree with the units that comments state; an axis up that is not z is noted."""
     comments = [line for line in lines if line.lstrip().startswith(("#", "comment"))]
     units, up = stated(comments)
     names = [line.lstrip("# \t").split() for line in comments]
@@ -266,9 +266,9 @@ def _read_swc(path: Path) -> SkeletonFile:
         raise bad_input("SWC", given=f"{len(roots)} roots", allowed="one parent -1 (or 0)", do="Keep one tree.")
     edges = np.array([(index[int(p)], i) for i, p in enumerate(above) if not root[i]]).reshape(-1, 2)
     labels = _swc_labels(lines, table[:, 1].astype(np.int64).tolist())
-    radius, told = _swc_radius(table[:, 5], [line for line in lines if line.lstrip().startswith("#")])
+    radius, more = _swc_radius(table[:, 5], [line for line in lines if line.lstrip().startswith("#")])
     tree = rooted(table[:, 2:5], edges, radius=radius, numbers=numbers, root=int(roots[0]), labels=labels)
-    return _with_stated(replace(tree, notes=(*tree.notes, *notes, *told)), lines)
+    return _with_stated(replace(tree, notes=(*tree.notes, *notes, *more)), lines)
 
 
 def _whole(column: Array) -> NDArray[np.int64]:
@@ -299,9 +299,9 @@ def _swc_radius(values: Array, comments: list[str]) -> tuple[Array, tuple[str, .
 
 
 def _swc_labels(lines: list[str], kinds: list[int]) -> list[str] | None:
-    """Return the names of the types where a comment tells them ("# types: 7=stem 8=branch")."""
-    told = [line.split(":", 1)[1].split() for line in lines if line.startswith("# types:")]
-    names = {int(kind): name for kind, _, name in (word.partition("=") for word in (told[0] if told else ()))}
+    """Return the names of the types where a comment lists them ("# types: 7=stem 8=branch")."""
+    listed = [line.split(":", 1)[1].split() for line in lines if line.startswith("# types:")]
+    names = {int(kind): name for kind, _, name in (word.partition("=") for word in (listed[0] if listed else ()))}
     return [names[kind] for kind in kinds] if set(kinds) <= set(names) else None
 
 

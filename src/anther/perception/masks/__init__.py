@@ -35,11 +35,11 @@ LEAST_PIXELS = 200
 
 @dataclass(frozen=True, slots=True)
 class Params(Record):
-    """How plant and flowers are told from the rest.
+    """How plant and flowers are separated from the rest.
 
     Attributes:
         green: least excess green 2g - r - b (Woebbecke 1995) of certain vegetation, chromaticities 0..1.
-        white_petals: whether petals may be white, as of most peppers, beside yellow. Of tomatoes they are not, and
+        white_petals: whether petals may be white, as of most peppers, besides yellow. Of tomatoes they are not, and
             leaves that shine are then not taken for them.
         ground_radius: a horizontal surface at least this wide is soil, bench or pot [m].
     """
@@ -67,7 +67,7 @@ def segment(capture: Capture, workspace: Box | None = None, params: Params | Non
     """Return the plant and flower pixels of every view.
 
     Args:
-        capture: the views. Without colour, geometry alone decides and no flowers are told apart.
+        capture: the views. Without colour, geometry alone decides and no flowers are found.
         workspace: where the plant may stand, world frame [m]; None means around the point where the optical
             axes meet (`capture.viewed_box`).
         params: see `Params`.
@@ -134,7 +134,7 @@ def without_ground(masks: Masks, capture: Capture, workspace: Box | None = None,
 def _add_pixels_without_depth(labels: NDArray[Any], classes: NDArray[Any]) -> NDArray[Any]:
     """Return the labels with green patches without depth added where they border the plant and not green ground.
 
-    What is nearer than the sensor's least range has no depth, and neither has the stereo shadow beside a leaf: in
+    What is nearer than the sensor's least range has no depth, and neither has the stereo shadow next to a leaf: in
     light without green that may be soil, as dark as a leaf.
     """
     ground = (labels == 0) & (classes == GREEN)

@@ -1,6 +1,6 @@
 """What each cell of the grid is: ground, green, a brown part of the plant, or a flower. X x Y x Z cells.
 
-Stakes and strings beside a plant are long straight upright lines of cells that are not green.
+Stakes and strings near a plant are long straight upright lines of cells that are not green.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from anther.perception.capture import Capture
 from anther.perception.masks._light import GREEN, WHITE, YELLOW
 from anther.perception.masks._survey import Survey
 from anther.perception.masks._voting import (
-    BESIDE_FLOWER,
     BROWN_CELL,
     EMPTY,
     FLOWER_CELL,
     GREEN_CELL,
     GROUND,
     LAYERS,
+    NEAR_FLOWER,
     PETAL_VIEWS,
     RIM,
     Grid,
@@ -92,7 +92,7 @@ def _by_colour(seen: Survey, least_votes: float, least_views: int) -> NDArray[np
     cells.ravel()[at[green]] = GREEN_CELL
     cells.ravel()[at[green & rim]] = RIM
     cells[brown] = BROWN_CELL
-    cells[dilated(flowers, 1) & (cells != GROUND)] = BESIDE_FLOWER
+    cells[dilated(flowers, 1) & (cells != GROUND)] = NEAR_FLOWER
     cells[flowers] = FLOWER_CELL
     return cells
 

@@ -54,7 +54,7 @@ class Light:
     Attributes:
         gains: white-balance gains of red, green and blue.
         leaf: brightness of well-lit leaves after white balance, 0..255.
-        holds_green: whether the green channel gets enough of it to tell plants by.
+        holds_green: whether the green channel gets enough of it to recognize plants.
     """
 
     gains: tuple[float, float, float]

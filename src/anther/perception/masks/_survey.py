@@ -52,7 +52,7 @@ class Survey:
         total: (X, Y, Z) votes of every colour.
         below: (X, Y, Z) cells that are ground, whatever their colour.
         rim: (X, Y, Z) cells about a pot's wall and rim, where only what is green is plant.
-        source: what told plant from the rest, for `Masks.source`.
+        source: what separated plant from the rest, for `Masks.source`.
     """
 
     grid: Grid

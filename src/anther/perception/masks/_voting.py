@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from anther.core.geometry import Array, Box, Intrinsics
 from anther.perception.masks._light import GREEN, GREEN_NO_DEPTH, OTHER, OUTSIDE, WHITE, YELLOW, ColourRule
 
-EMPTY, GROUND, RIM, GREEN_CELL, BROWN_CELL, FLOWER_CELL, BESIDE_FLOWER = range(7)
+EMPTY, GROUND, RIM, GREEN_CELL, BROWN_CELL, FLOWER_CELL, NEAR_FLOWER = range(7)
 """What a cell of the grid was found to be. RIM: green, but about a pot's rim. BROWN_CELL: a part of the plant that is
 not green."""
 
@@ -118,13 +118,13 @@ _LABEL[GREEN] = 1
 _LABEL[GREEN, GROUND] = 0
 _LABEL[[[OTHER], [YELLOW], [WHITE]], [BROWN_CELL, FLOWER_CELL]] = 1, 2
 _LABEL[YELLOW, GREEN_CELL] = 1
-_LABEL[[YELLOW, WHITE], BESIDE_FLOWER] = 2
+_LABEL[[YELLOW, WHITE], NEAR_FLOWER] = 2
 
 
 def read_back(depth: NDArray[Any], camera: Array, classes: NDArray[Any], cells: NDArray[Any]) -> NDArray[np.uint8]:
     """Return one view's labels (H, W), 0 background, 1 plant, 2 flower, from what its cells (X, Y, Z) were found to be.
 
-    A green pixel is plant unless its cell is ground. Others need a cell that holds a brown part or a flower: beside
+    A green pixel is plant unless its cell is ground. Others need a cell that holds a brown part or a flower: next to
     green parts they are background that the depth sensor's matching window fattened the plant with.
     """
     return _LABEL[classes, cells.ravel()[_cell_of(depth, camera, cells.shape)]]

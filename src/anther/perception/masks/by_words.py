@@ -80,8 +80,8 @@ class Params:
     """What is looked for, and when it counts as found.
 
     Attributes:
-        plant: words whose objects become plant; lower case, each ending in "." (that is how Grounding DINO tells them
-            apart). The paper uses "leaves".
+        plant: words whose objects become plant; lower case, each ending in "." (that is how Grounding DINO separates
+            them). The paper uses "leaves".
         flower: words whose objects become flower.
         score: least score of a find, 0..1. transformers' decoding has 0.25 for Grounding DINO, 0.3 for SAM 3.
         most: so many of the best finds in a view; bounds time and memory.

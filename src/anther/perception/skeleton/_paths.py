@@ -50,8 +50,8 @@ def level_sets(voxels: Voxels, source: int) -> LevelSets:
     """Return the level sets of the way from the voxel `source`."""
     way, _ = shortest_paths(voxels.points, voxels.edges, np.ones(len(voxels.points)), source)
     level = (way // (_DEEP * voxels.voxel)).astype(np.int64)
-    beside = voxels.edges[level[voxels.edges[:, 0]] == level[voxels.edges[:, 1]]]
-    return LevelSets(way, components(len(way), beside))
+    within = voxels.edges[level[voxels.edges[:, 0]] == level[voxels.edges[:, 1]]]
+    return LevelSets(way, components(len(way), within))
 
 
 def geodesic_tree(voxels: Voxels, source: int, levels: LevelSets, shortest: float) -> RawTree:

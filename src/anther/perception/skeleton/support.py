@@ -119,7 +119,7 @@ def find_root(tree: RawTree, candidates: int = 60) -> PlantBase:
 
 
 def same_place(tree: RawTree, tips: NDArray[np.int64], best: int) -> NDArray[np.bool_]:
-    """Return which of the tips (C,) are the same base as the best of them: stubs beside it."""
+    """Return which of the tips (C,) are the same base as the best of them: stubs next to it."""
     parent, order = rerooted(tree.parent, int(tips[best]))
     way = np.empty(len(order))
     way[order] = sum_above(parent, edge_lengths(tree.nodes[order], parent))

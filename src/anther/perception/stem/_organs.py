@@ -1,6 +1,6 @@
 """Which organ each skeleton node belongs to: main stem, branch or petiole, truss, or leaf. J nodes, F flowers.
 
-Four observations tell organs apart, whatever the plant and its size:
+Four observations distinguish organs, whatever the plant and its size:
 
 - An axis (stem, branch, petiole, peduncle) is about as thick as broad, and not broader than the main stem that carries
   it; a blade is broader than the stem and many times broader than thick.
@@ -41,12 +41,12 @@ _LEAF_PER_FLOWER = 0.02  # a limb is a truss when it bears more flowers than it 
 def classify(skeleton: Skeleton, main: NDArray[Any], flowers_at: Array) -> NDArray[np.uint8]:
     """Return (J,) the organ of every node, with the main stem's nodes and the centres of flowers (F, 3) [m] given."""
     breadth = skeleton.breadth / stem_breadth(skeleton, main)
-    bears, beside = _flower_bearers(skeleton.nodes, flowers_at, breadth < _TRUSS_BREADTH, 2 * PEDICEL)
+    bears, near_flower = _flower_bearers(skeleton.nodes, flowers_at, breadth < _TRUSS_BREADTH, 2 * PEDICEL)
     axis = _axes(skeleton, main, breadth)
     organ = np.where(axis, BRANCH, LEAF).astype(np.uint8)
     organ[main] = STEM
     length = edge_lengths(skeleton.nodes, skeleton.parent)
-    is_truss = sum_below(skeleton.parent, _LEAF_PER_FLOWER * bears - length * ((organ == LEAF) & ~beside)) > 0
+    is_truss = sum_below(skeleton.parent, _LEAF_PER_FLOWER * bears - length * ((organ == LEAF) & ~near_flower)) > 0
     is_truss &= sum_below(skeleton.parent, bears) > 0
     is_bare = (organ == BRANCH) & (sum_below(skeleton.parent, organ == LEAF) == 0)
     is_bare &= length[is_bare].sum() < length[organ == LEAF].sum()  # else the plant has lost its leaves
@@ -62,13 +62,13 @@ def _flower_bearers(
     nodes: Array, flowers_at: Array, may_bear: NDArray[np.bool_], reach: float
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Return (J,) how many flowers each node bears, being the nearest within reach, and which are in reach of one."""
-    bears, beside = np.zeros(len(nodes)), np.zeros(len(nodes), dtype=bool)
+    bears, near_flower = np.zeros(len(nodes)), np.zeros(len(nodes), dtype=bool)
     if len(flowers_at):
         some = np.flatnonzero(may_bear)
         away, nearest = map(np.asarray, KDTree(nodes[some]).query(flowers_at))
         np.add.at(bears, some[nearest[away <= reach]], 1)
-        beside[some] = KDTree(flowers_at).query(nodes[some])[0] <= reach
-    return bears, beside
+        near_flower[some] = KDTree(flowers_at).query(nodes[some])[0] <= reach
+    return bears, near_flower
 
 
 def _axes(skeleton: Skeleton, main: NDArray[Any], breadth: Array) -> NDArray[np.bool_]:
@@ -78,7 +78,7 @@ def _axes(skeleton: Skeleton, main: NDArray[Any], breadth: Array) -> NDArray[np.
     narrower it is than the stem, and how little its surroundings are a plane. The rooted part with the largest sum is
     found from the tips down, so a contact with a neighbouring leaf does not end a branch that goes on beyond it.
     """
-    if skeleton.width is None or skeleton.flatness is None:  # of another program: no leaf can be told
+    if skeleton.width is None or skeleton.flatness is None:  # of another program: its leaves are unknown
         return np.ones(len(breadth), dtype=bool)
     length = edge_lengths(skeleton.nodes, skeleton.parent)
     narrow = -np.log(breadth) / np.log(_NARROW)
