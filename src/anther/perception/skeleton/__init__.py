@@ -41,24 +41,10 @@ SMALLEST, LARGEST = 0.005, 20.0
 """Whatever is smaller or larger is no plant [m], but one in other units: a seedling in mm read as metres, a tree."""
 ENOUGH_POINTS = 80_000
 """Points beyond these cost time and change no decision; a cloud of more is thinned."""
-_REACH, _FLAT = 6.0, 0.5  # surroundings looked at [voxels], and the planarity that counts as a blade
 RESOLUTION = 350.0
 """Voxels along the plant's size by default; a cloud is thinned to twice as many points along it."""
-CLOSE = 2
-"""Gaps of up to so many voxels are closed."""
-HOLLOW = 0.06
-"""Stems hollow in the scan are filled up to this diameter, relative to the plant's size."""
 _BRIDGE = 0.15  # gaps up to this share of the plant's size are bridged
-_SPECK = 0.02  # fragments shorter than this share of the plant's size are dropped
-_SPUR_PER_WIDTH, _SPUR = 2.5, 6.0
-"""Side branches shorter than the first times the half width of the organ they leave, or than the second [voxels], are
-pruned."""
-_VEIN = 2.5  # side branches that leave on a blade go if they hold less stem or petiole than this [voxels]
-_SAME_PLACE = 10.0  # a root this close to where the paths began leaves them as they are [voxels]
-_FATTENING = 0.5
-"""How much farther than the radius the surface of a round organ lies from its axis in a fused cloud [pixels]: what the
-matching window of a depth camera spreads it to either side (facts: perception, "Depth sensors") and fusing leaves of
-that. Measured on six simulated captures (pixels of 1 mm): 0.45 for radii from 2.2 to 6 mm, 0.5 to 0.8 down to 1.3."""
+_SPUR = 6.0  # side branches shorter than this are pruned [voxels]
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +59,8 @@ class Params(Record):
         spacing: distance between nodes [m]; None: plant size / 110 (6 mm on a 0.65 m plant).
         recentre: rounds of sub-voxel centring; 0 keeps the coarse tree's steps, as the paper's skeleton does.
         fattening: how much thicker the sensor makes organs [m of radius], taken off the radii; None: half a pixel
-            of the cloud's footprint, 0 for a cloud without one.
+            of the cloud's footprint, which the matching window of a depth camera spreads a surface to either side
+            (facts: perception, "Depth sensors"); 0 for a cloud without one.
     """
 
     root: Annotated[tuple[float, float, float], Range(-1e9, 1e9, "m")] | None = None
@@ -173,12 +160,12 @@ def skeletonize(cloud: Cloud, params: Params | None = None) -> Skeleton:
     if params.voxel is not None:
         check_range("voxel", params.voxel, size / 1500, size / 10, "m")  # finer, filled hollows take gigabytes
     voxel = params.voxel or max(size / RESOLUTION, 1.3 * point_spacing(points))
-    solid = solidify(points, voxel, close=CLOSE, fill=HOLLOW * size)
+    solid = solidify(points, voxel, close=2, fill=0.06 * size)  # the widest stem that is hollow in a scan
     voxels, notes = _connected(solid, size)
     coarse, sure, doubts = _coarse_tree(voxels, size, params)
     spacing = params.spacing or size / 110
     curves = resample(coarse, stem_gain(coarse), spacing)
-    fattening = _FATTENING * (cloud.footprint or 0) if params.fattening is None else params.fattening
+    fattening = 0.5 * (cloud.footprint or 0) if params.fattening is None else params.fattening
     surface = points[:: -(-len(points) // ENOUGH_POINTS)]
     curves = centred(curves, surface, rounds=params.recentre, fattening=fattening)
     hidden = distance_to_soil(curves.nodes[0], beginning(curves), cloud.obstacles)
@@ -242,7 +229,7 @@ def _coarse_tree(voxels: Voxels, size: float, params: Params) -> tuple[RawTree, 
     if known is None:
         tree = _parted(paths, voxels)
         root, sure, notes = _base(tree)
-        if np.linalg.norm(tree.nodes[root] - voxels.points[source]) > _SAME_PLACE * voxels.voxel:
+        if np.linalg.norm(tree.nodes[root] - voxels.points[source]) > 10 * voxels.voxel:
             source = int(np.argmin(np.linalg.norm(voxels.points - tree.nodes[root], axis=1)))
             paths, levels = _paths(voxels, source, size)
     pruned = _pruned(paths, voxels)
@@ -273,8 +260,8 @@ def _parted(tree: RawTree, voxels: Voxels) -> RawTree:
 
 def _pruned(tree: RawTree, voxels: Voxels) -> RawTree:
     """Return the tree without what is not an organ: paths side by side, spurs, veins."""
-    tree = without_spurs(_parted(tree, voxels), per_width=_SPUR_PER_WIDTH)
-    return without_veins(tree, _VEIN * voxels.voxel)
+    tree = without_spurs(_parted(tree, voxels), per_width=2.5)  # a line within the organ that it leaves is no limb
+    return without_veins(tree, 2.5 * voxels.voxel)
 
 
 def _not_trivial(tree: RawTree, size: float) -> RawTree:
@@ -291,14 +278,14 @@ def _connected(solid: VoxelSolid, size: float) -> tuple[Voxels, tuple[str, ...]]
     """Return the voxels that can be joined into one piece, and notes."""
     points, edges = solid.points, neighbour_edges(solid.index)
     label = components(len(points), edges)
-    kept = without_specks(points, label, _SPECK * size)
+    kept = without_specks(points, label, 0.02 * size)
     label = np.where(kept, label, -1)
     links = bridges(points, label, _BRIDGE * size)
     joined = np.isin(label, np.concatenate([[0], label[links[:, 1]]]))
     rank = np.cumsum(joined) - 1
     edges = rank[np.concatenate([edges[joined[edges].all(axis=1)], links])]
-    flat, off_middle = surroundings(solid.index[joined], _REACH)
-    flat = np.minimum(flat / _FLAT, 1)
+    flat, off_middle = surroundings(solid.index[joined], reach=6)
+    flat = np.minimum(2 * flat, 1)  # a planarity of one half counts as a blade
     voxels = Voxels(points[joined], edges, solid.voxel, solid.thickness[joined], flat, off_middle)
     return voxels, _gap_notes(points, links, joined)
 

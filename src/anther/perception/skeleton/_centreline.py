@@ -106,19 +106,15 @@ def beginning(curves: Curves) -> Array:
     return rise / max(float(np.linalg.norm(rise)), 1e-12)
 
 
-_BENT, _STRAIGHT = 2, 10
-"""The first nodes of a side branch, bent towards the quick way down the stem, and the next ones, which point to where
-it leaves (measured on simulated captures: junctions within 10 mm rise from 0.80 to 0.91, and lie 0.3 mm too high, not
-2.7 mm too low)."""
-_BEYOND = 2.5
-"""A host node farther than this times the nearest is not believed."""
+_BENT = 2
+"""The first nodes of a side branch bend towards the quick way down the stem; the next ones point to where it leaves."""
 
 
 def _attachment(line: Array, host: Array) -> int:
     """Return which node of a host (H, 3) a side chain (M, 3) leaves: where the line of its beginning meets the host."""
     offset = host - line[min(1, len(line) - 1)]
     away = np.linalg.norm(offset, axis=1)
-    straight = line[1 + _BENT : 1 + _BENT + _STRAIGHT]
+    straight = line[1 + _BENT : 11 + _BENT]
     if len(straight) < 3:
         return int(np.argmin(away))
     middle = straight.mean(axis=0)
@@ -126,17 +122,16 @@ def _attachment(line: Array, host: Array) -> int:
     direction *= np.sign(direction @ (straight[-1] - straight[0])) or 1
     along = (host - middle) @ direction
     aside = np.linalg.norm(host - middle - along[:, None] * direction, axis=1)
-    allowed = (away <= _BEYOND * away.min()) & (along <= 0)
+    allowed = (away <= 2.5 * away.min()) & (along <= 0)
     return int(np.argmin(np.where(allowed, aside, np.inf))) if allowed.any() else int(np.argmin(away))
 
 
-_UNRESOLVED = 1
-"""Side branches that leave so many nodes apart leave at one node, as opposite and whorled leaves do."""
-
-
 def _shared(at: int, host: NDArray[Any], forks: set[int]) -> int:
-    """Return the position on the host nearest to `at` where another side branch leaves it, if that is near."""
-    near = range(max(at - _UNRESOLVED, 0), min(at + _UNRESOLVED + 1, len(host)))
+    """Return a position on the host one node from `at` at most, where another side branch leaves it; else `at`.
+
+    Opposite and whorled leaves leave at one node.
+    """
+    near = range(max(at - 1, 0), min(at + 2, len(host)))
     there = [i for i in near if int(host[i]) in forks]
     return min(there, key=lambda i: abs(i - at)) if there else at
 
@@ -185,9 +180,12 @@ def _sections(curves: Curves, points: Array) -> CrossSections:
 
 
 def _recentred(curves: Curves, points: Array) -> Curves:
-    """Return the curves with nodes at the centres of the fitted circles, where the sections are round."""
+    """Return the curves with nodes at the centres of the fitted circles, where the sections are round.
+
+    A section is round when half its points lie within a quarter of the radius from the circle.
+    """
     at = _sections(curves, points)
-    trusted = (at.count >= _FEWEST) & (at.residual <= _ROUND * at.circle) & (at.circle <= 3 * curves.radius)
+    trusted = (at.count >= _FEWEST) & (at.residual <= 0.25 * at.circle) & (at.circle <= 3 * curves.radius)
     length = np.linalg.norm(at.centre, axis=1)
     shell = _shells(curves, at)
     most = np.where(shell, at.circle, 1.5 * curves.radius)
@@ -197,26 +195,17 @@ def _recentred(curves: Curves, points: Array) -> Curves:
 
 _FEWEST = 8
 """Points needed to say anything about a cross-section."""
-_THICKER = 1.3
-"""No organ is thicker than this times what carries it, the stem than its lower part: a curled leaf may look so."""
-_FLAT = 2.2
-"""A section is flat when it is broader than thick by more than this."""
-_ROUND = 0.25
-"""A section is round when half its points lie within this share of the radius from the fitted circle."""
-_ARC = 0.08
-"""A stem that is an arc in the cloud, seen from one side or hollow: half its points are this near to the circle."""
-_CUT = 1  # node at the foot, whose section is cut off aslant
 
 
 def _shells(curves: Curves, at: CrossSections) -> NDArray[np.bool_]:
     """Return (J,) where the first chain runs in the wall of a stem seen from one side: a third of a round or more.
 
-    Most of the stem below must look so too, but for its cut foot: a blade rolled up above a solid stem has such
-    sections as well.
+    Half the points of such an arc lie within 8 % of the radius from the circle. Most of the stem below must look so
+    too, but for its cut foot: a blade rolled up above a solid stem has such sections as well.
     """
-    arc = (at.count >= _FEWEST) & (at.residual <= _ARC * at.circle) & (at.wide >= 0.6 * at.circle)
+    arc = (at.count >= _FEWEST) & (at.residual <= 0.08 * at.circle) & (at.wide >= 0.6 * at.circle)
     shells, own = np.zeros(len(curves.nodes), dtype=bool), curves.chains[0]
-    shells[own] = arc[own] & (np.cumsum(arc[own]) + _CUT >= 0.5 * np.arange(1, len(own) + 1))
+    shells[own] = arc[own] & (np.cumsum(arc[own]) + 1 >= 0.5 * np.arange(1, len(own) + 1))
     return shells
 
 
@@ -248,10 +237,11 @@ def _radii(curves: Curves, points: Array, fattening: float) -> Curves:
     """Return the curves with radii (half thickness where the section is flat) and half widths, from the cloud.
 
     The radius of a round section is the median distance of the surface from the centreline, less what the sensor adds.
-    Of a flat section it is not much more than the inscribed radius of the solid: a curled blade encloses air.
+    Of a flat section, 2.2 times as broad as thick, it is not much more than the inscribed radius of the solid: a curled
+    blade encloses air. No organ is more than 1.3 times as thick as what carries it, the stem as its lower part.
     """
     at = _sections(curves, points)
-    known, flat = at.count >= _FEWEST, at.wide > _FLAT * at.thin
+    known, flat = at.count >= _FEWEST, at.wide > 2.2 * at.thin
     radius = np.where(flat, np.minimum(at.thin, 1.5 * curves.radius), at.surface - fattening)
     radius = np.where(_shells(curves, at) & flat, at.circle - fattening, radius)
     radius, width = np.where(known, radius, curves.radius), np.where(known, at.wide - fattening, curves.width)
@@ -259,7 +249,7 @@ def _radii(curves: Curves, points: Array, fattening: float) -> Curves:
         for values in (radius, width):
             values[own] = median_filter(values[own], size=min(5, len(own)), mode="nearest")
         carrier = radius[chain[0]] if number else float(np.median(radius[own[: max(len(own) // 4, 3)]]))
-        radius[own] = np.minimum(radius[own], _THICKER * carrier)
+        radius[own] = np.minimum(radius[own], 1.3 * carrier)
     radius = np.maximum(radius, 1e-4)  # [m], finer than any sensor
     return replace(curves, radius=radius, width=np.maximum(width, radius))
 

@@ -69,6 +69,8 @@ def edge_lengths(nodes: Array, parent: Parents) -> Array:
     return length
 
 
+PLANAR_BLADE = 0.68
+"""Flatness at which a node is as likely on a blade as on an axis (read off the development plants)."""
 ALPHA, V_BIAS = 2.0, 1.0
 """Exponent of the mean radius, and weight of verticality, in the path score S (paper P10)."""
 
@@ -160,10 +162,10 @@ def without_spurs(tree: RawTree, *, per_width: float = 0, at_least: float = 0) -
 def without_veins(tree: RawTree, wood: float) -> RawTree:
     """Return the tree without side branches that begin on a blade and hold less than `wood` [m] of stem or petiole."""
     length = edge_lengths(tree.nodes, tree.parent)
-    woody = length * np.clip((_FLATTEST - tree.flatness) / 0.2, 0, 1)
+    woody = length * np.clip((PLANAR_BLADE - tree.flatness) / 0.2 + 0.5, 0, 1)
     keep = np.ones(len(tree.parent), dtype=bool)
     for chain in chains(tree.parent, woody + 0.01 * length)[1:]:
-        if np.mean(tree.flatness[chain[:_BEGINNING]]) > _BLADE and woody[chain[1:]].sum() < wood:
+        if np.mean(tree.flatness[chain[:4]]) > PLANAR_BLADE and woody[chain[1:]].sum() < wood:
             keep[chain[1:]] = False
     return _kept(tree, keep)
 
@@ -171,7 +173,8 @@ def without_veins(tree: RawTree, wood: float) -> RawTree:
 def parted(tree: RawTree, gain: Array) -> RawTree:
     """Return the tree with each side branch leaving where it comes out of what carries it.
 
-    Shortest paths run side by side within a stem before they part, or never part.
+    Shortest paths run side by side within a stem before they part, or never part. A branch is out of its carrier where
+    it is farther from the middle than 1.3 times the inscribed radius.
     """
     parent, keep = tree.parent.copy(), np.ones(len(tree.parent), dtype=bool)
     same_as, home = np.arange(len(parent)), np.zeros(len(parent), dtype=np.int64)
@@ -180,7 +183,7 @@ def parted(tree: RawTree, gain: Array) -> RawTree:
     for chain in others:
         host = hosts[home[same_as[chain[0]]]]
         distance, nearest = map(np.asarray, KDTree(tree.nodes[host]).query(tree.nodes[chain[1:]]))
-        within = distance <= _OUT * tree.thickness[host[nearest]]
+        within = distance <= 1.3 * tree.thickness[host[nearest]]
         inside = len(within) if within.all() else int(np.argmin(within))
         keep[chain[1 : 1 + inside]] = False
         same_as[chain[1 : 1 + inside]] = host[nearest[:inside]]
@@ -191,14 +194,6 @@ def parted(tree: RawTree, gain: Array) -> RawTree:
             hosts.append(rest)
     links = np.stack([parent, np.arange(len(parent))], axis=1)[keep & (parent >= 0)]
     return tree.taking(*rooted(links, len(parent), 0))
-
-
-_OUT = 1.3
-"""A branch is out of its carrier where it is farther from the middle than this times the inscribed radius."""
-
-_FLATTEST = 0.75
-_BLADE, _BEGINNING = 0.65, 4
-"""A branch begins on a blade when the mean flatness of so many first nodes exceeds this."""
 
 
 def _kept(tree: RawTree, keep: NDArray[np.bool_]) -> RawTree:

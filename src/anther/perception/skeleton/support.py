@@ -78,12 +78,6 @@ def _tangents(nodes: Array, parent: NDArray[Any]) -> Array:
     return direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12)
 
 
-_LOW = 0.5
-_SAME = 0.1
-"""Tips so near to each other through the tree are the same base, per plant's extent."""
-_THICK = 1.5
-"""Wood counts as no thicker than this times the 95th percentile: a pot left over is no stem."""
-
 BASE_FITTED = (-19.95, 12.54, 14.04)
 BASE_SEEN = (2.79, 0.36)
 """Weights of `base_evidence` in the utility of a base; constant and weight of the best utility in the log-odds that the
@@ -119,11 +113,11 @@ def find_root(tree: RawTree, candidates: int = 60) -> PlantBase:
 
 
 def same_place(tree: RawTree, tips: NDArray[np.int64], best: int) -> NDArray[np.bool_]:
-    """Return which of the tips (C,) are the same base as the best of them: stubs next to it."""
+    """Return which of the tips (C,) are the same base as the best of them: within a tenth of the plant through it."""
     parent, order = rerooted(tree.parent, int(tips[best]))
     way = np.empty(len(order))
     way[order] = sum_above(parent, edge_lengths(tree.nodes[order], parent))
-    return way[tips] <= _SAME * _extent(tree)
+    return way[tips] <= 0.1 * _extent(tree)
 
 
 def base_evidence(tree: RawTree, candidates: int) -> tuple[NDArray[np.int64], Array]:
@@ -139,10 +133,10 @@ def base_evidence(tree: RawTree, candidates: int) -> tuple[NDArray[np.int64], Ar
     z = tree.nodes[:, 2]
     tips = np.flatnonzero(np.bincount(parent[1:], minlength=len(parent)) + (parent >= 0) == 1)
     tips = tips[np.argsort(z[tips])]
-    low = np.count_nonzero(z[tips] <= z.min() + _LOW * np.ptp(z))
+    low = np.count_nonzero(z[tips] <= z.min() + 0.5 * np.ptp(z))
     tips = tips[: min(max(low, 1), candidates)]  # what hangs in an arc has no low tip
     wood = tree.thickness * _roundness(tree)
-    wood = np.minimum(wood / max(float(np.quantile(wood, 0.95)), 1e-12), _THICK) ** ALPHA
+    wood = np.minimum(wood / max(float(np.quantile(wood, 0.95)), 1e-12), 1.5) ** ALPHA  # a pot left over is no stem
     rising = (z - z[np.maximum(parent, 0)]) * wood  # from another root the way there is walked the other way round
     rise = rising.sum() - 2 * sum_above(parent, rising)
     return order[tips], np.stack([_mean_way(tree)[tips], rise[tips], z.max() - z[tips]], axis=1) / extent
@@ -167,21 +161,16 @@ def _extent(tree: RawTree) -> float:
     return max(float(np.linalg.norm(np.ptp(tree.nodes, axis=0))), 1e-12)
 
 
-_SOIL_REACH = 0.05
-"""The stem goes on straight, unseen, for at most this long down to the soil, and soil so far aside counts [m]."""
-_FEWEST_CELLS = 5
-_STEEPEST = 0.7
-"""Cosine of the greatest angle from the vertical at which a stem is taken to go on straight."""
-
-
 def distance_to_soil(base: Array, upward: Array, obstacles: Array) -> float:
     """Return how far below its lowest seen point (3,) the stem, straight on, meets the soil [m]; 0 if unknown.
+
+    Soil counts within 50 mm, from five cells on, below a stem that leans by 45 degrees at most.
 
     `upward` (3,) is the stem's unit vector there; the obstacles (M, 3) are points of pot and soil [m].
     """
     aside = np.linalg.norm(obstacles[:, :2] - base[:2], axis=1)
     below = base[2] - obstacles[:, 2]
-    soil = below[(aside <= _SOIL_REACH) & (np.abs(below) <= _SOIL_REACH)]
-    if len(soil) < _FEWEST_CELLS or upward[2] < _STEEPEST:
+    soil = below[(aside <= 0.05) & (np.abs(below) <= 0.05)]
+    if len(soil) < 5 or upward[2] < 0.7:
         return 0.0
     return max(float(np.median(soil)) / float(upward[2]), 0.0)

@@ -12,7 +12,7 @@ from anther.core.errors import StageFailure, bad_input
 from anther.core.geometry import Array
 from anther.core.records import Range, Record, Shape, Share, Stored
 from anther.perception.skeleton import LARGEST, SMALLEST, Skeleton, nearest_node
-from anther.perception.skeleton.raw_tree import chains, edge_lengths, longest_way
+from anther.perception.skeleton.raw_tree import PLANAR_BLADE, chains, edge_lengths, longest_way
 from anther.perception.stem._main_axis import SHORTEST, fork_at, growth_end, path_score
 from anther.perception.stem._organs import (
     BRANCH,
@@ -20,7 +20,6 @@ from anther.perception.stem._organs import (
     LONGEST_PEDICEL,
     ORGAN_NAMES,
     PEDICEL,
-    PLANAR_BLADE,
     SPUR,
     STEM,
     TRUSS,

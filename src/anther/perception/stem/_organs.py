@@ -20,33 +20,31 @@ from scipy.spatial import KDTree
 
 from anther.core.geometry import Array
 from anther.perception.skeleton import Skeleton
-from anther.perception.skeleton.raw_tree import chains, edge_lengths, sum_below
+from anther.perception.skeleton.raw_tree import PLANAR_BLADE, chains, edge_lengths, sum_below
 
 STEM, BRANCH, TRUSS, LEAF = range(4)
 ORGAN_NAMES = ("stem", "branch", "truss", "leaf")
 """A petiole is a branch; peduncle and pedicels are truss; blade, midrib and veins are leaf, a rachis either."""
 
-PLANAR_BLADE, _PLANAR_DOUBT = 0.68, 0.25
-"""Where the skeleton's flatness (planarity of the surroundings) is the first, blade is as likely as axis; where it is
-less by the second there is no doubt (both read off the development plants)."""
-_NARROW = 4.0  # a section as broad as the main stem tells nothing, one narrower by this factor leaves no doubt
-_STUB = 2.5  # an axis that leaves another is leaf when it is shorter than this, relative to the stem's half width
-SPUR = 3.0  # a leaf that leaves the stem counts as attached when longer than this, relative to the stem's half width
-_TRUSS_BREADTH = 4.0  # only a node not broader than this times the stem bears flowers: pedicels broaden a truss
+_NARROW = 4.0  # a section as broad as the main stem says nothing, one narrower by this factor leaves no doubt
+SPUR = 3.0  # an axis shorter than this is leaf, a leaf so short none, relative to the stem's half width
 PEDICEL, LONGEST_PEDICEL = 0.015, 0.025
 """Length of a pedicel and of the longest with its flower [m]: 9 to 22 mm (facts: pollination 2)."""
-_LEAF_PER_FLOWER = 0.02  # a limb is a truss when it bears more flowers than it has leaf, at so much length each [m]
 
 
 def classify(skeleton: Skeleton, main: NDArray[Any], flowers_at: Array) -> NDArray[np.uint8]:
-    """Return (J,) the organ of every node, with the main stem's nodes and the centres of flowers (F, 3) [m] given."""
+    """Return (J,) the organ of every node, with the main stem's nodes and the centres of flowers (F, 3) [m] given.
+
+    A node bears flowers within two pedicels if it is at most four times as broad as the stem, as pedicels make a truss.
+    A limb is a truss when it has less than 20 mm of leaf for each of its flowers.
+    """
     breadth = skeleton.breadth / stem_breadth(skeleton, main)
-    bears, near_flower = _flower_bearers(skeleton.nodes, flowers_at, breadth < _TRUSS_BREADTH, 2 * PEDICEL)
+    bears, near_flower = _flower_bearers(skeleton.nodes, flowers_at, breadth < 4, 2 * PEDICEL)
     axis = _axes(skeleton, main, breadth)
     organ = np.where(axis, BRANCH, LEAF).astype(np.uint8)
     organ[main] = STEM
     length = edge_lengths(skeleton.nodes, skeleton.parent)
-    is_truss = sum_below(skeleton.parent, _LEAF_PER_FLOWER * bears - length * ((organ == LEAF) & ~near_flower)) > 0
+    is_truss = sum_below(skeleton.parent, 0.02 * bears - length * ((organ == LEAF) & ~near_flower)) > 0
     is_truss &= sum_below(skeleton.parent, bears) > 0
     is_bare = (organ == BRANCH) & (sum_below(skeleton.parent, organ == LEAF) == 0)
     is_bare &= length[is_bare].sum() < length[organ == LEAF].sum()  # else the plant has lost its leaves
@@ -82,13 +80,13 @@ def _axes(skeleton: Skeleton, main: NDArray[Any], breadth: Array) -> NDArray[np.
         return np.ones(len(breadth), dtype=bool)
     length = edge_lengths(skeleton.nodes, skeleton.parent)
     narrow = -np.log(breadth) / np.log(_NARROW)
-    gain = length * np.clip(narrow + (PLANAR_BLADE - skeleton.flatness) / _PLANAR_DOUBT, -1, 1)
+    gain = length * np.clip(narrow + 4 * (PLANAR_BLADE - skeleton.flatness), -1, 1)
     axis = np.isin(np.arange(len(gain)), main)
     for j in range(len(gain) - 1, 0, -1):
         gain[skeleton.parent[j]] += max(gain[j], 0)
     for j in range(1, len(gain)):
         axis[j] |= axis[skeleton.parent[j]] and gain[j] > 0
-    axis[_stubs(skeleton.parent, length, axis, _STUB * stem_breadth(skeleton, main))] = False
+    axis[_stubs(skeleton.parent, length, axis, SPUR * stem_breadth(skeleton, main))] = False
     axis[main] = True
     return axis
 
