@@ -29,7 +29,6 @@ from anther.perception.cloud import Cloud
 from anther.perception.formats.clouds import RawPoints, checked_cloud, read_ply
 from anther.perception.images import read_image
 
-_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _ALLOWED = "x, y, z, -x, -y, -z, or three numbers such as 0.1,-0.9,0.3"
 
 
@@ -64,7 +63,7 @@ def scale_and_up(path: object, scale: float | None, up: str | None) -> tuple[flo
 def _direction(up: str) -> Array:
     found = re.fullmatch(r"([+-]?)([xyz])", up.strip().lower())
     if found:
-        return np.array(_AXES[found[2]]) * (-1.0 if found[1] == "-" else 1.0)
+        return np.eye(3)["xyz".index(found[2])] * (-1.0 if found[1] == "-" else 1.0)
     try:
         vector = np.array([float(word) for word in up.replace(",", " ").split()])
     except ValueError:

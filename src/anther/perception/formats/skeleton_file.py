@@ -252,13 +252,15 @@ def supposed_radius(source: SkeletonFile, base: float) -> Array:
     return np.maximum(base * np.sqrt(carried / carried[0]), THINNEST)
 
 
-LOW, FLAT, STEADY = 0.15, 0.2, 0.03
-"""A scrap of soil lies within this share of the plant's height and rises by no more than this of its length; a stem
-rises by half its length at least, all along this far [m]."""
+LOW = 0.15
+"""A scrap of soil lies within this share of the plant's height."""
 
 
 def _base(nodes: Array, edges: NDArray[Any]) -> int:
-    """Return where the way from the lowest node to the highest begins to rise; the lowest, where it does at once."""
+    """Return where the way from the lowest node to the highest begins to rise; the lowest, where it does at once.
+
+    A stem rises by half its length at least, all along 30 mm; a scrap of soil by a fifth of its length at most.
+    """
     lowest, highest = int(np.argmin(nodes[:, 2])), int(np.argmax(nodes[:, 2]))
     _, parent = _walk(len(nodes), edges, highest)
     way = [lowest]
@@ -268,9 +270,9 @@ def _base(nodes: Array, edges: NDArray[Any]) -> int:
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     ceiling = path[0, 2] + LOW * np.ptp(nodes[:, 2])
     for k in np.flatnonzero(path[:, 2] <= ceiling):
-        ahead = slice(k + 1, int(np.searchsorted(arc, arc[k] + STEADY)) + 1)
+        ahead = slice(k + 1, int(np.searchsorted(arc, arc[k] + 0.03)) + 1)
         if len(arc[ahead]) and np.all(path[ahead, 2] - path[k, 2] >= 0.5 * (arc[ahead] - arc[k])):
-            return way[k] if path[k, 2] - path[0, 2] <= FLAT * arc[k] else lowest
+            return way[k] if path[k, 2] - path[0, 2] <= 0.2 * arc[k] else lowest
     return lowest
 
 
