@@ -1,4 +1,4 @@
-"""Capture: the RGB-D views of one plant, and the folder they are kept in. Dimensions: V views, H x W pixels.
+"""Capture: the RGB-D views of one plant, and the folder that holds them. Dimensions: V views, H x W pixels.
 
 The folder is nerfstudio's: `transforms.json` with PNG images (docs/capture.md).
 """
@@ -149,7 +149,7 @@ def viewed_box(capture: Capture) -> Box:
     """Return a box around the point where the optical axes meet, reaching towards the cameras but not to them.
 
     Half its width is 0.5, half its height 0.8 of the cameras' median distance from that point. Where the axes are
-    nearly parallel (one view, a straight pass) the median depth at the image centre stands in for the point.
+    nearly parallel (one view, a straight pass) the median depth at the image centre replaces the point.
     """
     origins, axes = capture.T_world_cam[:, :3, 3], capture.T_world_cam[:, :3, 2]
     normals = np.eye(3) - axes[:, :, None] * axes[:, None, :]

@@ -63,7 +63,7 @@ def find_flowers(cloud: Cloud, skeleton: Skeleton, stem: Stem, *, centres: Array
 
 
 def flower_centres(cloud: Cloud) -> Array:
-    """Return flower centres (F, 3) [m], wherever they hang: `find_stem` recognizes trusses by them.
+    """Return flower centres (F, 3) [m], attached or not: `find_stem` recognizes trusses by them.
 
     Clusters of points labelled flower, 5 mm apart, that are at most 33 mm long, as flowers are: longer ones are split,
     pieces joined, specks dropped.
@@ -162,11 +162,12 @@ def _pedicel_bases(skeleton: Skeleton, stem: Stem) -> NDArray[Any]:
     return base
 
 
-def supposed_flowers(skeleton: Skeleton, stem: Stem) -> Flowers:
-    """Return flowers where they may hang unseen: at the ends of all trusses, or else of the branches, or of the stem.
+def assume_flowers(skeleton: Skeleton, stem: Stem) -> Flowers:
+    """Return assumed flowers where occluded ones may be: at the ends of all trusses, or else of the branches, or of the
+    stem.
 
     A plant whose flowers hide behind leaves is shaken for these: each has a pedicel's limits. What they would do is an
-    estimate for flowers that nobody saw, and the note says so.
+    estimate for unseen flowers, and a note says so.
     """
     ends = np.setdiff1d(np.arange(len(skeleton.nodes)), skeleton.parent)
     for organ in (TRUSS, BRANCH):
@@ -177,5 +178,5 @@ def supposed_flowers(skeleton: Skeleton, stem: Stem) -> Flowers:
         tips = stem.node_ids[-1:]
     out = skeleton.nodes[tips] - skeleton.nodes[skeleton.parent[tips]]
     out /= np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-9)
-    note = f"no flower was seen: the shake is chosen for flowers supposed at {len(tips)} of its ends"
+    note = f"no flower was detected: the shake is chosen for flowers assumed at {len(tips)} of its ends"
     return Flowers(skeleton.nodes[tips] + PEDICEL * out, tips, (note,))

@@ -1,4 +1,4 @@
-"""Images from files, which may be damaged, truncated or far larger than they look. H x W pixels."""
+"""Images from files, which may be damaged, truncated or far larger when decoded. H x W pixels."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ from anther.perception.stem import LEAF, ORGAN_NAMES, STEM, Stem
 LEVELS = (10, 25, 50, 75, 90)
 """Where the stem's radius is given [% of its length]."""
 REACH = 0.03
-"""An insertion angle is that of a limb's first so many metres, or of all of a shorter one."""
+"""An insertion angle is that of a limb's first stretch of this length [m], or of all of a shorter one."""
 
 
 class Limb(NamedTuple):

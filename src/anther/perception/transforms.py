@@ -320,7 +320,7 @@ def _colour(
 
 
 def check_views(views: int, camera: Intrinsics) -> tuple[int, int]:
-    """Return (width, height) [px] if so many views of that size can be held.
+    """Return (width, height) [px] if that many views of that size fit into memory.
 
     Raises:
         InputError: they are too many or too large.

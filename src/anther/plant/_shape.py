@@ -1,6 +1,6 @@
 """From a scanned tree to beams and masses: radius of every edge, leaf mass, pedicels. J nodes, P pedicel nodes.
 
-Does the plant stand? The least stiffness at which it does not buckle, and branches stiff enough for their leaves.
+Stability: the least stiffness at which the plant does not buckle, and branches stiff enough for their leaves.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Plant model: the scanned tree as elastic rods that carry leaves and flowers and hang still under gravity (P16-P23).
+"""Plant model: the scanned tree as elastic rods that carry leaves and flowers, in equilibrium under gravity (P16-P23).
 
 N rod nodes: the J skeleton nodes first, under their own numbers, then the pedicels.
 F flowers, S stem nodes, B branches.
@@ -17,7 +17,7 @@ from anther.core.errors import StageFailure, bad_input
 from anther.core.geometry import Array
 from anther.core.records import Range, Record, Shape, Stored
 from anther.perception.cloud import Cloud
-from anther.perception.flowers import PEDICEL, Flowers, supposed_flowers
+from anther.perception.flowers import PEDICEL, Flowers, assume_flowers
 from anther.perception.skeleton import Skeleton
 from anther.perception.stem import Stem
 from anther.plant._material import LEARNED, PEPPER, TOMATO, Material
@@ -57,7 +57,7 @@ class Params(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlantModel(Stored):
-    """A plant ready to be shaken in simulation: it stands still under gravity in the scanned shape.
+    """A plant ready to be shaken in simulation: in equilibrium under gravity in the scanned shape.
 
     Attributes:
         rods: the N rods without damping; `rods_at` gives them the material's damping.
@@ -151,7 +151,7 @@ def build_plant(
     *,
     params: Params = Params(),
 ) -> PlantModel:
-    """Turn a scanned plant into rods that stand still under gravity.
+    """Turn a scanned plant into rods in equilibrium under gravity.
 
     Args:
         skeleton: the tree with radii.
@@ -203,13 +203,13 @@ def plant_with_flowers(
     *,
     params: Params = Params(),
 ) -> PlantModel:
-    """Return the plant as rods with the flowers found or, where none was, with those supposed; a note says so.
+    """Return the plant as rods with the flowers found or, where none was, with assumed ones; a note says so.
 
     Arguments and errors are those of `build_plant`.
     """
     if len(found.positions):
         return build_plant(skeleton, stem, found, cloud, material, params=params)
-    hung = supposed_flowers(skeleton, stem)
+    hung = assume_flowers(skeleton, stem)
     plant = build_plant(skeleton, stem, hung, cloud, material, params=params)
     return replace(plant, notes=(*hung.notes, *plant.notes))
 

@@ -31,10 +31,10 @@ PRIORS: dict[Crop, Material] = {"tomato": TOMATO, "pepper": PEPPER}
 
 
 class Made(NamedTuple):
-    """What a plant is made of, as far as somebody says it.
+    """What a plant is made of, as far as it is given.
 
     Attributes:
-        species: whose prior holds where nobody measured.
+        species: whose prior holds where nothing was measured.
         material: measured (`anther identify`); None: of a run its own, else the prior.
         changes: youngs [Pa], density [kg/m^3], damping_ratio, bend_over_twist (0: rods do not twist), by name.
         radius: of every node, as if scanned [m]; None: as it was.
@@ -56,7 +56,7 @@ class Made(NamedTuple):
 
 
 NOTHING = Made()
-"""Nobody says anything."""
+"""Nothing is given."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +64,7 @@ class SourcePlant:
     """A plant as elastic rods at rest, of which the soil holds the root.
 
     Attributes:
-        rods: without viscosity, in the scanned shape, which hangs still under gravity.
+        rods: without viscosity, in the scanned shape, in equilibrium under gravity.
         numbers: (N,) what the user calls each node; a pedicel has the number of the node that bears it.
         damping_ratio: share of critical damping [-].
         stem_nodes: (S,) main stem, root first; of bare edges it may be empty.
@@ -127,7 +127,7 @@ def read_plant(
 
     Args:
         path: run folder or skeleton file.
-        made: what it is made of, as far as somebody says it.
+        made: what it is made of, as far as it is given.
         flowers: of a file: nodes that bear one, by the file's numbers; none: flowers are supposed at its ends.
         units, up, root, stem_tip: of a file, see `read_source` and `main_stem`.
         bare: of a file: its edges with its own radii alone; nothing is supposed, tapered or stiffened.
@@ -199,7 +199,7 @@ def _changed(model: PlantModel, made: Made) -> tuple[PlantModel, str]:
 
 
 def _modelled(skeleton: Skeleton, stem: Stem, flowers: Flowers, cloud: Cloud | None, made: Made) -> SourcePlant:
-    """Return the plant model; a Young's modulus that nobody gave is raised where the plant would not stand."""
+    """Return the plant model; a Young's modulus that is not given is raised where the plant would not stand."""
     material, origin = made.of()
     given = "youngs" in made.changes
     model = plant_with_flowers(skeleton, stem, flowers, cloud, PRIORS[made.species] if given else material)
@@ -246,8 +246,8 @@ def _bare(
         bend_over_twist=made.changes.get("bend_over_twist", material.bend_over_twist),
     )
     words = f"E {material.youngs / 1e6:.3g} MPa ({origin})"
-    nodes, said = (np.zeros(0, np.int64), ()) if stem is None else (stem.node_ids, stem.notes)
-    notes = (*source.notes, *said)
+    nodes, notes = (np.zeros(0, np.int64), ()) if stem is None else (stem.node_ids, stem.notes)
+    notes = (*source.notes, *notes)
     zeta = made.changes.get("damping_ratio", material.damping_ratio)
     return SourcePlant(rods, source.numbers, zeta, nodes, flowers, words, None, source.merged, notes)
 

@@ -136,7 +136,7 @@ def fuse(
     Args:
         capture: the views.
         masks: of the same views.
-        workspace: where the plant may stand, world frame [m]; None means `capture.viewed_box`.
+        workspace: where the plant may be, world frame [m]; None means `capture.viewed_box`.
         params: see `Params`.
         progress: called after each of five steps.
 
@@ -166,7 +166,7 @@ def fuse(
     kept = attached_points(fused.points)
     notes += cloud_doubts(fused.points, kept, box) + coverage_doubts(fused.points[kept].mean(axis=0), poses[used])
     fused = fused.only(kept)
-    _require(len(fused.points), "points that hang together")
+    _require(len(fused.points), "connected points")
     report()
     obstacles = _background_cells(
         capture, labels, poses, box, plant=fused.points, voxel=OBSTACLE_VOXEL, used=np.flatnonzero(used)

@@ -1,4 +1,4 @@
-"""What looks wrong: blind views, a plant cut off or left out, masks that hold the ground, and views that disagree.
+"""Warnings: blind views, a plant cut off or left out, masks that hold the ground, and views that disagree.
 
 Wrong intrinsics or poses put a view's points where other views see through. Its share separates right captures
 from wrong ones; the change that would make the views agree names the cause.
@@ -79,7 +79,8 @@ def refuse_ground(points: Array, box: Box) -> None:
 
 
 def cloud_doubts(points: Array, kept: NDArray[np.bool_], box: Box) -> tuple[str, ...]:
-    """Return whether the workspace cuts the plant, the `kept` of all points (N, 3) [m], and what else stands in it."""
+    """Return whether the workspace cuts the plant, the `kept` of all points (N, 3) [m], and whether a second object is
+    in it."""
     return (*_cut(points[kept], box), *_left_out(points, kept))
 
 
@@ -107,7 +108,7 @@ def _left_out(points: Array, kept: NDArray[np.bool_]) -> tuple[str, ...]:
     if size < 0.08:
         return ()
     return (
-        f"{len(rest) / len(points):.0%} of the points hang together less with the plant and were left out, around "
+        f"{len(rest) / len(points):.0%} of the points are loosely connected to the plant and were left out, around "
         f"x, y, z = {centre[0]:.2f}, {centre[1]:.2f}, {centre[2]:.2f} m: a second plant?",
     )
 
@@ -151,7 +152,7 @@ def disagreement(
         return (), 0.0
     points = [points_cam[v] for v in views]
     share, count = seen_through(points, poses[views], capture.depth[views], capture.intrinsics)
-    enough = count >= 200  # judgements; fewer say nothing
+    enough = count >= 200  # judgements; fewer are no evidence
     if enough and share <= MOST_SEEN_THROUGH:
         return (), 0.0
     cause = likely_cause(capture, points_cam if enough else None)
@@ -165,7 +166,7 @@ def disagreement(
 
 
 def likely_cause(capture: Capture, points_cam: Sequence[Array] | None = None) -> str:
-    """Return what is probably wrong with a capture, as a sentence for the user, or nothing where nothing stands out.
+    """Return what is probably wrong with a capture, as a sentence for the user; "" where no cause is clear.
 
     The views are compared as given, with other focal lengths, with depth in other steps, with the camera's axes of the
     other convention (OpenCV: y down, z forward; OpenGL: y up, z backward), and with each pose inverted. The cause is
@@ -217,7 +218,7 @@ def _changes(capture: Capture, points: Sequence[Array]) -> Iterator[tuple[Captur
             scaled,
             [p * times for p in points],
             f"They would agree if depth were {times:g} times what it is: is depth_unit_scale_factor in transforms.json "
-            "right? It says metres per step of the depth image, by default 0.001.",
+            "right? It gives metres per step of the depth image, by default 0.001.",
         )
     for share in (0.5, 2 / 3, 0.75, 0.8, 0.9, 1 / 0.9, 1.25, 4 / 3, 1.5, 2.0):  # 2: of images of half the size
         yield (

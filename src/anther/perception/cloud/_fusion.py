@@ -1,4 +1,4 @@
-"""The steps that make one clean cloud of many views: pixels, voxel fusion, agreement, what hangs together, obstacles.
+"""The steps that make one clean cloud of many views: pixels, voxel fusion, agreement, connected parts, obstacles.
 
 Flying pixels are dropped, and a local plane is fitted to each pixel: in a pinhole image the inverse depth of a plane is
 linear in the pixel coordinates, so it is a linear least squares of the neighbours.
@@ -35,7 +35,7 @@ GAP = 0.012
 def supported_pixels(depth: NDArray[Any], mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return the pixels (H, W) of `mask` (H, W) whose depth (H, W) [m] is shared by enough of their neighbours.
 
-    A flying pixel hangs between two surfaces and few neighbours share its depth; a pixel of a petiole has the
+    A flying pixel lies between two surfaces and few neighbours share its depth; a pixel of a petiole has the
     petiole's other pixels. A gradient filter would drop both (facts: perception, a 15 mm edge filter eats petioles).
     """
     return _supported(_inverse(depth), mask)

@@ -3,7 +3,7 @@
 View by view to those before, ICP drifts on plants (facts: perception, 2.4-5.4 mm against 3.6 mm for the arm's own
 poses). Here every view may move a little: all views' corrections are found together on robust distances between
 neighbouring points of different views, held back by what is known of the arm and the hand-eye calibration. Views that
-the others contradict are placed anew or left out (`_wrong_views.py`).
+the others contradict are relocated or left out (`_wrong_views.py`).
 Dimensions: V views, N points, P pairs.
 """
 
@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from anther.core.geometry import Array, inverse, small_transform
 from anther.core.records import Range, Record
 from anther.perception.capture import in_threads
-from anther.perception.cloud._wrong_views import Estimate, Sample, agreement, match, mended, plane_distances
+from anther.perception.cloud._wrong_views import Estimate, Sample, agreement, correct_views, match, plane_distances
 
 POINT_SIGMA = 0.0015
 """Standard deviation of a point across its surface [m]: a D455's depth noise at 0.5 m (facts: perception)."""
@@ -102,12 +102,11 @@ def register(points_cam: list[Array], T_world_cam: Array, params: Params | None 
 def _without_contradictions(
     sample: Sample, given: Array, found: Estimate, source: NDArray[np.bool_], params: Params
 ) -> tuple[Estimate, Array, NDArray[np.bool_], tuple[str, ...]]:
-    """Return the estimate with contradicted views placed anew, (V,) how far views agree, (V,) which are usable, notes.
+    """Return the estimate with contradicted views relocated, (V,) how far views agree, (V,) which are usable, notes.
 
-    Where a view turns out to stand far from its given pose, that pose says nothing of where it should be: the prior is
-    then about its new one.
+    Where a view turns out far from its given pose, that pose is no prior: the prior is then its new one.
     """
-    poses, wrong, used, agrees = mended(sample, given, found)
+    poses, wrong, used, agrees = correct_views(sample, given, found)
     placed = Estimate(poses, found.reach)
     moved = _moved(sample, given, placed)
     far = used & (moved > 1.75 * max(_expected(sample, params), float(np.median(moved))))  # else chance
@@ -169,7 +168,8 @@ def _jointly(
     *,
     reach_fixed: bool,
 ) -> Estimate | None:
-    """Return the estimate after rounds with matches of so many POINT_SIGMA: match, then two Gauss-Newton steps."""
+    """Return the estimate after rounds with matches within `rounds` times POINT_SIGMA: match, then two Gauss-Newton
+    steps."""
     information = _prior_information(len(given), params)
     for times in rounds:
         pairs = match(sample, at, source, times * POINT_SIGMA)

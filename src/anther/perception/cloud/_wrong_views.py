@@ -121,8 +121,8 @@ def _normals(points: Array, cloud: Array) -> Array:
     return np.where(np.einsum("ni,ni->n", n, points)[:, None] > 0, -n, n)
 
 
-def mended(sample: Sample, given: Array, found: Estimate) -> tuple[Array, NDArray[Any], NDArray[Any], Array]:
-    """Place the views anew that the others contradict under the estimate `found`; `given` are the arm's poses.
+def correct_views(sample: Sample, given: Array, found: Estimate) -> tuple[Array, NDArray[Any], NDArray[Any], Array]:
+    """Correct the poses of views that the others contradict under the estimate `found`; `given` are the arm's poses.
 
     Returns:
         (V, 4, 4) poses of all views: the contradicted ones where they fit, or as given where they fit nowhere; (V,)
@@ -134,7 +134,7 @@ def mended(sample: Sample, given: Array, found: Estimate) -> tuple[Array, NDArra
     wrong, poses, used = agrees < bar, found.poses.copy(), np.ones(len(given), dtype=bool)
     for view in np.flatnonzero(wrong).tolist():
         others = sample.only(~wrong[sample.view] | (sample.view == view))
-        agreed, pose = placed_anew(others, found, view)
+        agreed, pose = relocate_view(others, found, view)
         used[view] = agreed >= bar
         poses[view] = pose if used[view] else given[view]
     return poses, wrong, used, agrees
@@ -151,7 +151,7 @@ def agreement(sample: Sample, at: Estimate, views: Iterable[int]) -> Array:
     return np.array(in_threads(lambda v: _agreement(points, normals, sample.view == v), views))
 
 
-def placed_anew(sample: Sample, at: Estimate, view: int) -> tuple[float, Array]:
+def relocate_view(sample: Sample, at: Estimate, view: int) -> tuple[float, Array]:
     """Return the pose (4, 4) near the view's present one that fits the other views best, and how well it agrees.
 
     All shifts up to `SEARCH` along each axis are scored by how close the points come to the other views'; the best
@@ -187,7 +187,7 @@ def _agreement(points: Array, normals: Array, own: NDArray[np.bool_]) -> float:
     """Return the share of `own` points (N,) on a surface of the others, of those with any of them within 20 mm.
 
     On a surface: within 2 mm, less than the arm's error, of a neighbour's plane whose normal differs by 40 degrees at
-    most; a leaf's two sides count as one. Of 50 points or fewer nothing can be said.
+    most; a leaf's two sides count as one. Fewer than 50 points are no evidence.
     """
     near_by, few = 0.02, 50
     if own.all() or not own.any():

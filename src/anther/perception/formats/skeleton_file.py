@@ -236,7 +236,7 @@ THINNEST = 0.5e-3
 """Radius below which nothing is supposed to be [m]: a pedicel's (facts: pollination 2)."""
 
 
-def supposed_radius(source: SkeletonFile, base: float) -> Array:
+def assume_radii(source: SkeletonFile, base: float) -> Array:
     """Return (J,) radii [m] of a plant of which only the lines are known: sections that add up (pipes, Shinozaki 1964).
 
     A node's section is to that of the stem's base as the length of all that it carries is to the whole plant's.

@@ -3,7 +3,7 @@
 The default needs no weights. Every depth pixel in the workspace votes, with its colour, in a voxel grid that all
 views share. There the ground (bench, soil, pot) is found by geometry, brown stem parts are kept because
 they join green ones, and flowers are small yellow or white blobs at the plant. The decision is carried back to the
-pixels. Without colour, whatever stands above the ground is plant.
+pixels. Without colour, whatever rises above the ground is plant.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def segment(capture: Capture, workspace: Box | None = None, params: Params | Non
 
     Args:
         capture: the views. Without colour, geometry alone decides and no flowers are found.
-        workspace: where the plant may stand, world frame [m]; None means around the point where the optical
+        workspace: where the plant may be, world frame [m]; None means around the point where the optical
             axes meet (`capture.viewed_box`).
         params: see `Params`.
 

@@ -1,4 +1,4 @@
-"""What a pixel's colour says, whatever lamp shines: tables from colour to class that adapt to the light.
+"""Colour classes of pixels under any lamp: tables from colour to class that adapt to the light.
 
 Where the light holds green, plants are green once the white balance is right. Where it holds none (grow lamps of
 660 nm and 450 nm), the colours of plant and surroundings are learned from pixels that geometry is sure of.

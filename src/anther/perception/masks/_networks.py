@@ -88,10 +88,10 @@ def sides(size: Any) -> tuple[int, int]:
 
 @contextmanager
 def told_when_memory_is_full(views: int) -> Iterator[None]:
-    """Turn torch's error into one that says what to do.
+    """Turn torch's error into one that advises.
 
     Raises:
-        InputError: so many views at a time do not fit the GPU's memory.
+        InputError: that many views at a time do not fit the GPU's memory.
     """
     try:
         yield
@@ -212,7 +212,7 @@ def chosen_boxes(
         logits: (Q, >= T) of each query for each token.
         boxes: (Q, 4) centre x, y, width, height as shares of the image, whose `size` is height, width [px].
         word_of_token: (T,) see `words_of_tokens`.
-        score, most: least score, 0..1; at most so many.
+        score, most: least score, 0..1; greatest number.
     """
     chance = logits[:, : len(word_of_token)].sigmoid()
     of_words = [chance[:, word_of_token == k].amax(dim=1) for k in range(int(word_of_token.max()) + 1)]

@@ -36,7 +36,7 @@ VOXEL = 0.005
 """Edge of the cells in which the views vote [m]; above the kinematic pose error (3.6 mm RMS, facts: perception) so that
 views agree."""
 RIM_HEIGHT = 0.05
-"""A pot's rim stands at most this much above its soil [m]."""
+"""A pot's rim is at most this far above its soil [m]."""
 GROUND_MARGIN = 0.008  # what lies less than this above the ground is ground [m]
 
 
@@ -169,7 +169,7 @@ def ground_cells(
 def foot_cells(plant: NDArray[np.bool_], below: NDArray[np.bool_], voxel: float) -> NDArray[np.bool_]:
     """Return the cells just below the top of the ground (X, Y, Z) that carry on a stem above it.
 
-    The margin above the soil belongs to the ground, and a stem would begin above it. What stands on that layer and is
+    The margin above the soil belongs to the ground, and a stem would begin above it. What rises from that layer and is
     no wider than 40 mm, as the errors of the poses spread it, is a stem, carried on straight down through the margin.
     """
     top = below.sum(axis=2)[:, :, None]

@@ -15,9 +15,16 @@ from anther.core.geometry import Array
 from anther.core.records import Range, Record, Shape, Share, Stored
 from anther.perception.cloud import Cloud
 from anther.perception.masks import FLOWER
-from anther.perception.skeleton._centreline import beginning, centred, extended, resample
-from anther.perception.skeleton._paths import LevelSets, geodesic_tree, level_sets, middled
-from anther.perception.skeleton.raw_tree import RawTree, parted, rerooted, with_extents, without_spurs, without_veins
+from anther.perception.skeleton._centreline import centre_curves, extend_to_soil, resample, start_direction
+from anther.perception.skeleton._paths import LevelSets, centre_on_blades, geodesic_tree, level_sets
+from anther.perception.skeleton.raw_tree import (
+    RawTree,
+    remove_spurs,
+    remove_veins,
+    reroot,
+    separate_branches,
+    with_extents,
+)
 from anther.perception.skeleton.support import distance_to_soil, find_root, node_confidence, stem_gain
 from anther.perception.skeleton.thinning import thinned_tree
 from anther.perception.skeleton.voxel_solid import (
@@ -25,12 +32,12 @@ from anther.perception.skeleton.voxel_solid import (
     VoxelSolid,
     bridges,
     components,
+    mark_fragments,
     nearest,
     neighbour_edges,
     point_spacing,
     solidify,
     surroundings,
-    without_specks,
 )
 
 __all__ = ["Params", "Skeleton", "nearest_node", "skeletonize"]
@@ -52,7 +59,7 @@ class Params(Record):
     """How a cloud becomes a skeleton. Lengths without a unit are relative to the plant's size (its diagonal).
 
     Attributes:
-        root: where the stem leaves the soil [m], by who knows better; None: it is found.
+        root: where the stem leaves the soil [m], if known; None: it is found.
         method: "geodesic" (shortest paths that prefer stems, default: measured better) or "thinning" (the paper's
             P7-P9).
         voxel: voxel edge [m]; None: plant size / `RESOLUTION`, but not below 1.3 point spacings.
@@ -87,7 +94,7 @@ class Skeleton(Stored):
             node (docs/confidence.md); None if unknown.
         flatness: (J,) 0 where the plant is round or a line around the node, 1 where it is a plane: a blade; None if
             unknown.
-        root_confidence: probability that the plant stands at node 0; None if unknown.
+        root_confidence: probability that node 0 is the stem's base; None if unknown.
     """
 
     KIND, SCHEMA, CALLED = "skeleton", 3, "skeleton"
@@ -125,12 +132,12 @@ class Skeleton(Stored):
 
     @property
     def breadth(self) -> Array:
-        """(J,) half width of the organ [m]; the radius where nobody knows."""
+        """(J,) half width of the organ [m]; the radius if unknown."""
         return self.radius if self.width is None else self.width
 
     @property
     def rooted(self) -> float:
-        """Probability that the plant stands at node 0; 1 where nobody knows."""
+        """Probability that node 0 is the stem's base; 1 if unknown."""
         return 1.0 if self.root_confidence is None else self.root_confidence
 
     def path_from_root(self, node: int) -> NDArray[Any]:
@@ -167,10 +174,10 @@ def skeletonize(cloud: Cloud, params: Params | None = None) -> Skeleton:
     curves = resample(coarse, stem_gain(coarse), spacing)
     fattening = 0.5 * (cloud.footprint or 0) if params.fattening is None else params.fattening
     surface = points[:: -(-len(points) // ENOUGH_POINTS)]
-    curves = centred(curves, surface, rounds=params.recentre, fattening=fattening)
-    hidden = distance_to_soil(curves.nodes[0], beginning(curves), cloud.obstacles)
+    curves = centre_curves(curves, surface, rounds=params.recentre, fattening=fattening)
+    hidden = distance_to_soil(curves.nodes[0], start_direction(curves), cloud.obstacles)
     if hidden > 0:
-        curves = extended(curves, hidden, spacing)
+        curves = extend_to_soil(curves, hidden, spacing)
         notes += (f"the lowest {hidden * 1e3:.0f} mm of the stem were not seen: taken straight down to the soil",)
     flatness = coarse.flatness[nearest(curves.nodes, coarse.nodes)[1]]
     confidence = node_confidence(curves.nodes, curves.parent, curves.radius, flatness, points)
@@ -220,20 +227,20 @@ def _coarse_tree(voxels: Voxels, size: float, params: Params) -> tuple[RawTree, 
     """Return the tree before centring, rooted where the stem leaves the soil, how sure that is, and notes."""
     known = params.root
     if params.method == "thinning":
-        tree = _pruned(_not_trivial(thinned_tree(voxels), size), voxels)
+        tree = _prune(_not_trivial(thinned_tree(voxels), size), voxels)
         root, sure, notes = (nearest_node("root", known, tree.nodes), 1.0, ()) if known is not None else _base(tree)
-        return tree.taking(*rerooted(tree.parent, root)), sure, notes
+        return tree.taking(*reroot(tree.parent, root)), sure, notes
     source = nearest_node("root", known, voxels.points) if known is not None else int(np.argmin(voxels.points[:, 2]))
     paths, levels = _paths(voxels, source, size)
     sure, notes = 1.0, ()
     if known is None:
-        tree = _parted(paths, voxels)
+        tree = _separate(paths, voxels)
         root, sure, notes = _base(tree)
         if np.linalg.norm(tree.nodes[root] - voxels.points[source]) > 10 * voxels.voxel:
             source = int(np.argmin(np.linalg.norm(voxels.points - tree.nodes[root], axis=1)))
             paths, levels = _paths(voxels, source, size)
-    pruned = _pruned(paths, voxels)
-    return middled(pruned, stem_gain(pruned), voxels, levels), sure, notes
+    pruned = _prune(paths, voxels)
+    return centre_on_blades(pruned, stem_gain(pruned), voxels, levels), sure, notes
 
 
 def _paths(voxels: Voxels, source: int, size: float) -> tuple[RawTree, LevelSets]:
@@ -243,25 +250,25 @@ def _paths(voxels: Voxels, source: int, size: float) -> tuple[RawTree, LevelSets
 
 
 def _base(tree: RawTree) -> tuple[int, float, tuple[str, ...]]:
-    """Return the node where the plant stands, how sure that is; where it is doubtful, a note that names its rival."""
+    """Return the stem's base node, its probability and, if that is low, a note that names the second candidate."""
     node, sure, rival = find_root(tree)
     if sure >= 0.75:
         return node, sure, ()
     x, y, z = tree.nodes[rival]
-    words = f"root: with a probability of {sure:.0%}; else the plant may stand at {x:.3f},{y:.3f},{z:.3f}"
-    return node, sure, (f"{words} (--root names it)",)
+    words = f"root: probability {sure:.0%}; the second candidate is {x:.3f},{y:.3f},{z:.3f}"
+    return node, sure, (f"{words} (set it with --root)",)
 
 
-def _parted(tree: RawTree, voxels: Voxels) -> RawTree:
-    """Return the tree without paths side by side and the shortest spurs; a stem's foot may look like a longer one."""
-    tree = parted(tree, stem_gain(tree))
-    return without_spurs(with_extents(tree.nodes, tree.parent, voxels), at_least=_SPUR * voxels.voxel)
+def _separate(tree: RawTree, voxels: Voxels) -> RawTree:
+    """Return the tree without parallel paths and the shortest spurs; longer ones may be the stem's foot."""
+    tree = separate_branches(tree, stem_gain(tree))
+    return remove_spurs(with_extents(tree.nodes, tree.parent, voxels), at_least=_SPUR * voxels.voxel)
 
 
-def _pruned(tree: RawTree, voxels: Voxels) -> RawTree:
-    """Return the tree without what is not an organ: paths side by side, spurs, veins."""
-    tree = without_spurs(_parted(tree, voxels), per_width=2.5)  # a line within the organ that it leaves is no limb
-    return without_veins(tree, 2.5 * voxels.voxel)
+def _prune(tree: RawTree, voxels: Voxels) -> RawTree:
+    """Return the tree without what is not an organ: parallel paths, spurs, veins."""
+    tree = remove_spurs(_separate(tree, voxels), per_width=2.5)  # a line within the organ that it leaves is no limb
+    return remove_veins(tree, 2.5 * voxels.voxel)
 
 
 def _not_trivial(tree: RawTree, size: float) -> RawTree:
@@ -278,7 +285,7 @@ def _connected(solid: VoxelSolid, size: float) -> tuple[Voxels, tuple[str, ...]]
     """Return the voxels that can be joined into one piece, and notes."""
     points, edges = solid.points, neighbour_edges(solid.index)
     label = components(len(points), edges)
-    kept = without_specks(points, label, 0.02 * size)
+    kept = mark_fragments(points, label, 0.02 * size)
     label = np.where(kept, label, -1)
     links = bridges(points, label, _BRIDGE * size)
     joined = np.isin(label, np.concatenate([[0], label[links[:, 1]]]))

@@ -74,21 +74,21 @@ def resample(tree: RawTree, gain: Array, spacing: float) -> Curves:
     return Curves(nodes, made, radius, radius)
 
 
-def centred(curves: Curves, points: Array, *, rounds: int, fattening: float) -> Curves:
+def centre_curves(curves: Curves, points: Array, *, rounds: int, fattening: float) -> Curves:
     """Return the curves moved to the middle of the cloud's (N, 3) cross-sections, with radii from the cloud.
 
     Each of the `rounds` sees sections cut across better centrelines; `fattening` is how much thicker the sensor makes
     organs [m of radius].
     """
     for _ in range(rounds):
-        curves = _smoothed(_recentred(curves, points))
-    curves = _reaching_ends(_straight_start(curves), points)
+        curves = _smooth_curves(_recentre(curves, points))
+    curves = _extend_ends(_straighten_start(curves), points)
     return _radii(curves, points, fattening)
 
 
-def extended(curves: Curves, length: float, spacing: float) -> Curves:
+def extend_to_soil(curves: Curves, length: float, spacing: float) -> Curves:
     """Return the curves with the first chain begun `length` [m] earlier, straight on from how it begins."""
-    upward, count = beginning(curves), max(round(length / spacing), 1)
+    upward, count = start_direction(curves), max(round(length / spacing), 1)
     new = curves.nodes[curves.chains[0][0]] - upward * length * np.linspace(1, 0, count, endpoint=False)[:, None]
     first, *others = [chain + count for chain in curves.chains]
     return Curves(
@@ -99,7 +99,7 @@ def extended(curves: Curves, length: float, spacing: float) -> Curves:
     )
 
 
-def beginning(curves: Curves) -> Array:
+def start_direction(curves: Curves) -> Array:
     """Return the direction (3,) in which the first chain begins, over its first nodes."""
     first = curves.chains[0]
     rise = curves.nodes[first[min(5, len(first) - 1)]] - curves.nodes[first[0]]
@@ -158,7 +158,7 @@ def _smooth(line: Array, sigma: float = 1.0) -> Array:
     return smooth
 
 
-def _smoothed(curves: Curves, sigma: float = 1.0) -> Curves:
+def _smooth_curves(curves: Curves, sigma: float = 1.0) -> Curves:
     nodes = curves.nodes.copy()
     for chain in curves.chains:
         nodes[chain] = _smooth(nodes[chain], sigma)
@@ -179,7 +179,7 @@ def _sections(curves: Curves, points: Array) -> CrossSections:
     return cross_sections(points, curves.nodes, _tangents(curves), before)
 
 
-def _recentred(curves: Curves, points: Array) -> Curves:
+def _recentre(curves: Curves, points: Array) -> Curves:
     """Return the curves with nodes at the centres of the fitted circles, where the sections are round.
 
     A section is round when half its points lie within a quarter of the radius from the circle.
@@ -194,7 +194,7 @@ def _recentred(curves: Curves, points: Array) -> Curves:
 
 
 _FEWEST = 8
-"""Points needed to say anything about a cross-section."""
+"""Least number of points of a cross-section."""
 
 
 def _shells(curves: Curves, at: CrossSections) -> NDArray[np.bool_]:
@@ -209,7 +209,7 @@ def _shells(curves: Curves, at: CrossSections) -> NDArray[np.bool_]:
     return shells
 
 
-def _straight_start(curves: Curves) -> Curves:
+def _straighten_start(curves: Curves) -> Curves:
     """Put the first two nodes on the line of the next ones: sections at the soil are cut off aslant."""
     nodes, first = curves.nodes.copy(), curves.chains[0]
     if len(first) >= 6:
@@ -218,7 +218,7 @@ def _straight_start(curves: Curves) -> Curves:
     return replace(curves, nodes=nodes)
 
 
-def _reaching_ends(curves: Curves, points: Array) -> Curves:
+def _extend_ends(curves: Curves, points: Array) -> Curves:
     """Move the tips and the root out to where the cloud ends."""
     nodes, first = curves.nodes.copy(), curves.chains[0]
     _, owner = nearest(points, nodes)
@@ -255,12 +255,12 @@ def _radii(curves: Curves, points: Array, fattening: float) -> Curves:
 
 
 _ENOUGH = 200
-"""Points of a section beyond these are thinned: they cost time and change no decision."""
+"""Points of a section beyond these are thinned: more cost time alone."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CrossSections:
-    """What the points around each node look like, seen along its tangent.
+    """The points around each node, projected along its tangent.
 
     Attributes:
         count: (J,) points looked at.

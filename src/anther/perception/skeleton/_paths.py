@@ -29,7 +29,7 @@ DETOUR = 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LevelSets:
-    """What lies equally far from the root and hangs together: a ring of a stem, a strip across a blade.
+    """Connected voxels at the same distance from the root: a ring of a stem, a strip across a blade.
 
     Attributes:
         way: (N,) length of the shortest way from the root through the plant [m].
@@ -101,7 +101,7 @@ def _walked(tips, before, number, way, shortest):
     return on_tree
 
 
-def middled(tree: RawTree, gain: Array, voxels: Voxels, levels: LevelSets) -> RawTree:
+def centre_on_blades(tree: RawTree, gain: Array, voxels: Voxels, levels: LevelSets) -> RawTree:
     """Return the tree with its nodes, that are voxels, on blades in the middle of the blade's width.
 
     A chain moves to the centroids of the level sets it goes through, each cut to what is nearer to this chain than to

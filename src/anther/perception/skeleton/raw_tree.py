@@ -52,7 +52,7 @@ def with_extents(nodes: Array, parent: Parents, voxels: Voxels) -> RawTree:
 
 
 def along_tree(parent: Parents, values: Array, rounds: int = 4) -> Array:
-    """Return the values (J,) averaged with those of the neighbours on the tree, so many times."""
+    """Return the values (J,) averaged with those of the neighbours on the tree, `rounds` times."""
     child, above = np.arange(1, len(parent)), parent[1:]
     neighbours = 1 + np.bincount(above, minlength=len(parent)) + (parent >= 0)
     for _ in range(rounds):
@@ -107,7 +107,7 @@ def sum_above(parent: Parents, amount: Array) -> Array:
 
 
 def sum_below(parent: Parents, amount: Array) -> Array:
-    """Return (J,) the sum of `amount` over each node and all that hangs on it."""
+    """Return (J,) the sum of `amount` over each node and its descendants."""
     total = np.array(amount, dtype=np.float64)
     for j in range(len(parent) - 1, 0, -1):
         total[parent[j]] += total[j]
@@ -133,7 +133,7 @@ def chains(parent: Parents, gain: Array) -> list[NDArray[Any]]:
     return found
 
 
-def rerooted(parent: Parents, root: int) -> tuple[Parents, NDArray[Any]]:
+def reroot(parent: Parents, root: int) -> tuple[Parents, NDArray[Any]]:
     """Return (parent, order): the same tree rooted at `root`, and the old number of each new node."""
     return rooted(np.stack([parent[1:], np.arange(1, len(parent))], axis=1), len(parent), root)
 
@@ -149,7 +149,7 @@ def rooted(links: NDArray[Any], count: int, root: int) -> tuple[Parents, NDArray
     return parent, order
 
 
-def without_spurs(tree: RawTree, *, per_width: float = 0, at_least: float = 0) -> RawTree:
+def remove_spurs(tree: RawTree, *, per_width: float = 0, at_least: float = 0) -> RawTree:
     """Return the tree without side branches no longer than `per_width` half widths at their fork, or `at_least` [m]."""
     length = edge_lengths(tree.nodes, tree.parent)
     keep = np.ones(len(tree.parent), dtype=bool)
@@ -159,7 +159,7 @@ def without_spurs(tree: RawTree, *, per_width: float = 0, at_least: float = 0) -
     return _kept(tree, keep)
 
 
-def without_veins(tree: RawTree, wood: float) -> RawTree:
+def remove_veins(tree: RawTree, wood: float) -> RawTree:
     """Return the tree without side branches that begin on a blade and hold less than `wood` [m] of stem or petiole."""
     length = edge_lengths(tree.nodes, tree.parent)
     woody = length * np.clip((PLANAR_BLADE - tree.flatness) / 0.2 + 0.5, 0, 1)
@@ -170,10 +170,10 @@ def without_veins(tree: RawTree, wood: float) -> RawTree:
     return _kept(tree, keep)
 
 
-def parted(tree: RawTree, gain: Array) -> RawTree:
+def separate_branches(tree: RawTree, gain: Array) -> RawTree:
     """Return the tree with each side branch leaving where it comes out of what carries it.
 
-    Shortest paths run side by side within a stem before they part, or never part. A branch is out of its carrier where
+    Shortest paths run in parallel within a stem before they separate, if at all. A branch is out of its carrier where
     it is farther from the middle than 1.3 times the inscribed radius.
     """
     parent, keep = tree.parent.copy(), np.ones(len(tree.parent), dtype=bool)

@@ -1,7 +1,7 @@
-"""How sure the skeleton is: of each node by the cloud around it, and of where the plant stands. J nodes, N points.
+"""Confidence of the skeleton: of each node, from the cloud around it, and of the stem's base. J nodes, N points.
 
-A node is believed when a surface lies around it at one radius and its surroundings are not a plane: bridges have no
-surface, blades are planes, and where views disagree the surface is smeared. The plant stands at a low tip, not always
+A node has a high confidence when a surface lies around it at one radius and its surroundings are not a plane: bridges
+have no surface, blades are planes, and where views disagree the surface is smeared. The base is a low tip, not always
 the lowest, since leaves droop and soil is left over.
 """
 
@@ -20,7 +20,7 @@ from anther.perception.skeleton.raw_tree import (
     along_tree,
     edge_lengths,
     path_gain,
-    rerooted,
+    reroot,
     sum_above,
     sum_below,
 )
@@ -51,7 +51,7 @@ def logit(share: ArrayLike) -> Array:
 
 
 def node_support(nodes: Array, parent: NDArray[Any], radius: Array, flatness: Array, points: Array) -> Array:
-    """Return what the cloud (N, 3) says of every node, (J, 2), each 0 .. 1, larger for a better one, 0 without points.
+    """Return the cloud's (N, 3) evidence for every node, (J, 2), each 0 .. 1, larger is better, 0 without points.
 
     Columns: how sharply the surface lies at one radius, exp(-2 scatter / radius); how little the surroundings are a
     plane, 1 - flatness.
@@ -91,7 +91,7 @@ def stem_gain(tree: RawTree) -> Array:
 
 
 class PlantBase(NamedTuple):
-    """Where a plant stands: the node, how likely that is, and where else it might be (itself, if nowhere)."""
+    """The stem's base node, its probability, and the second candidate (itself, if there is none)."""
 
     node: int
     probability: float
@@ -99,7 +99,8 @@ class PlantBase(NamedTuple):
 
 
 def find_root(tree: RawTree, candidates: int = 60) -> PlantBase:
-    """Return the tip in the lower half of the plant, among the lowest `candidates`, at which it most likely stands.
+    """Return the tip in the lower half of the plant, among the lowest `candidates`, that is most likely the stem's
+    base.
 
     The tips are the choices of a conditional logit, nested in whether the base is in the cloud (McFadden 1978).
     """
@@ -114,27 +115,27 @@ def find_root(tree: RawTree, candidates: int = 60) -> PlantBase:
 
 def same_place(tree: RawTree, tips: NDArray[np.int64], best: int) -> NDArray[np.bool_]:
     """Return which of the tips (C,) are the same base as the best of them: within a tenth of the plant through it."""
-    parent, order = rerooted(tree.parent, int(tips[best]))
+    parent, order = reroot(tree.parent, int(tips[best]))
     way = np.empty(len(order))
     way[order] = sum_above(parent, edge_lengths(tree.nodes[order], parent))
     return way[tips] <= 0.1 * _extent(tree)
 
 
 def base_evidence(tree: RawTree, candidates: int) -> tuple[NDArray[np.int64], Array]:
-    """Return the tips (C,) where the plant may stand and what speaks for each, (C, 3), relative to the plant's extent.
+    """Return the candidate tips (C,) for the base and their evidence (C, 3), relative to the plant's extent.
 
     Columns: the mean way through the tree to all that it would carry (a base is near to all); how much the plant's
     wood would rise, each edge by its squared inscribed radius and roundness (a stem is thick and grows up, a drooping
     leaf grows down); how far it lies below the top.
     """
     middle = int(np.argmin(_mean_way(tree)))
-    parent, order = rerooted(tree.parent, middle)
+    parent, order = reroot(tree.parent, middle)
     tree, extent = tree.taking(parent, order), _extent(tree)
     z = tree.nodes[:, 2]
     tips = np.flatnonzero(np.bincount(parent[1:], minlength=len(parent)) + (parent >= 0) == 1)
     tips = tips[np.argsort(z[tips])]
     low = np.count_nonzero(z[tips] <= z.min() + 0.5 * np.ptp(z))
-    tips = tips[: min(max(low, 1), candidates)]  # what hangs in an arc has no low tip
+    tips = tips[: min(max(low, 1), candidates)]  # a plant that hangs in an arc has no low tip
     wood = tree.thickness * _roundness(tree)
     wood = np.minimum(wood / max(float(np.quantile(wood, 0.95)), 1e-12), 1.5) ** ALPHA  # a pot left over is no stem
     rising = (z - z[np.maximum(parent, 0)]) * wood  # from another root the way there is walked the other way round

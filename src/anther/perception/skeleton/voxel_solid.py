@@ -46,7 +46,7 @@ class VoxelSolid:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Voxels:
-    """Occupied voxels joined into one piece, and what the plant looks like around each.
+    """Occupied voxels joined into one piece, and the plant's shape around each.
 
     Attributes:
         points: (N, 3) centres [m].
@@ -101,7 +101,7 @@ def components(count: int, edges: NDArray[Any]) -> NDArray[Any]:
     return np.argsort(order)[label]
 
 
-def without_specks(points: Array, label: NDArray[Any], smallest: float) -> NDArray[np.bool_]:
+def mark_fragments(points: Array, label: NDArray[Any], smallest: float) -> NDArray[np.bool_]:
     """Return (N,) which points to keep: fragments whose bounding box is shorter than `smallest` [m] are specks."""
     count = int(label.max()) + 1
     lower, upper = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)

@@ -26,7 +26,7 @@ from anther.perception.stem._organs import (
     classify,
     stem_breadth,
 )
-from anther.perception.stem.confidence import doubt, rise_share, second_stem, stem_confidence
+from anther.perception.stem.confidence import doubt, find_second_stem, rise_share, stem_confidence
 
 __all__ = [
     "BRANCH", "LEAF", "LONGEST_PEDICEL", "ORGAN_NAMES", "PEDICEL", "PLANAR_BLADE", "STEM", "TRUSS", "Params", "Stem",
@@ -36,10 +36,10 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True)
 class Params(Record):
-    """What a person may know better.
+    """What a user may know.
 
     Attributes:
-        tip: where the main stem ends [m], by who knows better; None: it is found.
+        tip: where the main stem ends [m], if known; None: it is found.
     """
 
     tip: Annotated[tuple[float, float, float], Range(-1e9, 1e9, "m")] | None = None
@@ -96,7 +96,7 @@ def find_stem(skeleton: Skeleton, params: Params | None = None, *, flowers_at: A
 
     Args:
         skeleton: one rooted tree.
-        params: what is known better.
+        params: see `Params`.
         flowers_at: (F, 3) centres of flowers (`flowers.flower_centres`) [m]; without them no node is TRUSS.
 
     Raises:
@@ -119,7 +119,7 @@ def find_stem(skeleton: Skeleton, params: Params | None = None, *, flowers_at: A
     forked = [fork_at(skeleton, path, organ, int(i)) for i in attachments]
     fork = min([len(node_ids) - 1, *(i for i in forked if i is not None)])
     confidence = stem_confidence(skeleton, node_ids)
-    notes = (*_low(skeleton, node_ids), *second_stem(skeleton, node_ids), *doubt(confidence))
+    notes = (*_low(skeleton, node_ids), *find_second_stem(skeleton, node_ids), *doubt(confidence))
     return Stem(node_ids, arc_length, attachments, organ, fork, notes, confidence)
 
 

@@ -14,7 +14,7 @@ from anther.perception.skeleton.raw_tree import PLANAR_BLADE, edge_lengths, long
 from anther.perception.stem._organs import BRANCH, SPUR, stem_breadth
 
 SHORTEST = 0.05
-"""A shorter stem is not believed (share of the plant's size)."""
+"""A shorter stem is no stem (share of the plant's size)."""
 _WINDOW = 0.06  # length over which a step is judged (share of the plant's size)
 _BROADEST = 1.5
 """A step broader than the narrowest below it by this factor, and than most below it, is no stem, which does not broaden
@@ -33,7 +33,7 @@ def fork_at(skeleton: Skeleton, path: NDArray[Any], organ: NDArray[Any], at: int
     """Return where a branch that leaves the stem at position `at` of the path forks it, None where none does.
 
     A branch forks the stem when it is as much a stem as what goes on: it rises as high, leaves included, and its axis,
-    without them, is upright and as thick as the stem over the same nodes. The fork is where the two have parted: a
+    without them, is upright and as thick as the stem over the same nodes. The fork is where the two separate: a
     skeleton can have two lines side by side within one stem.
     """
     base = skeleton.nodes[path[at]]
@@ -41,7 +41,7 @@ def fork_at(skeleton: Skeleton, path: NDArray[Any], organ: NDArray[Any], at: int
     if not len(beyond):
         return None
     rise = float(skeleton.nodes[beyond, 2].max() - base[2])
-    parted = []
+    forks = []
     for child in np.flatnonzero((skeleton.parent == path[at]) & (organ == BRANCH)):
         limb = _highest_path(skeleton, int(child))
         axis = limb[organ[limb] == BRANCH]
@@ -50,8 +50,8 @@ def fork_at(skeleton: Skeleton, path: NDArray[Any], organ: NDArray[Any], at: int
         thick = np.median(skeleton.radius[beyond[: len(axis)]])
         thicker = np.median(skeleton.radius[axis]) >= _FORK_SHARE * thick
         if higher and thicker and lean < _TURN:
-            parted.append(at + _side_by_side(skeleton, path[at:], axis))
-    return min(parted, default=None)
+            forks.append(at + _side_by_side(skeleton, path[at:], axis))
+    return min(forks, default=None)
 
 
 def _side_by_side(skeleton: Skeleton, path: NDArray[Any], axis: NDArray[Any]) -> int:
@@ -99,9 +99,9 @@ def growth_end(skeleton: Skeleton, path: NDArray[Any], size: float) -> int:
     end = int(np.argmax(gain)) + 2
     limbs, further, longest = _limbs(skeleton, path, end)
     last, bare = int(limbs[-1]), arc[end - 1] - arc[limbs[-1]]
-    believed = last > 0 and arc[last] >= SHORTEST * size and bare <= longest and further < 2
+    reliable = last > 0 and arc[last] >= SHORTEST * size and bare <= longest and further < 2
     stem_like = (straight & slim)[last:].all() and bare <= 1.5 * np.diff(arc[limbs]).max(initial=0)
-    return last + 1 if believed and not stem_like else end
+    return last + 1 if reliable and not stem_like else end
 
 
 def _limbs(skeleton: Skeleton, path: NDArray[Any], end: int) -> tuple[NDArray[np.int64], int, float]:

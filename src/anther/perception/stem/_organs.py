@@ -4,7 +4,7 @@ Four observations distinguish organs, whatever the plant and its size:
 
 - An axis (stem, branch, petiole, peduncle) is about as thick as broad, and not broader than the main stem that carries
   it; a blade is broader than the stem and many times broader than thick.
-- An axis is some stem widths long; the lines of a blade may begin with a shorter piece that looks like one.
+- An axis is some stem widths long; the lines of a blade may begin with a shorter piece that resembles one.
 - Nothing grows out of a blade: the axes of a plant are a connected part of the tree that holds the root.
 - A limb of a leafy plant ends in leaves or flowers. One that carries flowers and no leaf is a truss; one that carries
   neither is itself a narrow leaf, a stump or an error of the skeleton, and counts as leaf.
@@ -26,7 +26,7 @@ STEM, BRANCH, TRUSS, LEAF = range(4)
 ORGAN_NAMES = ("stem", "branch", "truss", "leaf")
 """A petiole is a branch; peduncle and pedicels are truss; blade, midrib and veins are leaf, a rachis either."""
 
-_NARROW = 4.0  # a section as broad as the main stem says nothing, one narrower by this factor leaves no doubt
+_NARROW = 4.0  # a section as broad as the main stem is no evidence, one narrower by this factor certainly an axis
 SPUR = 2.5  # an axis shorter than this is leaf, a leaf so short none, relative to the stem's half width
 PEDICEL, LONGEST_PEDICEL = 0.015, 0.025
 """Length of a pedicel and of the longest with its flower [m]: 9 to 22 mm (facts: pollination 2)."""
@@ -47,7 +47,7 @@ def classify(skeleton: Skeleton, main: NDArray[Any], flowers_at: Array) -> NDArr
     is_truss = sum_below(skeleton.parent, 0.02 * bears - length * ((organ == LEAF) & ~near_flower)) > 0
     is_truss &= sum_below(skeleton.parent, bears) > 0
     is_bare = (organ == BRANCH) & (sum_below(skeleton.parent, organ == LEAF) == 0)
-    is_bare &= length[is_bare].sum() < length[organ == LEAF].sum()  # else the plant has lost its leaves
+    is_bare &= length[is_bare].sum() < length[organ == LEAF].sum()  # else the plant is leafless
     return _limbs_named(skeleton.parent, organ, is_truss, is_bare)
 
 

@@ -1,4 +1,4 @@
-"""How sure the main stem is, and what the plant says of it. J nodes, S stem samples."""
+"""Confidence of the main stem, and evidence for it from the whole plant. J nodes, S stem samples."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ def stem_evidence(skeleton: Skeleton, node_ids: NDArray[Any]) -> Array:
 
 
 def plant_evidence(skeleton: Skeleton, node_ids: NDArray[Any]) -> Array:
-    """Return (3,), larger is better: what the whole plant says of its main stem.
+    """Return (3,), larger is better: evidence for the main stem from the whole plant.
 
-    The log-odds that it begins where the plant stands; the logarithm of the share of the plant's height that it rises
+    The log-odds that it begins at the base; the logarithm of the share of the plant's height that it rises
     by (a drooping leaf's tip is low and short); and of how thick its sections are for their breadth (a blade is thin).
     """
     rise = max(rise_share(skeleton, node_ids), 0.02)
@@ -64,10 +64,10 @@ def doubt(confidence: float | None, what: str = "main stem") -> tuple[str, ...]:
     """Return a warning when the confidence of stem or grasp is below DOUBTFUL."""
     if confidence is None or confidence >= DOUBTFUL:
         return ()
-    return (f"{what}: confidence {confidence:.2f} is below {DOUBTFUL:g}; look at it before you trust it",)
+    return (f"{what}: confidence {confidence:.2f} is below {DOUBTFUL:g}; check it before use",)
 
 
-def second_stem(skeleton: Skeleton, node_ids: NDArray[Any]) -> tuple[str, ...]:
+def find_second_stem(skeleton: Skeleton, node_ids: NDArray[Any]) -> tuple[str, ...]:
     """Return a warning when the tree comes down to the soil a second time: two plants have grown into each other.
 
     What comes down stands a tenth of the plant's size aside. Its last piece is upright within 35 degrees, at least half
