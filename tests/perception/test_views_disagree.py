@@ -15,7 +15,7 @@ from anther.core.geometry import inverse
 from anther.core.runs import Run
 from anther.perception.capture import OPENGL_TO_OPENCV, Capture
 from anther.perception.cloud import Cloud, fuse, likely_cause
-from anther.perception.cloud._doubts import MOST_SEEN_THROUGH
+from anther.perception.cloud._warnings import MOST_SEEN_THROUGH
 from anther.perception.masks import Masks, segment
 from anther.perception.skeleton import skeletonize
 from anther.pollination.pipeline import Params, cause_named, perceive

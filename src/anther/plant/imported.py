@@ -44,7 +44,7 @@ def read_source(
         least: no node's radius is less [m].
         radius: of every node [m]; None: those in the file, else the crop's stem at its base, thinner with what a node
             carries (`assume_radii`).
-        root: where the plant stands, see `node_named`; None: the file's own root, or where the way up begins to rise.
+        root: the stem's base, see `node_named`; None: the file's own root, or where the way up begins to rise.
             What lies flat there is then a scrap of soil, and left out.
 
     Raises:

@@ -128,7 +128,7 @@ def read_plant(
     Args:
         path: run folder or skeleton file.
         made: what it is made of, as far as it is given.
-        flowers: of a file: nodes that bear one, by the file's numbers; none: flowers are supposed at its ends.
+        flowers: of a file: nodes that bear one, by the file's numbers; none: flowers are assumed at its ends.
         units, up, root, stem_tip: of a file, see `read_source` and `main_stem`.
         bare: of a file: its edges with its own radii alone; nothing is supposed, tapered or stiffened.
         hanging: of bare edges: they hang still under gravity; False: they have no natural shape yet.

@@ -21,14 +21,6 @@ from anther.core.geometry import Array, Box, Intrinsics, transform_points
 from anther.core.records import UNSAVED, Range, Record, Shape, Stored, decode, read_tree
 from anther.perception.capture import Capture, in_threads, viewed_box
 from anther.perception.cloud import _registration
-from anther.perception.cloud._doubts import (
-    cloud_doubts,
-    coverage_doubts,
-    disagreement,
-    likely_cause,
-    refuse_ground,
-    view_doubts,
-)
 from anther.perception.cloud._fusion import (
     GAP,
     SurfacePoints,
@@ -38,6 +30,14 @@ from anther.perception.cloud._fusion import (
     occupied_cells,
     pixel_normals,
     supported_pixels,
+)
+from anther.perception.cloud._warnings import (
+    find_disagreement,
+    likely_cause,
+    refuse_ground,
+    warn_of_cloud,
+    warn_of_coverage,
+    warn_of_views,
 )
 from anther.perception.cloud._wrong_views import SEARCH
 from anther.perception.cloud.ply import read_ply, write_ply
@@ -82,7 +82,7 @@ class Cloud(Stored):
         view_used: (V,) bool, false for views left out because the others contradict their pose; None if imported.
         footprint: median width of a pixel at the plant [m]; None if imported.
         seen_through: share of what views judge of each other's points that they see through, 0..1, where that is more
-            than right captures have (`_doubts.disagreement`); else 0.
+            than right captures have (`_warnings.find_disagreement`); else 0.
     """
 
     KIND, SCHEMA = "cloud", 3
@@ -152,19 +152,19 @@ def fuse(
     pixels = plant_pixels(capture, labels, box)
     _require(sum(len(p.points) for p in pixels), "pixels with depth within the masks, within the workspace")
     report()
-    notes = (*_unseen_views(pixels), *view_doubts(capture.depth, labels))
+    notes = (*_unseen_views(pixels), *warn_of_views(capture.depth, labels))
     poses, pixels, found = _registered(pixels, capture.T_world_cam, params)
     report()
     fused = fuse_voxels(pixels, poses, box, params.voxel)
     _require(len(fused.points), "points within the workspace")
     used = np.ones(capture.views, dtype=bool) if found is None else found.used
     seen = [capture.depth[v] for v in np.flatnonzero(used)]
-    doubts, through = disagreement(capture, [p.points for p in pixels], poses, used)
+    warnings, through = find_disagreement(capture, [p.points for p in pixels], poses, used)
     fused = fused.only(agreeing_points(fused.points, seen, capture.intrinsics, poses[used]))
     report()
     refuse_ground(fused.points, box)
     kept = attached_points(fused.points)
-    notes += cloud_doubts(fused.points, kept, box) + coverage_doubts(fused.points[kept].mean(axis=0), poses[used])
+    notes += warn_of_cloud(fused.points, kept, box) + warn_of_coverage(fused.points[kept].mean(axis=0), poses[used])
     fused = fused.only(kept)
     _require(len(fused.points), "connected points")
     report()
@@ -179,7 +179,7 @@ def fuse(
         fused.labels,
         obstacles,
         poses,
-        (*doubts, *(found.notes if found else ()), *notes),
+        (*warnings, *(found.notes if found else ()), *notes),
         view_agreement=None if found is None else found.agreement,
         view_used=used,
         footprint=float(np.median(np.concatenate([p.points[:, 2] for p in pixels]))) / capture.intrinsics.fx,

@@ -1,7 +1,7 @@
 """Point clouds as text: what separates the numbers, where their decimals begin, and which column is what. N points.
 
-A line of names, also in a comment, says which columns are x, y, z and colours. Without one the first three are x, y, z;
-colours are taken where only one reading of the other columns is possible, and else none are, with a note.
+A line of names, also in a comment, states which columns are x, y, z and colours. Without one the first three are x, y,
+z; colours are taken where only one reading of the other columns is possible, and else none are, with a note.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def read_text(path: Path) -> RawPoints:
     table = _table(path, body, separator, comma)
     count = next((int(line) for line in lines[:begin] if line.isdecimal()), None)
     if count is not None and count > len(table):
-        given, allowed = f"{len(table)} points", f"{count}, as it says at its beginning"
+        given, allowed = f"{len(table)} points", f"{count}, as its first line states"
         raise bad_input(str(path), given=given, allowed=allowed, do="Is it truncated?")
     raw = _by_names(path, table, names) if names else _by_place(path, table, counted=count is not None)
     units, up = stated([line for line in lines if line.startswith(_COMMENT)])
@@ -58,7 +58,7 @@ def _is_row(line: str) -> bool:
 
 
 def _quoted_separator(line: str) -> str:
-    """Return what stands between quoted cells."""
+    """Return the text between quoted cells."""
     return next((mark for mark in ";\t" if mark in line), "," if re.search(r'"\s*,|,\s*"', line) else " ")
 
 
@@ -135,7 +135,7 @@ def _names(head: list[str], row: str, separator: str | None) -> list[str] | None
 
 
 def _cells(line: str, width: int, separator: str | None) -> list[str] | None:
-    """Return a line's words if they can be the names of so many columns."""
+    """Return a line's words if they can be the names of that many columns."""
     line = line.lstrip("#/% ").rstrip(separator or " ")
     for mark in dict.fromkeys((separator, ";", "\t", ",", None)):
         cells = [cell.strip(' \t\r",') for cell in line.split(mark)]
@@ -177,7 +177,7 @@ def _by_place(path: Path, table: Array, *, counted: bool) -> RawPoints:
     left = [k for k in range(extra.shape[1]) if begin is None or not begin <= k < begin + 3]
     if left:
         numbers = ", ".join(str(k + 4) for k in left)
-        say = "; to say what is r, g, b, name the columns in line 1" if begin is None else ""
+        say = "; to use them as r, g, b, name the columns in line 1" if begin is None else ""
         notes += unused_note([f"column{'s' if len(left) > 1 else ''} {numbers}{say}"])
     return RawPoints(table[:, :3], colors, notes=notes)
 

@@ -50,7 +50,7 @@ class BagOptions(Record):
         camera_in_pose: 7-number pose of the camera's optical frame in the frame whose poses are given (hand-eye
             calibration, when they are the flange's); None: they are the camera's.
         tolerance: largest difference of stamps between depth, colour and pose [s].
-        views: at most so many, evenly spread over the matched ones.
+        views: greatest number, evenly spread over the matched ones.
     """
 
     color_topic: str | None = None
@@ -151,7 +151,7 @@ def _first_pass(bag: BagFile, topics: Topics) -> _Contents:
         if stream.times in held.times:
             frames, own = len(held.times[stream.images]), held.times[stream.times]
             if len(own) != frames:
-                given, do = f"{frames} frames and {len(own)} times of frames", "Was it stopped early? Record it anew."
+                given, do = f"{frames} frames and {len(own)} times of frames", "Was it stopped early? Record it again."
                 raise bad_input(stream.images, given=given, allowed="as many of both", do=do)
             held.times[stream.images] = own
     return held
@@ -183,7 +183,7 @@ def _keep(held: _Contents, message: Recorded, bag: BagFile, topics: Topics) -> N
 
 
 def _keep_text(held: _Contents, topic: str, text: str, topics: Topics) -> None:
-    """Keep what RealSense says in its own words (.db3)."""
+    """Keep RealSense's own messages (.db3)."""
     if topic in (topics.color.info, topics.depth.info):
         held.infos.setdefault(topic, camera_of(topic, _realsense_bag.camera_info(topic, text)))
     elif topic in (topics.color.extrinsics, topics.depth.extrinsics):
@@ -264,7 +264,7 @@ def _in_pose(topic: str, held: _Contents, given: str | None, frame: str) -> tupl
     """Return the camera's pose in the frame whose poses a topic gives, and notes.
 
     Raises:
-        InputError: it is another frame than the camera's, or that is not said, and nothing joins them.
+        InputError: it is another frame than the camera's, or that is not stated, and nothing joins them.
     """
     own, above = (given or held.posed).lstrip("/"), held.frames.parent.get(frame)
     if own:
@@ -275,7 +275,7 @@ def _in_pose(topic: str, held: _Contents, given: str | None, frame: str) -> tupl
             raise bad_input(topic, given=fault, allowed=allowed, do=do)
         return T, (f"{topic} gives the poses of '{own}'; the camera is '{frame}' on it",) if own != frame else ()
     if above is not None:
-        fault = f"poses that do not say whose they are: the camera's '{frame}' or of what carries it, as '{above}'"
+        fault = f"poses of an unnamed frame: the camera's '{frame}' or of what carries it, as '{above}'"
         do = f"Say it: --pose-frame {frame}, or another of {', '.join(sorted({*held.frames.parent.values()}))}."
         raise bad_input(topic, given=fault, allowed="the frame's name", do=do)
     return np.eye(4), (f"{topic} is taken for the poses of the camera's optical frame; else see --camera-in-pose",)

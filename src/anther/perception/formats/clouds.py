@@ -1,4 +1,4 @@
-"""Read somebody's point cloud: PLY, PCD, LAS, E57, text or NPZ, in the units and with the axis up that it has.
+"""Read an imported point cloud: PLY, PCD, LAS, E57, text or NPZ, in the units and with the axis up that it has.
 
 If the up axis is not given, it is checked: with the right one, the plant starts with a thick, round, vertical stem.
 N points.
@@ -52,7 +52,7 @@ __all__ = [
 
 SUFFIXES = (".ply", ".pcd", ".las", ".laz", ".e57", ".xyz", ".txt", ".csv", ".asc", ".pts", ".npz")
 DOUBT = 2.0
-"""An axis whose stem is not so many times worse than the best may be up (docs/formats.md)."""
+"""An axis whose stem is at most this many times worse than the best may be up (docs/formats.md)."""
 
 _CUT = "Is it truncated, or another format?"
 
@@ -82,7 +82,7 @@ def read_cloud(
     taken += [] if up else ["with z up (--up)"]
     upright = np.ascontiguousarray(raw.points[:, TO_Z_UP[up or "z"]]) * METRES[units or "m"]
     cloud = checked_cloud(path, RawPoints(upright, raw.colors), units or "m")
-    notes = (f"the file does not say all: it is read {' and '.join(taken)}",) if taken else ()
+    notes = (f"the file does not state all: it is read {' and '.join(taken)}",) if taken else ()
     notes = (*raw.notes, *([f"{path.name}: {other}"] if other else []), *notes)
     axis = () if up else axis_notes(cloud.points)
     return replace(cloud, notes=(*cloud.notes, *axis, *notes))
@@ -154,14 +154,14 @@ def _check_size(path: Path, points: np.ndarray, units: str) -> tuple[str, ...]:
 
 
 def axis_notes(points: Array) -> tuple[str, ...]:
-    """Return a note where another axis than z is as likely up of points (N, 3) as they stand in the file [m]."""
+    """Return a note where another axis than z is as likely up of points (N, 3) as stored [m]."""
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
     thin = np.asarray(voxelgrid_sampling(points, size / 120).points())[:, :3]
     worth = {axis: stem_worth(thin[:, order]) for axis, order in TO_Z_UP.items()}
     likely = [axis for axis, value in worth.items() if DOUBT * value >= max(worth.values())]
     if len(likely) > 1:
         return (f"the up axis is uncertain ({' or '.join(likely)}): check it, and set --up",)
-    return () if likely == ["z"] else (f"it looks as if {likely[0]} were up: try --up {likely[0]}",)
+    return () if likely == ["z"] else (f"{likely[0]} seems to be up: try --up {likely[0]}",)
 
 
 def stem_worth(points: Array) -> float:
@@ -210,7 +210,7 @@ def read_npz_points(path: Path, plant: int | None) -> RawPoints:
     if stored.ndim != 2 or stored.shape[1] != 3 or len(stored) > MOST_POINTS:
         allowed = f"shape (N, 3), N <= {MOST_POINTS:,}"
         raise bad_input(f"{path}: points", given=f"shape {stored.shape}", allowed=allowed, do="Thin out the cloud.")
-    with understood(path, "numbers in points, colors, offsets and up", "Write the arrays anew."):
+    with understood(path, "numbers in points, colors, offsets and up", "Write the arrays again."):
         part = _plant_part(path, held.get("offsets"), len(stored), plant)
         points = check_array(f"{path}: points", stored[part], (None, 3), finite=False) / per_unit
         colors = next((held[name] for name in _NPZ_COLORS if name in held), None)
@@ -255,7 +255,7 @@ def _plant_part(path: Path, offsets: NDArray[Any] | None, count: int, plant: int
     starts = np.array([0, count]) if offsets is None else check_array(f"{path}: offsets", offsets, (None,), dtype=int)
     if len(starts) < 2 or starts[0] < 0 or starts[-1] > count or np.any(np.diff(starts) < 0):
         allowed = f"rising numbers from 0 to {count}, where each plant's points begin and the last one's end"
-        raise bad_input(f"{path}: offsets", given=f"{starts[:5]}", allowed=allowed, do="Write them anew.")
+        raise bad_input(f"{path}: offsets", given=f"{starts[:5]}", allowed=allowed, do="Write them again.")
     last = len(starts) - 2
     if plant is None and last > 0:
         allowed, do = f"one of them, 0 to {last}", "Choose it with --plant NUMBER."
@@ -294,7 +294,7 @@ def _pcd_header(path: Path, content: bytes) -> tuple[dict[str, list[str]], bytes
             header[words[0]] = words[1:]
     if " ".join(header["DATA"]) not in _PCD_BODIES:
         given = f"DATA {' '.join(header['DATA'])}"
-        raise bad_input(str(path), given=given, allowed=", ".join(_PCD_BODIES), do="Save it anew.")
+        raise bad_input(str(path), given=given, allowed=", ".join(_PCD_BODIES), do="Save it again.")
     return header, content[at:]
 
 

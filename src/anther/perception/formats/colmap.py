@@ -2,7 +2,7 @@
 
 COLMAP knows neither scale nor up: the user states them (`scale_and_up`). The world's origin stays the model's. Its own
 files, cameras, images and points3D, text or binary, and depth maps, are read as https://colmap.github.io/format.html
-(output format), cameras.html (camera models) and faq.html (depth maps) say: lengths are model units; pixel centres lie
+(output format), cameras.html (camera models) and faq.html (depth maps): lengths are model units; pixel centres lie
 at half-integers. V views, N points.
 """
 
@@ -52,7 +52,7 @@ def scale_and_up(path: object, scale: float | None, up: str | None) -> tuple[flo
             given=f"no {missing}",
             allowed=f"--scale (metres per model unit) and --up= ({_ALLOWED})",
             do="A structure-from-motion model has neither: measure a known length in it (real metres / model length), "
-            "and look which way the plant grows (before any alignment it is often about -y).",
+            "and check which way the plant grows (before any alignment it is often about -y).",
         )
     check_range("scale", scale, 1e-6, 1e6, "m per unit")
     direction = _direction(up)
@@ -288,9 +288,9 @@ def _rows(
             return list(binary(path.read_bytes()))
         lines = read_lines(path)
         found = list(text([line for line in lines if not line.startswith("#")]))
-        said = [m for line in lines if (m := _SAID.match(line))]
-        if said and int(said[0][1]) != len(found):
-            raise ValueError(f"{len(found)} {name}, where its head says {said[0][1]}")
+        stated = [m for line in lines if (m := _SAID.match(line))]
+        if stated and int(stated[0][1]) != len(found):
+            raise ValueError(f"{len(found)} {name}, where its head states {stated[0][1]}")
         return found
 
 

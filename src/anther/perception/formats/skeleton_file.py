@@ -59,7 +59,7 @@ class SkeletonFile(Record):
         """Return the same tree in metres: its numbers are in `units`, else in what the file states, else in metres.
 
         Raises:
-            InputError: a size no plant has; or an unlikely one where nobody stated the units.
+            InputError: a size no plant has; or an unlikely one where the units are not stated.
         """
         stated = units or self.units
         metres = METRES[stated or "m"]
@@ -97,7 +97,7 @@ class SkeletonFile(Record):
     def rooted_at(self, number: int | None = None) -> SkeletonFile:
         """Return the same tree with another root: the node that the file calls `number`.
 
-        None: where the plant stands. Scraps of soil hang together with the stem in many scans, and the lowest node is
+        None: the stem's base. Scraps of soil are connected to the stem in many scans, and the lowest node is
         often the end of one; the root is then where the way to the highest node begins to rise.
 
         Raises:

@@ -173,7 +173,7 @@ def read_skeleton(path: Path | str, units: Units | None = None) -> SkeletonFile:
 
 
 def write_skeleton(path: Path | str, skeleton: Skeleton, labels: Sequence[str] | None = None) -> None:
-    """Write a skeleton as its suffix says: .npz .swc .txt .ply .graphml .mtg .glb.
+    """Write a skeleton in the format of the suffix: .npz .swc .txt .ply .graphml .mtg .glb.
 
     Args:
         path: the file; .txt keeps no radii, .npz and .txt no labels, .glb only the surface.
@@ -252,7 +252,7 @@ def _read_swc(path: Path) -> SkeletonFile:
     table = _table(lines, 7)  # id, type, x, y, z, radius, parent
     numbers, above = (_whole(table[:, column]) for column in (0, 6))
     if len(set(numbers.tolist())) < len(numbers):
-        raise bad_input("SWC", given="an id twice", allowed="distinct ids", do="Number the samples anew.")
+        raise bad_input("SWC", given="an id twice", allowed="distinct ids", do="Number the samples again.")
     root = (above == -1) | (above == numbers) | ((above == 0) & (0 not in numbers))  # as different programs mark it
     kept = ~_of_soma(table[:, 1], numbers, above)
     notes = (f"{np.sum(~kept)} points that only draw the soma are left out",) if not kept.all() else ()
@@ -294,7 +294,7 @@ def _swc_radius(values: Array, comments: list[str]) -> tuple[Array, tuple[str, .
     )
     scales = [m[1].split() for line in comments if (m := re.match(r"#\s*SCALE\s+([-+.\deE\s]+)$", line.strip()))]
     notes = [f"its SCALE {' '.join(scale)} is not applied" for scale in scales if any(float(n) != 1 for n in scale)]
-    notes += ["column 6 is a diameter, as the file says: it is halved"] if named else []
+    notes += ["column 6 is a diameter, as the file states: it is halved"] if named else []
     return values / 2 if named else values, tuple(notes)
 
 

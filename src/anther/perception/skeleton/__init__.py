@@ -169,7 +169,7 @@ def skeletonize(cloud: Cloud, params: Params | None = None) -> Skeleton:
     voxel = params.voxel or max(size / RESOLUTION, 1.3 * point_spacing(points))
     solid = solidify(points, voxel, close=2, fill=0.06 * size)  # the widest stem that is hollow in a scan
     voxels, notes = _connected(solid, size)
-    coarse, sure, doubts = _coarse_tree(voxels, size, params)
+    coarse, sure, warnings = _coarse_tree(voxels, size, params)
     spacing = params.spacing or size / 110
     curves = resample(coarse, stem_gain(coarse), spacing)
     fattening = 0.5 * (cloud.footprint or 0) if params.fattening is None else params.fattening
@@ -183,7 +183,7 @@ def skeletonize(cloud: Cloud, params: Params | None = None) -> Skeleton:
     confidence = node_confidence(curves.nodes, curves.parent, curves.radius, flatness, points)
     confidence = confidence * (1 - cloud.seen_through)  # it was fitted on views that agree
     return Skeleton(
-        curves.nodes, curves.parent, curves.radius, notes + doubts, curves.width, confidence, flatness, sure
+        curves.nodes, curves.parent, curves.radius, notes + warnings, curves.width, confidence, flatness, sure
     )
 
 

@@ -20,7 +20,7 @@ from anther.perception.capture import OPENGL_TO_OPENCV, Capture
 from anther.perception.cloud._fusion import balances
 
 
-def view_doubts(depth: NDArray[Any], labels: NDArray[Any]) -> tuple[str, ...]:
+def warn_of_views(depth: NDArray[Any], labels: NDArray[Any]) -> tuple[str, ...]:
     """Return which views are blind or blocked, by number, of depth (V, H, W) [m] and the masks' labels (V, H, W).
 
     A blind view has less than 0.3 of the median view's readings; in a blocked one something at less than 0.4 of the
@@ -43,7 +43,7 @@ def view_doubts(depth: NDArray[Any], labels: NDArray[Any]) -> tuple[str, ...]:
     return (*blind, *blocked)
 
 
-def coverage_doubts(centre: Array, T_world_cam: Array) -> tuple[str, ...]:
+def warn_of_coverage(centre: Array, T_world_cam: Array) -> tuple[str, ...]:
     """Return whether the cameras (V, 4, 4) are fewer than 4, or see the plant's centre (3,) [m] from one side only."""
     if len(T_world_cam) < 4:
         return (f"only {len(T_world_cam)} views show the plant: how deep its organs are is half guessed",)
@@ -78,7 +78,7 @@ def refuse_ground(points: Array, box: Box) -> None:
         )
 
 
-def cloud_doubts(points: Array, kept: NDArray[np.bool_], box: Box) -> tuple[str, ...]:
+def warn_of_cloud(points: Array, kept: NDArray[np.bool_], box: Box) -> tuple[str, ...]:
     """Return whether the workspace cuts the plant, the `kept` of all points (N, 3) [m], and whether a second object is
     in it."""
     return (*_cut(points[kept], box), *_left_out(points, kept))
@@ -140,7 +140,7 @@ def seen_through(
     return (contradictions / count if count else 0.0), count
 
 
-def disagreement(
+def find_disagreement(
     capture: Capture, points_cam: Sequence[Array], poses: Array, used: NDArray[np.bool_]
 ) -> tuple[tuple[str, ...], float]:
     """Return notes on views that disagree, and the share of `seen_through`; nothing and 0 where they agree.
