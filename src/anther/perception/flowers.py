@@ -19,7 +19,7 @@ from anther.perception.skeleton.voxel_solid import components
 from anther.perception.stem import BRANCH, LEAF, LONGEST_PEDICEL, PEDICEL, TRUSS, Stem
 
 APART = 0.012
-"""Least distance between the centres of two flowers [m]: a small corolla's width (facts: pollination 2)."""
+"""Least distance between the centres of two flowers [m]: about the width of a corolla (facts: pollination 2)."""
 GRID = 0.0015
 """Points are thinned to one per cube of this edge [m]: the cloud's own spacing."""
 

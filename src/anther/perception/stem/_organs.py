@@ -27,7 +27,8 @@ ORGAN_NAMES = ("stem", "branch", "truss", "leaf")
 """A petiole is a branch; peduncle and pedicels are truss; blade, midrib and veins are leaf, a rachis either."""
 
 _NARROW = 4.0  # a section as broad as the main stem is no evidence, one narrower by this factor certainly an axis
-SPUR = 2.5  # an axis shorter than this is leaf, a leaf so short none, relative to the stem's half width
+SPUR = 2.5
+"""Shorter limbs, relative to the stem's half width, are no axis; shorter leaves are not attached to the stem."""
 PEDICEL, LONGEST_PEDICEL = 0.015, 0.025
 """Length of a pedicel and of the longest with its flower [m]: 9 to 22 mm (facts: pollination 2)."""
 
