@@ -63,7 +63,7 @@ def test_the_poses_of_a_body_are_carried_to_the_camera(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["pose", ""])
 def test_a_pose_that_does_not_say_whose_it_is_is_refused_where_it_may_be_the_body(tmp_path: Path, kind: str) -> None:
     tracked(kind, moving_tf=False).write(tmp_path / "a")
-    with pytest.raises(InputError, match=r"do not say whose they are.*--pose-frame camera, or another of body, link"):
+    with pytest.raises(InputError, match=r"poses of an unnamed frame.*--pose-frame camera, or another of body, link"):
         read_bag(tmp_path / "a")
     same(read_bag(tmp_path / "a", BagOptions(pose_frame="body")).capture, truth())
 
