@@ -19,7 +19,8 @@ from anther.perception.flowers import Flowers
 from anther.perception.formats.skeleton_file import THINNEST
 from anther.perception.masks import FLOWER
 from anther.perception.skeleton import Skeleton
-from anther.perception.stem import PLANAR_BLADE, Stem
+from anther.perception.skeleton.raw_tree import BLADE
+from anther.perception.stem import Stem
 from anther.rods import Clamp, Rods, least_stiffness, stands
 
 BRANCH_SHARE = 0.7
@@ -168,7 +169,7 @@ def in_blade(skeleton: Skeleton, stem: Stem) -> NDArray[np.bool_]:
     """Return (J,) which nodes are branch in a leaf blade: where it is flat, and all beyond; none if unknown."""
     blade = np.zeros(len(skeleton.nodes), dtype=bool)
     if skeleton.flatness is not None:
-        blade = (skeleton.flatness > PLANAR_BLADE) & ~_on_main_stem(stem, len(blade))
+        blade = (skeleton.flatness > BLADE) & ~_on_main_stem(stem, len(blade))
         for p, j in skeleton.edges.tolist():
             blade[j] |= blade[p]
     return blade
@@ -222,7 +223,7 @@ def _leaf_points(skeleton: Skeleton, stem: Stem, cloud: Cloud) -> Array:
     points = cloud.points[cloud.labels != FLOWER] if cloud.labels is not None else cloud.points
     wood = _on_main_stem(stem, len(skeleton.nodes))
     if skeleton.flatness is not None:
-        wood |= skeleton.flatness <= PLANAR_BLADE
+        wood |= skeleton.flatness <= BLADE
     nodes, radius = skeleton.nodes[wood], skeleton.radius[wood]
     if not len(points):
         return points

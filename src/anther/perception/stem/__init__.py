@@ -12,7 +12,7 @@ from anther.core.errors import StageFailure, bad_input
 from anther.core.geometry import Array
 from anther.core.records import Range, Record, Shape, Share, Stored
 from anther.perception.skeleton import LARGEST, SMALLEST, Skeleton, nearest_node
-from anther.perception.skeleton.raw_tree import PLANAR_BLADE, chains, edge_lengths, longest_way
+from anther.perception.skeleton.raw_tree import chains, edge_lengths, longest_way
 from anther.perception.stem._main_axis import SHORTEST, fork_at, growth_end, path_score
 from anther.perception.stem._organs import (
     BRANCH,
@@ -29,7 +29,7 @@ from anther.perception.stem._organs import (
 from anther.perception.stem.confidence import doubt, find_second_stem, rise_share, stem_confidence
 
 __all__ = [
-    "BRANCH", "LEAF", "LONGEST_PEDICEL", "ORGAN_NAMES", "PEDICEL", "PLANAR_BLADE", "STEM", "TRUSS", "Params", "Stem",
+    "BRANCH", "LEAF", "LONGEST_PEDICEL", "ORGAN_NAMES", "PEDICEL", "STEM", "TRUSS", "Params", "Stem",
     "find_stem",
 ]  # fmt: skip
 

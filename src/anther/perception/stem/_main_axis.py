@@ -10,8 +10,8 @@ from scipy.spatial import KDTree
 
 from anther.core.geometry import Array
 from anther.perception.skeleton import Skeleton
-from anther.perception.skeleton.raw_tree import PLANAR_BLADE, edge_lengths, longest_way, path_gain
-from anther.perception.stem._organs import BRANCH, SPUR, stem_breadth
+from anther.perception.skeleton.raw_tree import edge_lengths, longest_way, path_gain
+from anther.perception.stem._organs import BRANCH, PLANAR_BLADE, SPUR, stem_breadth
 
 SHORTEST = 0.05
 """A shorter stem is no stem (share of the plant's size)."""

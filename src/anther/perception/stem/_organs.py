@@ -20,12 +20,14 @@ from scipy.spatial import KDTree
 
 from anther.core.geometry import Array
 from anther.perception.skeleton import Skeleton
-from anther.perception.skeleton.raw_tree import PLANAR_BLADE, chains, edge_lengths, sum_below
+from anther.perception.skeleton.raw_tree import chains, edge_lengths, sum_below
 
 STEM, BRANCH, TRUSS, LEAF = range(4)
 ORGAN_NAMES = ("stem", "branch", "truss", "leaf")
 """A petiole is a branch; peduncle and pedicels are truss; blade, midrib and veins are leaf, a rachis either."""
 
+PLANAR_BLADE = 0.68
+"""Flatness at which a node is as likely on a blade as on an axis (read off the development plants)."""
 _NARROW = 4.0  # a section as broad as the main stem is no evidence, one narrower by this factor certainly an axis
 SPUR = 2.5
 """Shorter limbs, relative to the stem's half width, are no axis; shorter leaves are not attached to the stem."""
