@@ -25,9 +25,10 @@ from typing import Any
 
 from rich.console import RenderableType
 
+from anther.core.files import write_text
 from evaluation.constants import Constant, constants
 from evaluation.decisions import SUITES, changed, suite
-from evaluation.harness import DATA, ONE_THREAD, Row, finish, options, run_cases
+from evaluation.harness import DATA, ONE_THREAD, Row, finish, options, progress, run_cases
 from evaluation.tables import markdown, percent
 
 FACTORS = (1.5, 1 / 1.5)
@@ -38,19 +39,18 @@ LONGEST = 600
 def one_constant(row: Row, folder: Path) -> Row:
     """Return which decisions change, and in which cases, for each factor; how many cases there are."""
     inputs = Path(row["inputs"])
-    before = json.loads((inputs / "decisions.json").read_text())
+    before = json.loads(_known(inputs, row["module"]).read_text())
     found: Row = {}
     for factor in FACTORS:
         after = decisions(row["room"], inputs, row["module"], row["name"], factor)
-        base = before[stage_of(row["module"])]
-        found[f"{factor:.2f}"] = {"failed": after} if isinstance(after, str) else changed(base, after)
-        found["cases"] = len(base)
+        found[f"{factor:.2f}"] = {"failed": after} if isinstance(after, str) else changed(before, after)
+        found["cases"] = len(before)
     return found
 
 
-def stage_of(module: str) -> str:
-    """Return the package or module of a room that holds a module: its suite may begin there."""
-    return ".".join(module.split(".")[:3])
+def _known(inputs: Path, module: str) -> Path:
+    """Return the file of what a suite decides with the source as it is, from the stage on that holds a module."""
+    return inputs / f"{'.'.join(module.split('.')[1:3])}.json"
 
 
 def decisions(room: str, inputs: Path, module: str, name: str, factor: float) -> Any:
@@ -68,12 +68,15 @@ def decisions(room: str, inputs: Path, module: str, name: str, factor: float) ->
 def prepared(room: str, out: Path, data: Path, chosen: Sequence[Constant], quick: bool) -> Path:
     """Return the folder with a suite's inputs and what it decides with the source as it is, made where missing."""
     inputs = (out / f"inputs_{room}").absolute()
-    if not (inputs / "decisions.json").exists():
-        inputs.mkdir(parents=True, exist_ok=True)
-        suite(room).prepare(inputs, data, quick)
-        stages = sorted({stage_of(constant.module) for constant in chosen})
-        before = {stage: suite(room).decide(inputs, stage) for stage in stages}
-        (inputs / "decisions.json").write_text(json.dumps(before))
+    if not inputs.exists():
+        new = inputs.with_name(f"{inputs.name}.part")
+        new.mkdir(parents=True, exist_ok=True)
+        suite(room).prepare(new, data, quick)
+        new.rename(inputs)
+    stages = {_known(inputs, constant.module): constant.module for constant in chosen}
+    for path, module in progress(sorted(stages.items()), f"{room} as it is"):
+        if not path.exists():
+            write_text(path, json.dumps(suite(room).decide(inputs, module)))
     return inputs
 
 
@@ -153,8 +156,8 @@ def main() -> None:
     cases = []
     for room in args.room:
         mine = [constant for constant in every if constant.room == room]
-        inputs = prepared(room, args.out, args.data or DATA, mine, args.quick)
         chosen = [constant for constant in mine if _asked(constant, args.only)]
+        inputs = prepared(room, args.out, args.data or DATA, chosen, args.quick)
         cases += [{"room": room, "module": c.module, "name": c.name, "inputs": str(inputs)} for c in chosen]
     rows = run_cases(one_constant, cases, args.out / "constants", args.jobs, lambda why: {"lost": why})
     for room in args.room:
