@@ -114,7 +114,8 @@ class _Loader(SourceFileLoader):
 
 def with_moved(text: str, name: str, factor: float) -> ast.Module:
     """Return a module's syntax tree in which a constant is multiplied right after it was bound."""
-    tree, body = ast.parse(text), []
+    tree = ast.parse(text)
+    body: list[ast.stmt] = []
     for statement in tree.body:
         body.append(statement)
         if name in dict(_pairs(statement)):

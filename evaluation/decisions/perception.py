@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -53,7 +54,7 @@ class Case(NamedTuple):
     workspace: Box | None
     masks: Masks | None
     cloud: Cloud
-    skeleton: Skeleton | None
+    skeleton: Skeleton
     truth: Any
 
 
@@ -88,7 +89,7 @@ def decide(folder: Path, module: str) -> dict[str, dict[str, Any]]:
     for path in sorted(folder.glob("*.case")):
         case = pickle.loads(path.read_bytes())
         if case.capture is not None or stage >= STAGES.index("skeleton"):
-            found[case.name] = _tried(lambda case=case: _decided(case, stage))
+            found[case.name] = _tried(partial(_decided, case, stage))
     return found
 
 
@@ -101,13 +102,12 @@ def _tried(decided: Callable[[], dict[str, Any]]) -> dict[str, Any]:
 
 
 def _decided(case: Case, stage: int) -> dict[str, Any]:
-    found, cloud, skeleton = case.masks, case.cloud, case.skeleton
-    if stage <= STAGES.index("masks"):
-        found = segment(case.capture, case.workspace)
-    if stage <= STAGES.index("cloud"):
+    cloud = case.cloud
+    if stage <= STAGES.index("cloud") and case.capture is not None and case.masks is not None:
+        again = stage <= STAGES.index("masks")
+        found = segment(case.capture, case.workspace) if again else case.masks
         cloud = fuse(case.capture, found, case.workspace)
-    if stage <= STAGES.index("skeleton"):
-        skeleton = skeletonize(cloud)
+    skeleton = skeletonize(cloud) if stage <= STAGES.index("skeleton") else case.skeleton
     centres = flower_centres(cloud)
     stem = find_stem(skeleton, flowers_at=centres)
     flowers = find_flowers(cloud, skeleton, stem, centres=centres)
