@@ -22,10 +22,8 @@ from anther.core.records import Range, Record
 from anther.perception.capture import in_threads
 from anther.perception.cloud._wrong_views import Estimate, Sample, agreement, correct_views, match, plane_distances
 
-POINT_SIGMA = 0.0015
-"""Standard deviation of a point across its surface [m]: a D455's depth noise at 0.5 m (facts: perception)."""
-MATCHED = (8, 6, 5, 4, 3)
-"""Greatest distance of a match in each round [POINT_SIGMA], from the arm's error to the noise alone."""
+MATCHED = (0.012, 0.009, 0.007, 0.006, 0.005)
+"""Greatest distance of a match in each round [m], from three times the arm's error down; a third scales the weights."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,20 +161,19 @@ def _jointly(
     at: Estimate,
     given: Array,
     source: NDArray[np.bool_],
-    rounds: tuple[int, ...],
+    distances: tuple[float, ...],
     params: Params,
     *,
     reach_fixed: bool,
 ) -> Estimate | None:
-    """Return the estimate after rounds with matches within `rounds` times POINT_SIGMA: match, then two Gauss-Newton
-    steps."""
+    """Return the estimate after one round for each distance [m]: match, then two Gauss-Newton steps."""
     information = _prior_information(len(given), params)
-    for times in rounds:
-        pairs = match(sample, at, source, times * POINT_SIGMA)
+    for distance in distances:
+        pairs = match(sample, at, source, distance)
         if len(pairs) == 0:
             return None
         for _ in range(2):
-            at = _step(sample, pairs, at, given, information, times * POINT_SIGMA / 3, reach_fixed=reach_fixed)
+            at = _step(sample, pairs, at, given, information, distance / 3, reach_fixed=reach_fixed)
     return at
 
 
@@ -188,21 +185,22 @@ def _declined(given: Array, why: str) -> Registration:
 
 def _disagreement(sample: Sample, at: Estimate, held_out: NDArray[np.bool_]) -> float:
     """Return the median distance [m] of held-out points to the surfaces of other views."""
-    pairs = match(sample, at, held_out, MATCHED[0] * POINT_SIGMA)
+    pairs = match(sample, at, held_out, MATCHED[0])
     return float(np.median(plane_distances(sample, at, pairs))) if len(pairs) else np.inf
 
 
 def _prior_information(views: int, params: Params) -> Array:
     """Return the (6V + 1, 6V + 1) inverse covariance of V poses and of the reach of the camera's matching window.
 
-    Each pose has an error of its own and one that all share, the hand-eye calibration's, as large.
+    Each pose has an error of its own and one that all share, the hand-eye calibration's.
     """
 
     def variances(rotation: float, translation: float) -> Array:
         return np.diag(np.repeat(np.square([rotation, translation]), 3))
 
     own = variances(params.rotation_sigma, params.translation_sigma)
-    covariance = np.kron(np.eye(views), own) + np.kron(np.ones((views, views)), own)
+    shared = variances(float(np.deg2rad(0.2)), 0.001)  # per axis [rad], [m]; as careful calibrations leave
+    covariance = np.kron(np.eye(views), own) + np.kron(np.ones((views, views)), shared)
     information = np.zeros((6 * views + 1, 6 * views + 1))
     information[:-1, :-1] = np.linalg.inv(covariance)
     information[-1, -1] = 0.003**-2  # 2 px of a D455 [rad]
@@ -233,7 +231,10 @@ def _step(
     error = inverse(given) @ at.poses
     turned = Rotation.from_matrix(error[:, :3, :3].copy()).as_rotvec()
     moved = np.append(np.concatenate([turned, error[:, :3, 3]], axis=1).ravel(), at.reach)
-    free, weight = slice(-1 if reach_fixed else None), 1 / (8 * POINT_SIGMA**2)  # eight neighbours as one
+    free, weight = (
+        slice(-1 if reach_fixed else None),
+        1 / (8 * 0.0015**2),
+    )  # a D455's noise [m]; eight neighbours count as one
     change = np.zeros(len(information))
     change[free] = np.linalg.solve(
         (weight * hessian + information)[free, free], -(weight * gradient + information @ moved)[free]
