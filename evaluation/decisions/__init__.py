@@ -7,7 +7,8 @@ A suite is a module of this package, named after its room:
 
 A value says how it is compared, and how far it may differ before the decision counts as changed:
 
-    {"line": (N, 3), "within": m}          5 % of either line farther than that from the other
+    {"line": (N, 3), "within": m}          5 % of either line's points farther than that from the other line
+    {"places": (N, 3), "within": m}        5 % of either's points farther than that from the other's points
     {"points": (N, 3), "within": m}        another number, or a point without its partner
     {"ratio": number, "within": share}     a change of more than this share
     {"share": number, "within": number}    a change of more than this
@@ -22,12 +23,15 @@ import re
 from collections.abc import Mapping
 from importlib import import_module
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
+
+if TYPE_CHECKING:  # a constant is moved before Anther is imported
+    from anther.core import Array
 
 SUITES = ("perception", "plant")
 """Rooms that have a suite."""
@@ -58,8 +62,10 @@ def differs(before: Mapping[str, Any], after: Mapping[str, Any]) -> bool:
     """Return whether two values of a decision differ by more than the first one's tolerance."""
     kind = next(name for name in before if name != "within")
     one, other, within = before[kind], after[kind], before.get("within", 0.0)
-    if kind == "line":
-        return _apart(one, other, within) > 0.05 or _apart(other, one, within) > 0.05
+    if kind in ("line", "places"):
+        lines = [np.asarray(points, dtype=float) for points in (one, other)]
+        samples = [_sampled(line) if kind == "line" else line for line in lines]
+        return max(_apart(lines[0], samples[1], within), _apart(lines[1], samples[0], within)) > 0.05
     if kind == "points":
         return _unmatched(one, other, within)
     if kind == "words":
@@ -68,12 +74,13 @@ def differs(before: Mapping[str, Any], after: Mapping[str, Any]) -> bool:
     return bool(abs(other - one) > allowed)
 
 
-def _apart(line: Any, other: Any, within: float) -> float:
-    """Return the share of a line's nodes farther than so much from the samples of another."""
-    return float(np.mean(KDTree(_sampled(np.asarray(other))).query(np.asarray(line))[0] > within))
+def _apart(points: Array, others: Array, within: float) -> float:
+    """Return the share of points (N, 3) that are farther than `within` from others (M, 3)."""
+    return float(np.mean(np.asarray(KDTree(others).query(points)[0]) > within))
 
 
-def _sampled(line: Any) -> Any:
+def _sampled(line: Array) -> Array:
+    """Return the points (N, 3) of a line, and four between each two."""
     return np.concatenate([line[:-1] + t * np.diff(line, axis=0) for t in np.linspace(0, 1, 6)])
 
 

@@ -124,7 +124,7 @@ def _decided(case: Case, stage: int) -> dict[str, Any]:
         "stem confidence": {"share": stem.confidence, "within": 0.05},
         "stem radius": {"ratio": float(np.median(skeleton.radius[stem.node_ids])), "within": 0.05},
         "limbs": {"share": len(traits.limbs), "within": 0},
-        "skeleton": {"line": skeleton.nodes.tolist(), "within": step},
+        "skeleton": {"places": skeleton.nodes.tolist(), "within": step},
     }
     for kind in range(4):
         decisions[f"share of {('stem', 'branch', 'truss', 'leaf')[kind]}"] = {

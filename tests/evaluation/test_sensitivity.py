@@ -101,6 +101,14 @@ def test_a_line_that_ends_or_lies_elsewhere_is_another(after: dict[str, object],
     assert changed(before, {"case": {"stem": after}}) == ({"stem": ["case"]} if differs else {})
 
 
+def test_places_of_a_tree_are_not_joined_in_their_order() -> None:
+    tree = [[0.0, 0.0, 0.1 * k] for k in range(10)] + [[1.0, 0.0, 0.5]]
+    before = {"case": {"skeleton": {"places": tree, "within": 0.06}}}
+    assert not changed(before, {"case": {"skeleton": {"places": [[x, y, z + 0.05] for x, y, z in tree]}}})
+    elsewhere = [*tree[:-1], [0.5, 0.0, 0.7]]  # on the way from the last node of the stem to the branch
+    assert changed(before, {"case": {"skeleton": {"places": elsewhere}}})
+
+
 def test_decisions_of_every_kind_are_compared() -> None:
     before = {
         "one": {
