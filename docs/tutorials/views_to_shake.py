@@ -51,7 +51,7 @@ tree = skeletonize(seen)
 main = find_stem(tree)
 blossoms = flowers.find_flowers(seen, tree, main)
 if not len(blossoms.positions):  # hidden behind leaves: shake for flowers at the ends of trusses
-    blossoms = flowers.supposed_flowers(tree, main)
+    blossoms = flowers.assume_flowers(tree, main)
 print(f"main stem {main.arc_length[-1]:.2f} m, {len(blossoms.positions)} flowers")
 for note in (*seen.notes, *blossoms.notes):
     print("note:", note)

@@ -4,7 +4,7 @@ Each plant is read three times, as a file would be whose z, y or x axis is up an
 (all of --data, every eighth seedling of trackplant3d_tomato1a) and the surfaces of simulated tomatoes and peppers.
 
 Keys of the --json file: plants; of right files, false_alarms (share called wrong) and right_in_doubt (share said to be
-hard to tell); of wrong files, noticed (share that gets a note), named (share whose right axis is named) and misnamed
+uncertain); of wrong files, noticed (share that gets a note), named (share whose right axis is named) and misnamed
 (share of which another is); seconds_median (processor time of the check). With real_ and simulated_ before them: of
 these plants alone.
 """
@@ -72,7 +72,7 @@ def metrics(rows: list[dict[str, object]]) -> dict[str, float]:
     return {
         "plants": len(right),
         "false_alarms": float(np.mean(["try --up" in said for said in right])),
-        "right_in_doubt": float(np.mean(["hard to tell" in said for said in right])),
+        "right_in_doubt": float(np.mean(["uncertain" in said for said in right])),
         "noticed": float(np.mean([bool(said) for _, said in wrong])),
         "named": float(np.mean([f"try --up {axis}" in said for axis, said in wrong])),
         "misnamed": float(np.mean(["try --up" in said and f"--up {axis}" not in said for axis, said in wrong])),
@@ -82,7 +82,7 @@ def metrics(rows: list[dict[str, object]]) -> dict[str, float]:
 
 HEADS = {
     "false_alarms": "right files called wrong",
-    "right_in_doubt": "right files said to be hard to tell",
+    "right_in_doubt": "right files said to be uncertain",
     "noticed": "wrong files noticed",
     "named": "wrong files whose axis is named",
     "misnamed": "wrong files of which another is named",

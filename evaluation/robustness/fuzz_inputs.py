@@ -21,7 +21,7 @@ from anther.core.files import read_json, write_json
 from anther.core.runs import FILES
 from anther.history import record_trial
 from anther.perception import Capture, Cloud, Skeleton, find_stem, write_skeleton
-from anther.perception.flowers import supposed_flowers
+from anther.perception.flowers import assume_flowers
 from anther.plant import TOMATO, Visit, build_plant
 from anther.pollination import plan_grasps, save_grasps
 
@@ -95,7 +95,7 @@ def _write_run(run: Path, tree: Skeleton, cloud: Cloud) -> None:
     cloud.save(run / FILES["cloud"])
     tree.save(run / FILES["skeleton"])
     stem.save(run / FILES["stem"])
-    flowers = supposed_flowers(tree, stem)
+    flowers = assume_flowers(tree, stem)
     flowers.save(run / FILES["flowers"])
     save_grasps(run / FILES["grasp"], plan_grasps(stem, tree, cloud))
     build_plant(tree, stem, flowers, cloud, TOMATO).save(run / FILES["plant model"])

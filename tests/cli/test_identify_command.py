@@ -147,7 +147,7 @@ GOOD = "mass_g,radius_mm,length_mm\n1.2,3.0,40\n"
         (GOOD.replace("mass_g", "mass"), "line 1, column 1: got 'mass'"),
         (GOOD.replace("mass_g", "mass_lb"), "line 1, column 1: got 'mass_lb'"),
         ("mass_g,length_mm\n1,2\n", "line 1: got no column for radius; allowed: radius_m, radius_cm"),
-        (GOOD.replace("length_mm", "diameter_mm"), "'diameter_mm' beside 'radius_mm'"),
+        (GOOD.replace("length_mm", "diameter_mm"), "'diameter_mm' and 'radius_mm'"),
         (GOOD + "1.2,3.0\n", "line 3: got 2 cells; allowed: 3"),
         (GOOD + "1.2,three,40\n", "line 3, column radius_mm: got 'three'; allowed: a number"),
         (GOOD + "1.2,,40\n", "line 3, column radius_mm: got an empty cell"),

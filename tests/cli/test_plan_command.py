@@ -67,8 +67,8 @@ def test_a_skeletons_flowers_are_named_or_supposed(file: Path, capsys: pytest.Ca
     run(Args(file, frequencies=4, json=True, params=FAST))
     supposed = json.loads(capsys.readouterr().out)
     assert len(named["flowers"]) == 1
-    assert any("no flower was seen" in note for note in supposed["notes"])
-    assert not any("no flower was seen" in note for note in named["notes"])
+    assert any("no flower was detected" in note for note in supposed["notes"])
+    assert not any("no flower was detected" in note for note in named["notes"])
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from anther.perception.formats.skeletons import write_skeleton
 from anther.perception.skeleton import Skeleton
 from anther.perception.stem import find_stem
 from anther.plant.model import TOMATO, build_plant
-from anther.plant.source import Made, held_nodes, read_plant
+from anther.plant.source import Properties, held_nodes, read_plant
 from anther.rods import frequency_response
 
 
@@ -122,7 +122,7 @@ def test_the_table_names_the_best_grip(file: Path, capsys: pytest.CaptureFixture
 
 
 def test_pads_hold_neighbours_along_the_stem(file: Path):
-    source = read_plant(file, Made(changes={"youngs": 1e8}), bare=True)[0]
+    source = read_plant(file, Properties(changes={"youngs": 1e8}), bare=True)[0]
 
     def held(number: int, pads: float) -> set[int]:
         nodes = held_nodes(source, source.node(number), pads)
@@ -221,10 +221,10 @@ def test_rods_in_time_are_those_of_the_plan(file: Path):
 
 
 def test_a_stiffness_that_somebody_gave_is_not_raised(file: Path):
-    soft = Made(changes={"density": 5000.0, "youngs": TOMATO.youngs}, radius=0.001)
+    soft = Properties(changes={"density": 5000.0, "youngs": TOMATO.youngs}, radius=0.001)
     with pytest.raises(StageFailure, match="buckles"):
         read_plant(file, soft)
-    assert "raised from 100 MPa" in read_plant(file, Made(changes={"density": 5000.0}, radius=0.001))[0].stiffness
+    assert "raised from 100 MPa" in read_plant(file, Properties(changes={"density": 5000.0}, radius=0.001))[0].stiffness
 
 
 def test_a_named_node_means_the_flower_that_it_bears(file: Path):

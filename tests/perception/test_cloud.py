@@ -172,9 +172,9 @@ def test_round_trip(tmp_path: Path) -> None:
 def test_a_cloud_of_ours_that_lost_its_obstacles_is_refused(tmp_path: Path) -> None:
     """Pot and bench would be free space to an arm."""
     Cloud(np.random.default_rng(0).normal(size=(50, 3)), obstacles=np.zeros((3, 3))).save(tmp_path / "03_cloud.ply")
-    told = dict(np.load(tmp_path / "03_cloud.npz"))
-    del told["obstacles"]
-    np.savez(tmp_path / "03_cloud.npz", **told)
+    stored = dict(np.load(tmp_path / "03_cloud.npz"))
+    del stored["obstacles"]
+    np.savez(tmp_path / "03_cloud.npz", **stored)
     with pytest.raises(InputError):
         Cloud.load(tmp_path / "03_cloud.ply")
 

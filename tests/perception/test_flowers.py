@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from anther.perception.cloud import Cloud
-from anther.perception.flowers import SUPPOSED, Flowers, find_flowers, flower_centres, supposed_flowers
+from anther.perception.flowers import PEDICEL, Flowers, assume_flowers, find_flowers, flower_centres
 from anther.perception.masks import FLOWER, PLANT
 from anther.perception.skeleton import Skeleton
 from anther.perception.stem import BRANCH, TRUSS, Stem, find_stem
@@ -108,7 +108,7 @@ def test_flowers_nobody_saw_are_supposed_at_the_ends_of_trusses_or_branches_or_e
     side = np.array([*[0] * 51, BRANCH, BRANCH], dtype=np.uint8)
     for organ, carrier in ((np.where(side, TRUSS, side), 52), (side, 52), (0 * side, 50)):
         plant = Stem(STEM.node_ids, STEM.arc_length, STEM.attachments, organ.astype(np.uint8))
-        found = supposed_flowers(SKELETON, plant)
+        found = assume_flowers(SKELETON, plant)
         assert found.attachment.tolist() == [carrier]
-        assert np.linalg.norm(found.positions[0] - SKELETON.nodes[carrier]) == pytest.approx(SUPPOSED)
-        assert "no flower was seen" in found.notes[0]
+        assert np.linalg.norm(found.positions[0] - SKELETON.nodes[carrier]) == pytest.approx(PEDICEL)
+        assert "no flower was detected" in found.notes[0]

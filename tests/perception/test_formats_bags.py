@@ -258,7 +258,7 @@ def odd_lens(maker: BagMaker) -> None:
 FAULTS = {
     "no colour": (without(COLOR), "0 topics with colour images"),
     "no depth": (without(DEPTH), "--depth-topic"),
-    "no camera info": (without("/camera/color/camera_info"), "no camera info beside"),
+    "no camera info": (without("/camera/color/camera_info"), "no camera info for"),
     "no poses": (without(POSE), "no poses"),
     "two colour topics": (second_colour, "2 topics with colour images"),
     "two pose topics": (second_pose, "--pose-topic"),

@@ -316,7 +316,7 @@ def test_empty_lines_may_be_left_out_of_a_text_model(tmp_path: Path) -> None:
         read = read_colmap_capture(tmp_path, SCALE, UP)
         np.testing.assert_allclose(read.T_world_cam, truth.T_world_cam[np.argsort(NAMES)], atol=1e-9)
     path.write_text("\n".join([f"# Number of images: {count + 1}, mean observations per image: 2", *lines]))
-    with pytest.raises(InputError, match=f"{count} images, where its head says {count + 1}"):
+    with pytest.raises(InputError, match=f"{count} images, where its head states {count + 1}"):
         read_colmap_capture(tmp_path, SCALE, UP)
 
 

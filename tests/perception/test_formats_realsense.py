@@ -66,7 +66,7 @@ def read(path: Path, folder: Path) -> BagViews:
 
 
 def within_a_pixel(a: Array, b: Array, tolerance: float = 3e-3) -> float:
-    """The share of a's pixels, without its two outermost rings, whose value b has there or beside it."""
+    """The share of a's pixels, without its two outermost rings, whose value b has there or next to it."""
     found = np.zeros(a.shape, bool)
     for dv in (-1, 0, 1):
         for du in (-1, 0, 1):

@@ -17,7 +17,7 @@ from anther.core.errors import InputError
 from anther.core.runs import FILES
 from anther.perception.formats import _gltf as gltf
 from anther.perception.formats._mtg import successors
-from anther.perception.formats.skeleton_file import rooted, supposed_radius
+from anther.perception.formats.skeleton_file import assume_radii, rooted
 from anther.perception.formats.skeletons import READS, WRITES, read_skeleton, write_skeleton
 from anther.perception.skeleton import Skeleton
 from anther.perception.stem import find_stem
@@ -394,7 +394,7 @@ def test_who_knows_better_names_the_root() -> None:
 
 def test_supposed_radii_add_up_as_pipes_do() -> None:
     found = rooted(*scrap_of_soil()).rooted_at()
-    radius = supposed_radius(found, 5e-3)
+    radius = assume_radii(found, 5e-3)
     assert radius[0] == pytest.approx(5e-3)
     assert np.all(radius[1:] <= radius[found.parent[1:]] + 1e-12)
     stem = found.skeleton(radius)

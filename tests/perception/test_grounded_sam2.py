@@ -97,11 +97,11 @@ def test_equal_masks_keep_the_order_in_which_they_were_found() -> None:
 
 def test_batches_cover_every_view_once_and_progress_says_so() -> None:
     networks = Rectangles(LEAF, BLOSSOM, of_view={0: [0], 1: [], 2: [1], 3: [0, 1], 4: []})
-    rgb, told = views(5).rgb, []
+    rgb, reported = views(5).rgb, []
     assert rgb is not None
-    labels = label_views(rgb, networks, Params(), batch=2, progress=lambda *done: told.append(done))
+    labels = label_views(rgb, networks, Params(), batch=2, progress=lambda *done: reported.append(done))
     assert networks.asked == [2, 2, 1]
-    assert told == [(2, 5), (4, 5), (5, 5)]
+    assert reported == [(2, 5), (4, 5), (5, 5)]
     assert [(PLANT in v, FLOWER in v) for v in labels] == [
         (True, False),
         (False, False),
@@ -290,7 +290,7 @@ def test_reconstruct_with_the_networks_masks(models: Path, tmp_path: Path, monke
     masks = Masks.load(tmp_path / "run" / "02_masks.npz")
     assert masks.source == SOURCE
     kept = segment(capture, models, cache=tmp_path / "capture" / "masks")
-    assert len(loaded) == 1, "the networks' masks lie beside the capture for the next time"
+    assert len(loaded) == 1, "the networks' masks lie next to the capture for the next time"
     np.testing.assert_array_equal(kept.labels > BACKGROUND, truth.organ <= Organ.FLOWER)
 
 

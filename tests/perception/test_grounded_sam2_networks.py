@@ -221,14 +221,14 @@ def test_sam3_agrees_with_the_whole_network_run_on_one_image(models: Path, image
 def test_the_whole_chain_from_a_folder_of_weights(models: Path, tmp_path: Path, images: Any, method: Any) -> None:
     poses = np.stack([look_at([1.0, 0.1 * k, 0.3], [0, 0, 0]) for k in range(3)])
     camera = Intrinsics(width=WIDTH, height=HEIGHT, fx=60, fy=60, cx=39.5, cy=23.5)
-    capture, told = Capture(np.ones(images.shape[:3]), camera, poses, images), []
+    capture, reported = Capture(np.ones(images.shape[:3]), camera, poses, images), []
     params = Params(score=0.0, most=6)
-    masks = segment(capture, models, params, method=method, cache=tmp_path, progress=lambda *done: told.append(done))
+    masks = segment(capture, models, params, method=method, cache=tmp_path, progress=lambda *at: reported.append(at))
     assert masks.labels.shape == (3, HEIGHT, WIDTH)
     assert set(np.unique(masks.labels)) <= {0, PLANT, FLOWER}
     assert (masks.labels > 0).any(axis=(1, 2)).all()
     assert masks.source == {"grounded-sam2": "Grounding DINO and SAM 2", "sam3": "SAM 3"}[method]
-    assert told[-1] == (3, 3)
+    assert reported[-1] == (3, 3)
     batched = segment(capture, models, Params(score=0.0, most=6, batch=3), method=method)
     assert (batched.labels != masks.labels).mean() < 2e-3  # sums in another order
     kept = segment(capture, models, params, method=method, cache=tmp_path)

@@ -1,4 +1,4 @@
-"""Masks in lights of all colours, with stakes beside the plant, and of images without depth."""
+"""Masks in lights of all colours, with stakes near the plant, and of images without depth."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def test_a_stake_is_straight_long_and_upright() -> None:
 
 
 def picture() -> np.ndarray:
-    """A plant with a white flower before a black cloth, with a white card beside it."""
+    """A plant with a white flower before a black cloth, with a white card next to it."""
     image = np.full((1, 300, 400, 3), (14, 16, 13), dtype=np.uint8)
     image[0, 60:300, 198:203] = (90, 130, 50)
     cv2.circle(image[0], (230, 200), 30, (70, 120, 40), -1)
@@ -157,7 +157,7 @@ def test_orange_fruit_is_no_flower() -> None:
 
 
 def test_a_plant_has_petals_of_one_colour() -> None:
-    """A leaf shines beside a golden flower; alone it passes for a white one, unless the crop has none."""
+    """A leaf shines next to a golden flower; alone it passes for a white one, unless the crop has none."""
     image = picture()
     shining = (230, 200)
     cv2.circle(image[0], shining, 4, (240, 242, 238), -1)

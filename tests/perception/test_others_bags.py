@@ -1,4 +1,4 @@
-"""Bags of trackers and of compressed depth: whose pose is told, and how depth is packed."""
+"""Bags of trackers and of compressed depth: whose pose is given, and how depth is packed."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_the_poses_of_a_body_are_carried_to_the_camera(tmp_path: Path) -> None:
     tracked("body", moving_tf=False).write(tmp_path / "a")
     views = read_bag(tmp_path / "a")
     same(views.capture, truth())
-    assert any("tells the poses of 'body'" in note for note in views.notes)
+    assert any("gives the poses of 'body'" in note for note in views.notes)
     tracked("stranger", moving_tf=False).write(tmp_path / "b")
     with pytest.raises(InputError, match="poses of 'stranger', a camera in 'camera'"):
         read_bag(tmp_path / "b")
@@ -63,13 +63,13 @@ def test_the_poses_of_a_body_are_carried_to_the_camera(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["pose", ""])
 def test_a_pose_that_does_not_say_whose_it_is_is_refused_where_it_may_be_the_body(tmp_path: Path, kind: str) -> None:
     tracked(kind, moving_tf=False).write(tmp_path / "a")
-    with pytest.raises(InputError, match=r"do not say whose they are.*--pose-frame camera, or another of body, link"):
+    with pytest.raises(InputError, match=r"poses of an unnamed frame.*--pose-frame camera, or another of body, link"):
         read_bag(tmp_path / "a")
     same(read_bag(tmp_path / "a", BagOptions(pose_frame="body")).capture, truth())
 
 
 def test_a_topic_that_is_named_is_taken(tmp_path: Path) -> None:
-    """Also where tf would tell: the body's pose is the camera's only if that is said."""
+    """Also where tf would give it: the body's pose is the camera's only if that is said."""
     maker = tracked("body", moving_tf=True)
     maker.write(tmp_path / "a")
     same(read_bag(tmp_path / "a", BagOptions(pose_topic="/tracker/odom")).capture, truth())
@@ -250,7 +250,7 @@ def test_a_frame_of_two_parents_and_a_camera_that_stands_are_refused(tmp_path: P
     same(read_bag(tmp_path / "a").capture, truth())
     maker.tf("/tf", START, [("odom", "camera", np.eye(4))])
     maker.write(tmp_path / "b")
-    with pytest.raises(InputError, match="'camera' hangs on odom and world"):
+    with pytest.raises(InputError, match="'camera' has the parents odom and world"):
         read_bag(tmp_path / "b")
     maker.messages = [m for m in maker.messages if m[0] != "/tf"]
     maker.tf("/tf_static", START, [("world", "camera", np.eye(4))])

@@ -14,7 +14,7 @@ from anther.core.errors import InputError, StageFailure
 from anther.perception.formats.skeletons import read_skeleton, write_skeleton
 from anther.perception.skeleton import Skeleton
 from anther.plant.imported import read_source
-from anther.plant.source import Made, read_plant
+from anther.plant.source import Properties, read_plant
 
 HEIGHT = np.linspace(0, 0.3, 16)
 
@@ -121,17 +121,17 @@ def test_radii_that_are_all_zero_are_not_known(tmp_path: Path) -> None:
 def test_a_material_in_other_units_is_refused(tmp_path: Path, options: dict[str, float], words: str) -> None:
     path = write(tmp_path / "a.swc", rows())
     with pytest.raises(InputError, match=words):
-        read_plant(path, Made(changes=options))
+        read_plant(path, Properties(changes=options))
 
 
 def test_the_stiffness_that_would_hold_a_plant_is_told_however_far_off(tmp_path: Path) -> None:
     path = write(tmp_path / "a.swc", rows())
-    told = set()
+    stated = set()
     for youngs in (1e4, 3e4, 1e5):
         with pytest.raises(StageFailure, match=r"would stand from E = [0-9.e+]+ Pa.*100 MPa is 100e6") as failure:
-            read_plant(path, Made(changes={"youngs": youngs}), bare=True)
-        told.add(str(failure.value).split("E = ")[2].split(" Pa")[0])
-    assert len({f"{float(value):.1e}" for value in told}) == 1
+            read_plant(path, Properties(changes={"youngs": youngs}), bare=True)
+        stated.add(str(failure.value).split("E = ")[2].split(" Pa")[0])
+    assert len({f"{float(value):.1e}" for value in stated}) == 1
 
 
 @pytest.mark.parametrize(

@@ -41,7 +41,7 @@ class Seen:
 
     @property
     def notes(self) -> str:
-        """All that the user is told."""
+        """All notes for the user."""
         return "\n".join((*self.cloud.notes, *self.skeleton.notes, *self.stem.notes))
 
 

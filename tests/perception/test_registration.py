@@ -222,6 +222,6 @@ def test_the_result_does_not_depend_on_chance(monkeypatch: pytest.MonkeyPatch) -
     rng = np.random.default_rng(9)
     clouds, true = views_of(rng, count=5)
     given = perturbed(true, rng)
-    monkeypatch.setattr(_registration, "MATCH_DISTANCES", (0.01,))
+    monkeypatch.setattr(_registration, "MATCHED", (0.01,))
     first, second = (register(clouds, given) for _ in range(2))
     assert np.array_equal(first.T_world_cam, second.T_world_cam)

@@ -85,7 +85,7 @@ def test_how_sure_the_root_is_comes_from_its_rivals(plant: Skeleton, tmp_path: P
     assert either.root_confidence == pytest.approx(0.5, abs=0.2)
     other = 0.3 - either.nodes[0, 0]
     (note,) = [note for note in either.notes if note.startswith("root:")]
-    assert float(note.split("stand at ")[1].split(",")[0]) == pytest.approx(other, abs=0.01)
+    assert float(note.split("candidate is ")[1].split(",")[0]) == pytest.approx(other, abs=0.01)
     either.save(tmp_path / "skeleton.npz")
     assert Skeleton.load(tmp_path / "skeleton.npz").root_confidence == either.root_confidence
     known = skeletonize(table, Params(root=(0.3, 0.0, 0.0)))

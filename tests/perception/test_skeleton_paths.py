@@ -1,4 +1,4 @@
-"""Blades told from stems, paths that keep to stems, sections, and the stem down to the soil."""
+"""Blades distinguished from stems, paths that keep to stems, sections, and the stem down to the soil."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from anther.perception.skeleton import Params, skeletonize
 from anther.perception.skeleton._centreline import cross_sections
 from anther.perception.skeleton._paths import (
     LevelSets,
+    centre_on_blades,
     covering_paths,
     geodesic_tree,
     level_sets,
-    middled,
     shortest_paths,
 )
-from anther.perception.skeleton.raw_tree import RawTree, parted
+from anther.perception.skeleton.raw_tree import RawTree, separate_branches
 from anther.perception.skeleton.support import distance_to_soil
 from anther.perception.skeleton.voxel_solid import Voxels, neighbour_edges, surroundings
 
@@ -82,7 +82,7 @@ def test_a_line_on_a_blade_moves_to_its_middle_and_one_on_a_stem_stays() -> None
     flat = np.where(aside[:, 2] < 60, 0.0, 1.0)
     tree = RawTree(aside, np.arange(-1, 120), np.ones(121), np.ones(121), flat)
     source = int(np.flatnonzero((index == [1, 1, 0]).all(axis=1))[0])
-    moved = middled(tree, np.ones(121), voxels, level_sets(voxels, source)).nodes
+    moved = centre_on_blades(tree, np.ones(121), voxels, level_sets(voxels, source)).nodes
     np.testing.assert_allclose(moved[:60], aside[:60])
     assert np.abs(moved[80:110, 0] - 1).max() < 0.5
     assert np.abs(np.diff(moved[80:110, 0])).max() < 0.2
@@ -106,15 +106,15 @@ def test_a_broad_blade_has_one_smooth_midrib() -> None:
 
 def test_paths_side_by_side_in_one_stem_become_one() -> None:
     line = np.stack([np.zeros(20), np.zeros(20), np.arange(20.0)], axis=1)
-    beside = np.concatenate([line[1:11] + np.array([0.5, 0, 0]), [[1.5 + k, 0, 11 + k] for k in range(5)]])
-    nodes = np.concatenate([line, beside])
+    close = np.concatenate([line[1:11] + np.array([0.5, 0, 0]), [[1.5 + k, 0, 11 + k] for k in range(5)]])
+    nodes = np.concatenate([line, close])
     parent = np.concatenate([[-1], np.arange(19), [0], np.arange(20, 34)])
     order = np.argsort(nodes[:, 2], kind="stable")
     rank = np.argsort(order)
     tree = RawTree(
         nodes[order], np.where(parent[order] >= 0, rank[parent[order]], -1), np.ones(35), np.ones(35), np.zeros(35)
     )
-    apart = parted(tree, np.where(tree.nodes[:, 0] == 0, 2.0, 1.0))
+    apart = separate_branches(tree, np.where(tree.nodes[:, 0] == 0, 2.0, 1.0))
     assert len(apart.nodes) == 25
     fork = np.flatnonzero(np.bincount(apart.parent[1:], minlength=25) == 2)
     assert apart.nodes[fork].tolist() == [[0, 0, 10]]

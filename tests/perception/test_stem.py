@@ -278,10 +278,10 @@ def test_a_file_that_does_not_say_where_the_stem_forks_is_refused(tmp_path: Path
     """Without it places above a fork would be ranked as if they were on the stem."""
     path = tmp_path / "stem.npz"
     find_stem(drawn(line([0, 0, 0], [0, 0, 0.3]), radius=[0.004])).save(path)
-    told = dict(np.load(path))
-    fields = json.loads(str(told["fields"]))
+    stored = dict(np.load(path))
+    fields = json.loads(str(stored["fields"]))
     del fields["fork"]
-    told["fields"] = np.array(json.dumps(fields))
-    np.savez(path, **told)
+    stored["fields"] = np.array(json.dumps(fields))
+    np.savez(path, **stored)
     with pytest.raises(InputError):
         Stem.load(path)

@@ -15,7 +15,7 @@ from anther.core.geometry import inverse
 from anther.core.runs import Run
 from anther.perception.capture import OPENGL_TO_OPENCV, Capture
 from anther.perception.cloud import Cloud, fuse, likely_cause
-from anther.perception.cloud._doubts import MOST_SEEN_THROUGH
+from anther.perception.cloud._warnings import MOST_SEEN_THROUGH
 from anther.perception.masks import Masks, segment
 from anther.perception.skeleton import skeletonize
 from anther.pollination.pipeline import Params, cause_named, perceive
@@ -115,10 +115,10 @@ def test_a_real_capture_agrees_and_with_a_wrong_focal_length_does_not(data: Path
     assert "focal length near" in wrong.notes[0]
 
 
-@pytest.mark.parametrize(("times", "told"), [(0.1, "10 times"), (0.25, "4 times"), (4.0, "0.25 times")])
-def test_depth_in_other_steps_is_named(capture: Capture, times: float, told: str) -> None:
+@pytest.mark.parametrize(("times", "named"), [(0.1, "10 times"), (0.25, "4 times"), (4.0, "0.25 times")])
+def test_depth_in_other_steps_is_named(capture: Capture, times: float, named: str) -> None:
     cause = likely_cause(replace(capture, depth=capture.depth * np.float32(times)))
-    assert told in cause
+    assert named in cause
     assert "depth_unit_scale_factor" in cause
 
 

@@ -20,7 +20,7 @@ from anther.perception.skeleton import Params, Skeleton, skeletonize
 from anther.perception.stem import Params as StemParams
 from anther.perception.stem import find_stem
 from anther.plant.imported import STEM, main_stem, place, read_source
-from anther.plant.source import Made, read_plant
+from anther.plant.source import Properties, read_plant
 
 
 @pytest.fixture(scope="module")
@@ -38,8 +38,8 @@ def test_the_plant_stands_where_somebody_says(cloud: Cloud, method: Literal["geo
     found = skeletonize(cloud, Params(method=method))
     leaf = farthest_leaf(found)
     assert np.linalg.norm(found.nodes[0] - leaf) > 0.05
-    told = skeletonize(cloud, Params(method=method, root=tuple(leaf)))
-    assert np.linalg.norm(told.nodes[0] - leaf) < 0.01
+    rooted = skeletonize(cloud, Params(method=method, root=tuple(leaf)))
+    assert np.linalg.norm(rooted.nodes[0] - leaf) < 0.01
 
 
 def test_the_main_stem_ends_where_somebody_says(cloud: Cloud) -> None:
@@ -87,13 +87,13 @@ def bare(folder: Path) -> Path:
 
 
 def test_a_file_without_radii_is_as_thick_as_its_crop(tmp_path: Path) -> None:
-    tomato, pepper = (read_plant(bare(tmp_path), Made(species=crop), bare=True)[0].rods for crop in CROPS)
+    tomato, pepper = (read_plant(bare(tmp_path), Properties(species=crop), bare=True)[0].rods for crop in CROPS)
     for rods, crop in ((tomato, "tomato"), (pepper, "pepper")):
         radius = np.asarray(rods.edge_radius)
         assert radius.max() == pytest.approx(STEM[crop], rel=0.05)
         tips = np.setdiff1d(np.arange(1, len(radius)), rods.parent)
         assert radius[tips].max() < 0.5 * radius.max(), "thinner with what it carries"
-    given = read_plant(bare(tmp_path), Made(radius=3e-3), bare=True)[0].rods
+    given = read_plant(bare(tmp_path), Properties(radius=3e-3), bare=True)[0].rods
     assert np.asarray(given.edge_radius) == pytest.approx(3e-3)
 
 
@@ -127,7 +127,7 @@ def test_a_shake_without_nodes_is_of_the_stem_and_says_which(tmp_path: Path, cap
 
 
 def test_a_node_of_a_file_is_its_root_or_ends_its_stem(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    file, skeleton, stiff = bare(tmp_path), branched()[0], Made(changes={"youngs": 1e11})
+    file, skeleton, stiff = bare(tmp_path), branched()[0], Properties(changes={"youngs": 1e11})
     top = int(skeleton.nodes[:, 2].argmax())
     at = ",".join(f"{x:.4f}" for x in skeleton.nodes[top])
     assert read_plant(file, stiff, root=at, bare=True)[0].numbers[0] == top

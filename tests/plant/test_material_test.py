@@ -291,11 +291,11 @@ def test_forgotten_leaves_are_noticed() -> None:
     frequency = first_frequency(truth.stem, truth.youngs, truth.density, "upright")
     load = np.array([5e-3, 10e-3])
     sunk = tip_deflections(truth.stem, truth.youngs, truth.density, load)
-    told = identify(of_stem(truth.stem, plucks=(pluck(frequency),), tip_mass=load, deflection=sunk))
+    stated = identify(of_stem(truth.stem, plucks=(pluck(frequency),), tip_mass=load, deflection=sunk))
     forgot = identify(of_stem(bare, plucks=(pluck(frequency),), tip_mass=load, deflection=sunk))
-    assert not told.warnings
+    assert not stated.warnings
     assert "disagree" in forgot.warnings[0]
-    assert forgot.material.youngs_spread > 2 * told.material.youngs_spread
+    assert forgot.material.youngs_spread > 2 * stated.material.youngs_spread
     assert abs(np.log(forgot.material.youngs / truth.youngs)) < 2 * forgot.material.youngs_spread
 
 

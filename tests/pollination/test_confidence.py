@@ -16,7 +16,7 @@ from anther.perception.cloud import Cloud
 from anther.perception.skeleton import Skeleton
 from anther.perception.skeleton.support import node_confidence, probability
 from anther.perception.stem import Params, Stem, find_stem
-from anther.perception.stem.confidence import DOUBTFUL, doubt, plant_evidence, second_stem, stem_confidence
+from anther.perception.stem.confidence import DOUBTFUL, doubt, find_second_stem, plant_evidence, stem_confidence
 from anther.pollination.grasp import Grasp, load_grasps, plan_grasps, save_grasps
 from anther.pollination.grasp._candidates import place_confidence
 
@@ -105,7 +105,7 @@ def test_without_support_nothing_is_said_and_with_little_a_warning() -> None:
 
 def test_a_tree_that_comes_down_to_the_soil_twice_is_two_plants() -> None:
     skeleton, path = fork(1.0)
-    assert second_stem(skeleton, path) == ()
+    assert find_second_stem(skeleton, path) == ()
     down = np.stack([np.full(40, 0.2), np.zeros(40), np.linspace(0.39, 0, 40)], axis=1)
     twice = Skeleton(
         np.concatenate([skeleton.nodes, down]),
@@ -114,11 +114,11 @@ def test_a_tree_that_comes_down_to_the_soil_twice_is_two_plants() -> None:
         width=np.full(101, 0.005),
         confidence=np.full(101, 0.95),
     )
-    assert "x, y = 0.20, 0.00 m: two plants" in second_stem(twice, path)[0]
+    assert "x, y = 0.20, 0.00 m: two plants" in find_second_stem(twice, path)[0]
     tapers = replace(twice, radius=np.append(np.full(61, 0.005), np.linspace(0.02, 0.004, 40)))
-    assert second_stem(tapers, path) == (), "a leaf hangs down"
+    assert find_second_stem(tapers, path) == (), "a leaf hangs down"
     thin = replace(twice, radius=np.append(np.full(61, 0.005), np.full(40, 0.0025)))
-    assert second_stem(thin, path) == (), "so does a thin one"
+    assert find_second_stem(thin, path) == (), "so does a thin one"
 
 
 def test_confidences_survive_files(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from anther.perception.skeleton import Skeleton
 from anther.perception.stem import Stem
 from anther.plant.bench import read_material
 from anther.plant.limits import like_breeze
-from anther.plant.source import Made, SourcePlant, read_plant
+from anther.plant.source import Properties, SourcePlant, read_plant
 from anther.pollination.grasp import Grasp, load_grasps
 from anther.pollination.shake import (
     VIBRATING_GRIPPER,
@@ -85,7 +85,7 @@ def read(args: Args) -> tuple[SourcePlant, Skeleton | None, Stem | None, Cloud |
     measured = None if args.material is None else read_material(args.material)
     return read_plant(
         args.source,
-        Made(species, measured, changes, args.rods.radius, args.rods.least_radius),
+        Properties(species, measured, changes, args.rods.radius, args.rods.least_radius),
         flowers=() if args.source.is_dir() and (args.simulate or args.map) else args.flower,
         units=args.units,
         up=args.up,

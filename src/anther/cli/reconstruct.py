@@ -11,14 +11,14 @@ from anther.cli.args.reconstruct import Args
 from anther.cli.run_folder import finish, open_run
 from anther.core.geometry import Box
 from anther.perception.capture import Capture
-from anther.plant.imported import known_better
+from anther.plant.imported import with_known_places
 from anther.pollination.pipeline import Params, cause_named, mask_finder, perceive, rank_grasps
 
 
 def run(args: Args) -> None:
     """Reconstruct one plant and print what was found."""
     params = args.params or Params()
-    skeleton, stem = known_better(args.root, args.stem_tip, params.skeleton, params.stem)
+    skeleton, stem = with_known_places(args.root, args.stem_tip, params.skeleton, params.stem)
     args = replace(args, params=replace(params, skeleton=skeleton, stem=stem))
     out = args.out or Path("runs") / args.capture.resolve().name
     workspace = None if args.workspace is None else Box(np.array(args.workspace[:3]), np.array(args.workspace[3:]))

@@ -17,7 +17,7 @@ from anther.perception.formats.skeletons import write_skeleton
 from anther.perception.skeleton import Params, Skeleton, skeletonize
 from anther.perception.stem import Params as StemParams
 from anther.perception.stem import Stem, find_stem
-from anther.plant.imported import known_better
+from anther.plant.imported import with_known_places
 from anther.pollination.grasp import Grasp, plan_grasps, save_grasps
 from anther.pollination.grasp import Params as GraspParams
 from anther.show.pictures import save_figure
@@ -31,7 +31,7 @@ def run(args: Args) -> None:
     """Read, skeletonise, find stem and grasp, write and print them."""
     out = room_for(args, WRITTEN)
     cloud = read_cloud(args.cloud, args.units, args.up, plant=args.plant)
-    params, known = known_better(args.root, args.stem_tip, args.params or Params(), args.stem or StemParams())
+    params, known = with_known_places(args.root, args.stem_tip, args.params or Params(), args.stem or StemParams())
     skeleton = skeletonize(cloud, params)
     stem = find_stem(skeleton, known, flowers_at=flower_centres(cloud))
     grasps, notes = best_grasps(stem, skeleton, cloud, args.grasp)

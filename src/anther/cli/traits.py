@@ -25,7 +25,7 @@ from anther.perception.stem import Params as StemParams
 from anther.perception.stem import find_stem
 from anther.perception.stem.confidence import doubt
 from anther.perception.traits import LEVELS, CloudTraits, Limb, measure, measure_cloud, organs_of
-from anther.plant.imported import known_better
+from anther.plant.imported import with_known_places
 from anther.show.pictures import save_figure
 from anther.show.pictures.plant import draw_plant
 
@@ -211,7 +211,7 @@ def _row(args: Args, path: Path, place: Path) -> dict[str, Any]:
 
 
 def _stages(args: Args) -> tuple[Params, StemParams]:
-    return known_better(args.root, args.stem_tip, args.params or Params(), args.stem or StemParams())
+    return with_known_places(args.root, args.stem_tip, args.params or Params(), args.stem or StemParams())
 
 
 def _print(console: Console, rows: list[dict[str, Any]], path: Path) -> None:

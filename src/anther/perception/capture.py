@@ -1,6 +1,6 @@
-"""Capture: the RGB-D views of one plant, and the folder they are kept in. Dimensions: V views, H x W pixels.
+"""Capture: the RGB-D views of one plant, and the folder that holds them. Dimensions: V views, H x W pixels.
 
-The folder is nerfstudio's: `transforms.json` beside PNG images (docs/capture.md).
+The folder is nerfstudio's: `transforms.json` with PNG images (docs/capture.md).
 """
 
 from __future__ import annotations
@@ -23,10 +23,6 @@ from anther.core.geometry import Array, Box, Intrinsics
 from anther.perception.transforms import OPENGL_TO_OPENCV, PIXEL_CENTRE, check_views, in_threads, read_transforms
 
 __all__ = ["OPENGL_TO_OPENCV", "PIXEL_CENTRE", "Capture", "check_views", "in_threads", "viewed_box"]
-
-_DEPTH_UNITS = (1e-4, 1e-3)  # [m] per 16-bit step: 6.5 m in tenths of a millimetre, else 65 m in millimetres
-_PLAUSIBLE_DEPTH = (0.02, 20.0)  # [m] median of a view's readings
-_PLAUSIBLE_POSITION = 50.0  # [m] from the world's origin
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,28 +113,29 @@ def _check_replaceable(folder: Path) -> None:
 
 def _check_scale(depth: NDArray[Any], T_world_cam: Array) -> None:
     """Refuse metres mistaken for millimetres, or the other way round, in depth or poses."""
+    nearest, farthest, widest = 0.02, 20.0, 50.0  # median of the readings and distance of a camera [m]; guesses
     readings = depth[:: max(1, len(depth) // 5), ::8, ::8]
     if np.any(readings > 0):
         middle = float(np.median(readings[readings > 0]))
-        if not _PLAUSIBLE_DEPTH[0] <= middle <= _PLAUSIBLE_DEPTH[1]:
+        if not nearest <= middle <= farthest:
             raise bad_input(
                 "depth",
                 given=f"a median of {middle:g} m",
-                allowed=f"{_PLAUSIBLE_DEPTH[0]:g} to {_PLAUSIBLE_DEPTH[1]:g} m",
+                allowed=f"{nearest:g} to {farthest:g} m",
                 do="Is it in metres? In a folder, depth_unit_scale_factor says metres per step: 0.001 for millimetres.",
             )
     away = np.linalg.norm(T_world_cam[:, :3, 3], axis=1)
-    if away.max() > _PLAUSIBLE_POSITION:
+    if away.max() > widest:
         raise bad_input(
             "T_world_cam",
             given=f"a camera {away.max():g} m from the world's origin (view {away.argmax()})",
-            allowed=f"at most {_PLAUSIBLE_POSITION:g} m",
+            allowed=f"at most {widest:g} m",
             do="Are the poses in metres?",
         )
 
 
 def _check_apart(poses: Array) -> None:
-    """Refuse views that were all taken from one and the same place: nothing could be told about depth."""
+    """Refuse views that were all taken from one and the same place, which say nothing about depth."""
     if len(poses) > 1 and np.abs(poses - poses[0]).max() < 1e-6:
         raise bad_input(
             "transforms.json",
@@ -152,7 +149,7 @@ def viewed_box(capture: Capture) -> Box:
     """Return a box around the point where the optical axes meet, reaching towards the cameras but not to them.
 
     Half its width is 0.5, half its height 0.8 of the cameras' median distance from that point. Where the axes are
-    nearly parallel (one view, a straight pass) the median depth at the image centre stands in for the point.
+    nearly parallel (one view, a straight pass) the median depth at the image centre replaces the point.
     """
     origins, axes = capture.T_world_cam[:, :3, 3], capture.T_world_cam[:, :3, 2]
     normals = np.eye(3) - axes[:, :, None] * axes[:, None, :]
@@ -168,9 +165,9 @@ def viewed_box(capture: Capture) -> Box:
 
 
 def _write_folder(capture: Capture, folder: Path) -> None:
-    furthest = float(capture.depth.max())
-    check_range("greatest depth", furthest, 0, _DEPTH_UNITS[-1] * 65535, "m")
-    unit = next(u for u in _DEPTH_UNITS if furthest <= u * 65535)
+    furthest, steps = float(capture.depth.max()), 2**16 - 1
+    check_range("greatest depth", furthest, 0, 1e-3 * steps, "m")
+    unit = 1e-4 if furthest <= 1e-4 * steps else 1e-3  # [m] per step: up to 6.5 m in tenths of a millimetre
     for name in ("depth", "rgb") if capture.rgb is not None else ("depth",):
         (folder / name).mkdir(parents=True)
 

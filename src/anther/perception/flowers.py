@@ -16,32 +16,12 @@ from anther.perception.masks import FLOWER
 from anther.perception.skeleton import Skeleton
 from anther.perception.skeleton.raw_tree import edge_lengths, longest_way
 from anther.perception.skeleton.voxel_solid import components
-from anther.perception.stem import BRANCH, LEAF, TRUSS, Stem
+from anther.perception.stem import BRANCH, LEAF, LONGEST_PEDICEL, PEDICEL, TRUSS, Stem
 
-SUPPOSED = 0.015  # m, of a flower nobody saw from the end that carries it: a pedicel (9 to 22 mm; facts: pollination)
-GAP = 0.005
-"""Points nearer than this belong to one cluster [m]."""
 APART = 0.012
-"""Clusters whose centres are nearer than this are one flower in pieces [m]."""
+"""Least distance between the centres of two flowers [m]: about the width of a corolla (facts: pollination 2)."""
 GRID = 0.0015
-"""Points are thinned to one per cube of this edge first [m]."""
-FEWEST = 8
-"""A flower has at least so many points, counted on this grid."""
-SMALLEST = 0.003
-"""A flower is at least so large [m], or it is a speck."""
-LARGEST = 0.033
-"""A cluster longer than this is several flowers [m]; flowers measure 5 to 30 mm across."""
-FULLNESS = 0.45
-"""A flower's points cover at least this share of the disc as wide as it is: specks on a leaf lie scattered."""
-FARTHEST = 0.08
-"""A flower farther than this from the node that carries it is not believed [m]."""
-ON_LEAF = 4.0
-"""A node on a leaf counts as so many times farther away: flowers hang on trusses and stems."""
-_ROUNDS, _STARTS = 10, 400  # of mean shift, and so many points at most that are shifted
-REACH = 0.008
-"""Radius of the kernel that splits a cluster of several flowers [m]."""
-PEDICEL = 0.025
-"""A truss not longer than this is one flower's pedicel [m] (9 to 22 mm; facts: pollination)."""
+"""Points are thinned to one per cube of this edge [m]: the cloud's own spacing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +53,7 @@ def find_flowers(cloud: Cloud, skeleton: Skeleton, stem: Stem, *, centres: Array
     """
     centres = flower_centres(cloud) if centres is None else centres
     distance, carrier = _carriers(centres, skeleton, stem)
-    near = distance <= FARTHEST
+    near = distance <= 0.08  # [m]: farther away, its carrier was not seen
     notes = []
     if not near.any():
         notes.append(f"no flowers: {np.count_nonzero(cloud.labels == FLOWER)} points are labelled as flower")
@@ -83,16 +63,17 @@ def find_flowers(cloud: Cloud, skeleton: Skeleton, stem: Stem, *, centres: Array
 
 
 def flower_centres(cloud: Cloud) -> Array:
-    """Return flower centres (F, 3) [m], wherever they hang: `find_stem` tells trusses by them.
+    """Return flower centres (F, 3) [m], attached or not: `find_stem` recognizes trusses by them.
 
-    Clusters of points labelled flower and of a flower's size: large ones are split, pieces joined, specks dropped.
+    Clusters of points labelled flower, 5 mm apart, that are at most 33 mm long, as flowers are: longer ones are split,
+    pieces joined, specks dropped.
     """
     points = cloud.points[cloud.labels == FLOWER]
     if not len(points):
         return np.zeros((0, 3))
     _, first = np.unique(np.rint(points / GRID).astype(np.int64), axis=0, return_index=True)
     points = points[first]
-    pieces = [part for group in _groups(points, GAP) for part in _split(points[group])]
+    pieces = [part for group in _groups(points, 0.005) for part in _split(points[group])]
     middles = np.array([piece.mean(axis=0) for piece in pieces])
     joined = [np.concatenate([pieces[k] for k in group]) for group in _groups(middles, APART)]
     real = [flower.mean(axis=0) for flower in joined if _is_flower(flower)]
@@ -100,9 +81,10 @@ def flower_centres(cloud: Cloud) -> Array:
 
 
 def _is_flower(points: Array) -> bool:
+    """Return whether points (N, 3) of the grid are no speck, 3 mm or 8 points, and no scatter of specks on a leaf."""
     extent = _extent(points)
     covered = len(points) * GRID**2 / (np.pi / 4 * max(extent, GRID) ** 2)
-    return len(points) >= FEWEST and extent >= SMALLEST and covered >= FULLNESS
+    return len(points) >= 8 and extent >= 0.003 and covered >= 0.45
 
 
 def _groups(points: Array, gap: float) -> list[NDArray[Any]]:
@@ -114,27 +96,27 @@ def _groups(points: Array, gap: float) -> list[NDArray[Any]]:
 
 def _split(cluster: Array) -> list[Array]:
     """Return a cluster too large for a flower as several, by mean shift with a flat kernel."""
-    if _extent(cluster) <= LARGEST:
+    if _extent(cluster) <= 0.033:
         return [cluster]
     tree = KDTree(cluster)
-    peaks = cluster[:: -(-len(cluster) // _STARTS)].copy()
+    peaks, reach = cluster[:: -(-len(cluster) // 400)].copy(), 2 / 3 * APART
     moving = np.arange(len(peaks))
-    for _ in range(_ROUNDS):
-        shifted = _means_within(tree, peaks[moving])
+    for _ in range(10):
+        shifted = _means_within(tree, peaks[moving], reach)
         moved = np.any(shifted != peaks[moving], axis=1)
         peaks[moving] = shifted
         moving = moving[moved]
         if not len(moving):
             break
-    weight = tree.query_ball_point(peaks, REACH, return_length=True)
+    weight = tree.query_ball_point(peaks, reach, return_length=True)
     modes = _heaviest(peaks[np.argsort(weight)[::-1]], APART)
     _, owner = KDTree(modes).query(cluster)
     return [cluster[owner == k] for k in range(len(modes)) if np.any(owner == k)]
 
 
-def _means_within(tree: KDTree, centres: Array) -> Array:
-    """Return (F, 3) the mean of the tree's points within `REACH` of each centre."""
-    near = tree.query_ball_point(centres, REACH)
+def _means_within(tree: KDTree, centres: Array, reach: float) -> Array:
+    """Return (F, 3) the mean of the tree's points within reach of each centre."""
+    near = tree.query_ball_point(centres, reach)
     count = np.array([len(group) for group in near])
     start = np.cumsum(count) - count
     return np.add.reduceat(tree.data[np.concatenate(near)], start) / count[:, None]
@@ -156,11 +138,14 @@ def _extent(points: Array) -> float:
 
 
 def _carriers(centres: Array, skeleton: Skeleton, stem: Stem) -> tuple[Array, NDArray[Any]]:
-    """Return (distance, node) of the most plausible carrier of each flower."""
+    """Return (distance, node) of the most plausible carrier of each flower.
+
+    A node on a leaf counts as four times farther away: flowers hang on trusses and stems.
+    """
     if not len(centres):
         return np.zeros(0), np.zeros(0, dtype=np.int64)
     away = np.linalg.norm(centres[:, None] - skeleton.nodes, axis=2)
-    carrier = np.argmin(away * np.where(stem.organ == LEAF, ON_LEAF, 1.0), axis=1)
+    carrier = np.argmin(away * np.where(stem.organ == LEAF, 4.0, 1.0), axis=1)
     carrier = _pedicel_bases(skeleton, stem)[carrier]
     return away[np.arange(len(centres)), carrier], carrier
 
@@ -172,16 +157,17 @@ def _pedicel_bases(skeleton: Skeleton, stem: Stem) -> NDArray[Any]:
     for j in np.flatnonzero(stem.organ == TRUSS):
         p = skeleton.parent[j]
         foot[j] = foot[p] if stem.organ[p] == TRUSS else j
-        if way[foot[j]] <= PEDICEL:
+        if way[foot[j]] <= LONGEST_PEDICEL:
             base[j] = skeleton.parent[foot[j]]
     return base
 
 
-def supposed_flowers(skeleton: Skeleton, stem: Stem) -> Flowers:
-    """Return flowers where they may hang unseen: at the ends of all trusses, or else of the branches, or of the stem.
+def assume_flowers(skeleton: Skeleton, stem: Stem) -> Flowers:
+    """Return assumed flowers where occluded ones may be: at the ends of all trusses, or else of the branches, or of the
+    stem.
 
     A plant whose flowers hide behind leaves is shaken for these: each has a pedicel's limits. What they would do is an
-    estimate for flowers that nobody saw, and the note says so.
+    estimate for unseen flowers, and a note says so.
     """
     ends = np.setdiff1d(np.arange(len(skeleton.nodes)), skeleton.parent)
     for organ in (TRUSS, BRANCH):
@@ -192,5 +178,5 @@ def supposed_flowers(skeleton: Skeleton, stem: Stem) -> Flowers:
         tips = stem.node_ids[-1:]
     out = skeleton.nodes[tips] - skeleton.nodes[skeleton.parent[tips]]
     out /= np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-9)
-    note = f"no flower was seen: the shake is chosen for flowers supposed at {len(tips)} of its ends"
-    return Flowers(skeleton.nodes[tips] + SUPPOSED * out, tips, (note,))
+    note = f"no flower was detected: the shake is chosen for flowers assumed at {len(tips)} of its ends"
+    return Flowers(skeleton.nodes[tips] + PEDICEL * out, tips, (note,))

@@ -1,4 +1,4 @@
-"""Images from files, which may be damaged, truncated or far larger than they look. H x W pixels."""
+"""Images from files, which may be damaged, truncated or far larger when decoded. H x W pixels."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def _stated_size(data: bytes) -> tuple[int, int] | None:
 def is_intact(data: bytes) -> bool:
     """Return whether a PNG's chunks are whole (decoders fill a truncated image silently) or a JPEG has its end.
 
-    Of other images only the decoder can tell.
+    Other images are checked by the decoder alone.
     """
     if data.startswith(b"\xff\xd8"):
         return b"\xff\xd9" in data[-65536:]

@@ -18,14 +18,9 @@ from anther.perception.skeleton.raw_tree import edge_lengths, sum_above
 from anther.perception.stem import LEAF, ORGAN_NAMES, STEM, Stem
 
 LEVELS = (10, 25, 50, 75, 90)
-"""Where the stem's radius is told [% of its length]."""
+"""Where the stem's radius is given [% of its length]."""
 REACH = 0.03
-"""An insertion angle is that of a limb's first so many metres, or of all of a shorter one."""
-
-SAMPLED = 2000
-"""Points whose nearest neighbour is sought."""
-LEAST_CELL = 1e-4
-"""Of a projected area, where points repeat [m]."""
+"""An insertion angle is that of a limb's first stretch of this length [m], or of all of a shorter one."""
 
 
 class Limb(NamedTuple):
@@ -153,7 +148,7 @@ def _radius_about(radius: Array, arc: Array, share: float) -> tuple[float, float
 
 
 def organs_of(stem: Stem, species: Species | None) -> Stem:
-    """Return the stem with the organs of a species: of maize every limb is a leaf; else as their shape tells."""
+    """Return the stem with the organs of a species: of maize every limb is a leaf; else by their shape."""
     if species != "maize":
         return stem
     return replace(stem, organ=np.where(stem.organ == STEM, STEM, LEAF).astype(np.uint8))
@@ -195,8 +190,8 @@ def measure_cloud(cloud: Cloud) -> CloudTraits:
             "no_plant_found", "traits: all points lie in a plane. Is this a cloud of a plant?"
         ) from error
     rim = points[flat.vertices, :2]
-    sample = points[:: max(len(points) // SAMPLED, 1)]
-    cell = 2 * float(np.median(KDTree(points).query(sample, k=2)[0][:, 1])) or LEAST_CELL
+    sample = points[:: max(len(points) // 2000, 1)]
+    cell = 2 * float(np.median(KDTree(points).query(sample, k=2)[0][:, 1])) or 1e-4  # [m], where points repeat
     taken = np.unique(np.floor(points[:, :2] / cell).astype(np.int64), axis=0)
     colours = (None, None) if cloud.colors is None else _colour_indices(cloud.colors.astype(np.float64))
     width = float(np.linalg.norm(rim[:, None] - rim[None], axis=-1).max())

@@ -37,10 +37,8 @@ LENS_KEYS = re.compile(
 )
 """Names of what bends an image or slants its axes."""
 
-_MOST_PIXELS = 2**28  # of all views together: some 300 of a D455, 2 GB with colour. A guess
 _KEYS = ("fl_x", "fl_y", "cx", "cy", "w", "h")
 _MODELS = ("camera_model", "distortion_model", "lens_model")
-_ALIKE = 0.1  # focal lengths that differ by no more are one camera's that focuses; a guess
 _UNIT = "depth_unit_scale_factor"
 _UNITS = (_UNIT, "integer_depth_scale")
 """Metres per step of depth, as nerfstudio and instant-ngp call it."""
@@ -117,8 +115,8 @@ def _frames(meta: Any) -> list[dict[str, Any]]:
 
 def _check_meaning(meta: dict[str, Any], frames: list[dict[str, Any]]) -> None:
     """Refuse what would change depth or poses in a way that is not read."""
-    told = meta | {key: value for frame in frames for key, value in frame.items()}
-    for key, value in told.items():
+    stated = meta | {key: value for frame in frames for key, value in frame.items()}
+    for key, value in stated.items():
         if key not in _UNITS and _OTHER_UNITS.fullmatch(key) and value not in (None, 1):
             do = f"Write metres per step as {_UNIT}: 0.001 for millimetres."
             raise _refused(given=f"{key} {value!r}", allowed=_UNIT, do=do)
@@ -133,9 +131,9 @@ def _check_meaning(meta: dict[str, Any], frames: list[dict[str, Any]]) -> None:
 
 def _camera(view: int, meta: dict[str, Any], frame: dict[str, Any]) -> Intrinsics:
     """Return the camera of a frame: what it states itself, else what all share."""
-    told = meta | {key: frame[key] for key in frame if key in (*_KEYS, *_MODELS) or LENS_KEYS.fullmatch(key)}
-    bent = [k for k, value in told.items() if LENS_KEYS.fullmatch(k) and is_bent(k, value)]
-    models = {key: str(told[key]) for key in _MODELS if told.get(key)}
+    stated = meta | {key: frame[key] for key in frame if key in (*_KEYS, *_MODELS) or LENS_KEYS.fullmatch(key)}
+    bent = [k for k, value in stated.items() if LENS_KEYS.fullmatch(k) and is_bent(k, value)]
+    models = {key: str(stated[key]) for key in _MODELS if stated.get(key)}
     bent += [f"{k} {m[:40]}" for k, m in models.items() if m.lower().replace("_", " ") not in LENS_MODELS]
     if bent:
         raise _refused(
@@ -143,7 +141,7 @@ def _camera(view: int, meta: dict[str, Any], frame: dict[str, Any]) -> Intrinsic
             allowed="a pinhole camera without distortion",
             do="Undistort the images first (ns-process-data or cv2.undistort), then set the coefficients to 0.",
         )
-    values = {key: _number(key, told.get(key)) for key in _KEYS}
+    values = {key: _number(key, stated.get(key)) for key in _KEYS}
     return Intrinsics(
         width=round(values["w"]),
         height=round(values["h"]),
@@ -174,10 +172,11 @@ def _common(cameras: list[Intrinsics]) -> Intrinsics:
     focal = np.abs(numbers[:, :2] / middle[:2] - 1).max(axis=1)
     sizes = [(c.width, c.height) != (cameras[0].width, cameras[0].height) for c in cameras]
     odd = int(np.argmax(sizes)) if any(sizes) else int(np.argmax(focal))
-    if any(sizes) or focal.max() > _ALIKE:
+    alike = 0.1  # a camera that focuses changes its focal length by no more; a guess
+    if any(sizes) or focal.max() > alike:
         raise _refused(
             given=f"frame {odd} with other intrinsics than the others (fl_x {cameras[odd].fx:g}, most {middle[0]:g})",
-            allowed=f"one camera for all views, its focal length the same to {_ALIKE:.0%}",
+            allowed=f"one camera for all views, its focal length the same to {alike:.0%}",
             do="Save each camera's views as a capture of its own, or resample them to one camera.",
         )
     fx, fy, cx, cy = middle.tolist()
@@ -282,9 +281,9 @@ def _depth(
     return depth
 
 
-def _unit(told: dict[str, Any]) -> float:
+def _unit(stated: dict[str, Any]) -> float:
     """Return metres per step of a frame's depth image."""
-    given = {_number(key, told[key]) for key in _UNITS if key in told}
+    given = {_number(key, stated[key]) for key in _UNITS if key in stated}
     if len(given) > 1:
         raise _refused(
             given=f"{' and '.join(_UNITS)} that differ", allowed="one of them", do="Leave the wrong one out."
@@ -321,15 +320,15 @@ def _colour(
 
 
 def check_views(views: int, camera: Intrinsics) -> tuple[int, int]:
-    """Return (width, height) [px] if so many views of that size can be held.
+    """Return (width, height) [px] if that many views of that size fit into memory.
 
     Raises:
         InputError: they are too many or too large.
     """
-    pixels = views * camera.width * camera.height
-    if pixels > _MOST_PIXELS:
+    pixels, most = views * camera.width * camera.height, 2**28  # some 300 views of a D455, 2 GB with colour; a guess
+    if pixels > most:
         given = f"{views} views of {camera.width} x {camera.height} px"
-        allowed = f"at most {_MOST_PIXELS / 1e6:.0f} million pixels"
+        allowed = f"at most {most / 1e6:.0f} million pixels"
         raise bad_input("capture", given=given, allowed=allowed, do="Take fewer views, or shrink the images.")
     return camera.width, camera.height
 

@@ -12,9 +12,9 @@ from anther.core.records import Range, Record, Spread
 class Material(Record):
     """What a plant is made of: best guess and spread. A spread is the standard deviation of the natural logarithm.
 
-    The spread of E holds at the radius believed: it is that of the bending stiffness E r^4. The spread of the radius
-    holds at that stiffness, so another radius comes with E / scale^4 and changes mass and strain alone. Motion tells
-    E r^4 and hardly r, so what is learned of the two is independent only when it is said this way.
+    The spread of E holds at the estimated radius: it is that of the bending stiffness E r^4. The spread of the radius
+    holds at that stiffness, so another radius comes with E / scale^4 and changes mass and strain alone. Motion
+    determines E r^4 and hardly r, so what is learned of the two is independent only in this form.
 
     Attributes:
         youngs: Young's modulus of stem and branches [Pa].

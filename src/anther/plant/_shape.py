@@ -1,6 +1,6 @@
 """From a scanned tree to beams and masses: radius of every edge, leaf mass, pedicels. J nodes, P pedicel nodes.
 
-Does the plant stand? The least stiffness at which it does not buckle, and branches stiff enough for their leaves.
+Stability: the least stiffness at which the plant does not buckle, and branches stiff enough for their leaves.
 """
 
 from __future__ import annotations
@@ -16,21 +16,18 @@ from scipy.stats import theilslopes
 from anther.core.geometry import Array, occupied_cells
 from anther.perception.cloud import Cloud
 from anther.perception.flowers import Flowers
+from anther.perception.formats.skeleton_file import THINNEST
 from anther.perception.masks import FLOWER
 from anther.perception.skeleton import Skeleton
+from anther.perception.skeleton.raw_tree import BLADE
 from anther.perception.stem import Stem
 from anther.rods import Clamp, Rods, least_stiffness, stands
 
-BLADE = 0.65
-"""Flatness of a skeleton node beyond which a branch runs in a leaf blade [-]; midribs have 0.85 in the median, petioles
-0.4 (measured on development plants of the simulation)."""
 BRANCH_SHARE = 0.7
-"""Largest radius of a branch at its base over that of what it stands on [-]. Petiole bases measure 4-6 mm on stems of
+"""Largest radius of a branch at its base over that of what it stands on [-]: petiole bases measure 4-6 mm on stems of
 8-12 mm (facts: pollination 2 [R])."""
-LEAST_RADIUS = 0.5e-3
-"""Of any stem or branch edge [m]."""
-LEAF_VOXEL = 0.006
-"""Size of the cubes that count leaf area, larger where the cloud is sparser [m]."""
+LEAST_RADIUS = THINNEST
+"""Of any stem or branch edge [m]: a pedicel's."""
 PEDUNCLE_RADIUS = 1.25e-3
 """Of the stalk between a branch and a flower farther away than a pedicel is long [m] (facts [R])."""
 
@@ -94,9 +91,8 @@ def bar_radius(a: float, b: float) -> float:
 def leaf_mass(skeleton: Skeleton, stem: Stem, cloud: Cloud, *, areal_density: float) -> Array:
     """Return the leaf mass (J,) that hangs at each node [kg]: blade area seen in the cloud times areal density.
 
-    Points beside the main stem are leaf; they weigh on their nearest branch node. The area is counted in cubes: a sheet
-    of area A and apparent thickness t, turned at random, meets A (3/2 h + t) / h^3 cubes of side h (Crofton). On ten
-    development plants of the simulation the mass is 1.14-1.23 times the truth, the area 1.0-1.1 times.
+    Points near the main stem are leaf; they weigh on their nearest branch node. The area is counted in cubes: a sheet
+    of area A and apparent thickness t, turned at random, meets A (3/2 h + t) / h^3 cubes of side h (Crofton).
 
     Args:
         skeleton: carries the leaves.
@@ -109,7 +105,7 @@ def leaf_mass(skeleton: Skeleton, stem: Stem, cloud: Cloud, *, areal_density: fl
     branch = np.flatnonzero(~_on_main_stem(stem, len(mass)))
     if len(points) < 10 or not len(branch):
         return mass
-    h = max(LEAF_VOXEL, 2 * _spacing(points))
+    h = max(0.006, 2 * _spacing(points))  # [m]; a sheet that fills its cubes
     cubes = occupied_cells(points, h)
     nearest = branch[KDTree(skeleton.nodes[branch]).query((cubes + 0.5) * h)[1]]
     area = len(cubes) * h**3 / (1.5 * h + _thickness(points))
@@ -223,7 +219,7 @@ def _stem_taper(stem: Stem, radius: Array) -> Array:
 
 
 def _leaf_points(skeleton: Skeleton, stem: Stem, cloud: Cloud) -> Array:
-    """Return the points that are neither flower nor beside wood: main stem, and branches outside blades."""
+    """Return the points that are neither flower nor near wood: main stem, and branches outside blades."""
     points = cloud.points[cloud.labels != FLOWER] if cloud.labels is not None else cloud.points
     wood = _on_main_stem(stem, len(skeleton.nodes))
     if skeleton.flatness is not None:
@@ -245,7 +241,7 @@ def _spacing(points: Array) -> float:
 def _thickness(points: Array) -> float:
     """Return how thick blades look [m]: 3.5 times the rms distance of points to the plane through what is within 8 mm.
 
-    The factor is the cubes' own, counted on noisy sheets and on development plants (3.2-5.2).
+    The factor is the cubes' own, counted on noisy sheets.
     """
     some = points[:: max(1, len(points) // 500)]
     near = [points[q] for q in KDTree(points).query_ball_point(some, 0.008) if len(q) >= 10]
@@ -262,10 +258,6 @@ def _outward(skeleton: Skeleton, node: int) -> Array:
     return side / np.linalg.norm(side)
 
 
-SOFTEST, STIFFEST = 1e4, 1e12
-"""Range of Young's modulus that is searched [Pa]."""
-
-
 def least_youngs(rods: Rods, clamp: Clamp, fixed: NDArray[np.bool_], stiffening: Array) -> float | None:
     """Return Young's modulus of the main stem at which the rods just stand [Pa], within 2 %; None if none helps.
 
@@ -277,7 +269,7 @@ def least_youngs(rods: Rods, clamp: Clamp, fixed: NDArray[np.bool_], stiffening:
     """
 
     unit = replace(rods, youngs=np.where(fixed, rods.youngs, stiffening))
-    return least_stiffness(unit, clamp, fixed=fixed, between=(SOFTEST, STIFFEST), within=0.02)
+    return least_stiffness(unit, clamp, fixed=fixed, between=(1e4, 1e12), within=0.02)
 
 
 def branch_stiffening(
@@ -293,11 +285,11 @@ def branch_stiffening(
         stem, pedicel, blade: (N,) which edges are main stem, pedicel, and branch in a leaf blade.
         least: factor of every edge in a blade [-].
     """
-    factor = np.where(blade, least, 1.0)
-    stem_needs = least_youngs(rods, Clamp.root(rods), pedicel, np.where(stem, 1.0, _RIGID))
+    factor, rigid = np.where(blade, least, 1.0), 1e3  # takes a part out of the question whether the rest stands
+    stem_needs = least_youngs(rods, Clamp.root(rods), pedicel, np.where(stem, 1.0, rigid))
     if stem_needs is None:
         return factor
-    youngs = np.where(pedicel, _RIGID * np.asarray(rods.youngs), stem_needs)
+    youngs = np.where(pedicel, rigid * np.asarray(rods.youngs), stem_needs)
     for organ in (blade & ~blade[rods.parent], ~stem & ~pedicel & stem[rods.parent]):
         for base in np.flatnonzero(organ[1:]) + 1:
             beyond = _beyond(rods, int(base))
@@ -331,7 +323,3 @@ def _part(rods: Rods, nodes: NDArray[np.intp]) -> Rods:
         f.name: getattr(rods, f.name)[nodes] for f in fields(rods) if f.init and np.ndim(getattr(rods, f.name)) == 1
     }
     return replace(rods, **values | {"nodes": rods.nodes[nodes], "parent": parent}, natural=None)
-
-
-_RIGID = 1e3
-"""Factor that takes a part out of the question whether the rest stands."""

@@ -1,4 +1,4 @@
-"""What is kept of an earlier visit to a plant."""
+"""Results of an earlier visit to a plant."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from anther.core.geometry import Array
 
 @dataclass(frozen=True, slots=True)
 class EarlierShake:
-    """What an earlier visit to the same plant, watched, ended with.
+    """The final shake of an earlier, observed visit to the same plant.
 
     Attributes:
         arc_length: of the grip along the stem [m].

@@ -1,4 +1,4 @@
-"""A skeleton that another program made, or a person knows better: read, rooted, and its main stem."""
+"""Imported skeletons: read, rooted, and their main stems."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from anther.core.checks import check_range
 from anther.core.choices import Axis, Crop, Units
 from anther.core.errors import bad_input
 from anther.core.geometry import TO_Z_UP, Array
-from anther.perception.formats.skeleton_file import supposed_radius
+from anther.perception.formats.skeleton_file import assume_radii
 from anther.perception.formats.skeletons import SkeletonFile, read_skeleton
 from anther.perception.skeleton import Params, Skeleton, nearest_node
 from anther.perception.stem import LOW, Stem, find_stem
@@ -22,7 +22,7 @@ STEM = {"tomato": 5e-3, "pepper": 6e-3}
 """Radius of a main stem at its base [m]: tomato 4 to 6 mm, remembered, no source found; pepper 5 and 7 mm at harvest
 (facts: pollination 2)."""
 ROOTLESS = (".txt", ".ply")
-"""Files that say nothing of where the plant stands."""
+"""Files that do not name the root."""
 
 
 def read_source(
@@ -43,8 +43,8 @@ def read_source(
         up: axis that points up in the file; None: z.
         least: no node's radius is less [m].
         radius: of every node [m]; None: those in the file, else the crop's stem at its base, thinner with what a node
-            carries (`supposed_radius`).
-        root: where the plant stands, see `node_named`; None: the file's own root, or where the way up begins to rise.
+            carries (`assume_radii`).
+        root: the stem's base, see `node_named`; None: the file's own root, or where the way up begins to rise.
             What lies flat there is then a scrap of soil, and left out.
 
     Raises:
@@ -58,7 +58,7 @@ def read_source(
     elif path.suffix.lower() in ROOTLESS:
         source = source.rooted_at().without_scraps()
     bare = radius is None and source.radius is None
-    return source, source.skeleton(supposed_radius(source, STEM[crop]) if bare else radius, least)
+    return source, source.skeleton(assume_radii(source, STEM[crop]) if bare else radius, least)
 
 
 def upright(source: SkeletonFile, up: Axis | None) -> SkeletonFile:
@@ -81,9 +81,9 @@ def node_named(option: str, text: str, source: SkeletonFile) -> int:
 
 
 def main_stem(skeleton: Skeleton, tip: int | None = None, flowers_at: Array | None = None) -> Stem:
-    """Return the main stem of a skeleton that somebody else made.
+    """Return the main stem of an imported skeleton.
 
-    It ends at the node `tip`, by who knows better; None: where it is found to end or, if that leaves it a stub, at the
+    It ends at the node `tip`, if known; None: where it is found to end or, if that leaves it a stub, at the
     plant's top, with a note.
 
     Raises:
@@ -120,7 +120,7 @@ def place(option: str, text: str) -> Place:
     return x, y, z
 
 
-def known_better(root: str | None, tip: str | None, params: Params, stem: StemParams) -> tuple[Params, StemParams]:
+def with_known_places(root: str | None, tip: str | None, params: Params, stem: StemParams) -> tuple[Params, StemParams]:
     """Return the parameters with the places that --root and --stem-tip name, where they are given."""
     params = params if root is None else replace(params, root=place("--root", root))
     return params, stem if tip is None else replace(stem, tip=place("--stem-tip", tip))

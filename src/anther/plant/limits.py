@@ -33,8 +33,8 @@ class PlantLimits(Record):
     """What a plant may be loaded with by a shake.
 
     No elastic limit of a tomato or pepper organ was ever measured (facts: pollination 6). A breeze of 4 m/s gives the
-    same plants 0.4 to 1.7 % in their pedicels and adds 3 g at the bases of their leaves, and fields stand it; a pedicel
-    is probably elastic up to 1-3 %.
+    same plants 0.4 to 1.7 % in their pedicels and adds 3 g at the bases of their leaves, and field plants endure it; a
+    pedicel is probably elastic up to 1-3 %.
 
     Attributes:
         stem_strain: largest bending strain of the main stem [-].
@@ -79,7 +79,7 @@ much). The main stem and the bases of branches were not computed."""
 
 
 def breeze(name: str, load: float, crop: Crop) -> float | None:
-    """Return the wind [m/s] that loads a plant as much, or None where nobody computed it.
+    """Return the wind [m/s] that loads a plant as much, or None where it was not computed.
 
     Interpolated on a double logarithmic scale; what lies outside the table is given its end, 2 or 6 m/s.
 
@@ -109,9 +109,8 @@ MOVED = 5.0
 fields set fruit, gives them 4-24 (facts: pollination 6)."""
 
 
-def moved(felt: ArrayLike) -> bool | None:
-    """Return whether half of the flowers or more felt `MOVED` or more, by what is known of them (F,) [m/s2]; None if
-    nothing is."""
-    felt = np.asarray(felt, dtype=float)
-    felt = felt[np.isfinite(felt)]
-    return bool(np.median(felt) >= MOVED) if len(felt) else None
+def moved(acceleration: ArrayLike) -> bool | None:
+    """Return whether the median flower moved, by the known peak accelerations (F,) [m/s2]; None if none is known."""
+    known = np.asarray(acceleration, dtype=float)
+    known = known[np.isfinite(known)]
+    return bool(np.median(known) >= MOVED) if len(known) else None

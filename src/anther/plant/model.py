@@ -1,4 +1,4 @@
-"""Plant model: the scanned tree as elastic rods that carry leaves and flowers and hang still under gravity (P16-P23).
+"""Plant model: the scanned tree as elastic rods that carry leaves and flowers, in equilibrium under gravity (P16-P23).
 
 N rod nodes: the J skeleton nodes first, under their own numbers, then the pedicels.
 F flowers, S stem nodes, B branches.
@@ -17,7 +17,7 @@ from anther.core.errors import StageFailure, bad_input
 from anther.core.geometry import Array
 from anther.core.records import Range, Record, Shape, Stored
 from anther.perception.cloud import Cloud
-from anther.perception.flowers import Flowers, supposed_flowers
+from anther.perception.flowers import PEDICEL, Flowers, assume_flowers
 from anther.perception.skeleton import Skeleton
 from anther.perception.stem import Stem
 from anther.plant._material import LEARNED, PEPPER, TOMATO, Material
@@ -29,13 +29,8 @@ __all__ = [
 ]  # fmt: skip
 
 PEDICEL_PIECES = 3  # edges per pedicel
-BLADE_STIFFNESS = 10.0
-"""Bending stiffness of a blade with its rib over that of the rib alone [-]. An estimate: a strip 60 mm wide, 0.25 mm
-thick, of 75 MPa, folded by 2 to 5 mm, has 10 to 70 times that of a rib of 0.8 mm."""
 FLOWER_RADIUS = 5e-3
 """Of a flower's mass, taken as a ball for its moment of inertia [m] (facts: pollination 2, corolla 10 mm)."""
-PEDICEL_SPREAD = 0.2
-"""Standard deviation of ln of the pedicels' stiffness [-]: ln 2 / sqrt 12 for the range of `Params.pedicel_youngs`."""
 MARGIN = 1.5
 """Least ratio of Young's modulus to the value at which the plant buckles [-]."""
 
@@ -54,7 +49,7 @@ class Params(Record):
 
     areal_density: Annotated[float, Range(0, 5, "kg/m2")] = 0.25
     flower_mass: Annotated[float, Range(1e-6, 0.1, "kg")] = 1e-4
-    pedicel_length: Annotated[float, Range(1e-3, 0.2, "m")] = 0.015
+    pedicel_length: Annotated[float, Range(1e-3, 0.2, "m")] = PEDICEL
     pedicel_radius: Annotated[float, Range(1e-5, 0.02, "m")] = 0.5e-3
     pedicel_youngs: Annotated[float, Range(1e5, 1e11, "Pa")] = 70e6
     stiffen: bool = True
@@ -62,7 +57,7 @@ class Params(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlantModel(Stored):
-    """A plant ready to be shaken in simulation: it stands still under gravity in the scanned shape.
+    """A plant ready to be shaken in simulation: in equilibrium under gravity in the scanned shape.
 
     Attributes:
         rods: the N rods without damping; `rods_at` gives them the material's damping.
@@ -156,7 +151,7 @@ def build_plant(
     *,
     params: Params = Params(),
 ) -> PlantModel:
-    """Turn a scanned plant into rods that stand still under gravity.
+    """Turn a scanned plant into rods in equilibrium under gravity.
 
     Args:
         skeleton: the tree with radii.
@@ -174,7 +169,8 @@ def build_plant(
     rods, is_pedicel, tips, leaves = _rods(skeleton, stem, flowers, cloud, material, params=params)
     edge = np.arange(len(rods.nodes))
     on_stem, blade = (np.isin(edge, ids) for ids in (stem.node_ids, np.flatnonzero(in_blade(skeleton, stem))))
-    stiffening = branch_stiffening(rods, on_stem, is_pedicel, blade, BLADE_STIFFNESS)
+    rib = 10.0  # stiffness of a folded blade over that of its rib alone, an estimate: 10 to 70
+    stiffening = branch_stiffening(rods, on_stem, is_pedicel, blade, rib)
     least = least_youngs(rods, Clamp.root(rods), is_pedicel, stiffening)
     if least is None:
         raise StageFailure(
@@ -192,7 +188,7 @@ def build_plant(
         branch_bases=_branch_bases(skeleton, stem),
         is_pedicel=is_pedicel,
         material=chosen,
-        pedicel_spread=PEDICEL_SPREAD,
+        pedicel_spread=float(np.log(2) / np.sqrt(12)),  # log-uniform over the facts' range of pedicel_youngs
         least_youngs=least,
         notes=(_mass_note(rods, leaves, cloud), *note),
     )
@@ -207,13 +203,13 @@ def plant_with_flowers(
     *,
     params: Params = Params(),
 ) -> PlantModel:
-    """Return the plant as rods with the flowers found or, where none was, with those supposed; a note says so.
+    """Return the plant as rods with the flowers found or, where none was, with assumed ones; a note says so.
 
     Arguments and errors are those of `build_plant`.
     """
     if len(found.positions):
         return build_plant(skeleton, stem, found, cloud, material, params=params)
-    hung = supposed_flowers(skeleton, stem)
+    hung = assume_flowers(skeleton, stem)
     plant = build_plant(skeleton, stem, hung, cloud, material, params=params)
     return replace(plant, notes=(*hung.notes, *plant.notes))
 

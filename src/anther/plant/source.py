@@ -19,7 +19,7 @@ from anther.core.errors import StageFailure, bad_input
 from anther.core.geometry import Array
 from anther.core.runs import FILES, kept
 from anther.perception.cloud import Cloud
-from anther.perception.flowers import Flowers
+from anther.perception.flowers import PEDICEL, Flowers
 from anther.perception.formats.skeletons import SkeletonFile
 from anther.perception.skeleton import Skeleton
 from anther.perception.stem import Stem
@@ -28,17 +28,13 @@ from anther.plant.model import PEPPER, TOMATO, Material, PlantModel, plant_with_
 from anther.rods import Clamp, Rods, least_stiffness, standing
 
 PRIORS: dict[Crop, Material] = {"tomato": TOMATO, "pepper": PEPPER}
-PEDICEL = 0.015
-"""A flower named as a node of a skeleton hangs this far beyond it [m]: a pedicel (facts: pollination 2)."""
-DENSITY = (10.0, 5000.0)
-"""Allowed [kg/m^3], as in `Material`."""
 
 
-class Made(NamedTuple):
-    """What a plant is made of, as far as somebody says it.
+class Properties(NamedTuple):
+    """What a plant is made of, as far as it is given.
 
     Attributes:
-        species: whose prior holds where nobody measured.
+        species: whose prior holds where nothing was measured.
         material: measured (`anther identify`); None: of a run its own, else the prior.
         changes: youngs [Pa], density [kg/m^3], damping_ratio, bend_over_twist (0: rods do not twist), by name.
         radius: of every node, as if scanned [m]; None: as it was.
@@ -59,8 +55,8 @@ class Made(NamedTuple):
         return replace(base, **changes), "given" if "youngs" in changes else origin
 
 
-NOTHING = Made()
-"""Nobody says anything."""
+PRIOR_ALONE = Properties()
+"""Nothing is given."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,7 +64,7 @@ class SourcePlant:
     """A plant as elastic rods at rest, of which the soil holds the root.
 
     Attributes:
-        rods: without viscosity, in the scanned shape, which hangs still under gravity.
+        rods: without viscosity, in the scanned shape, in equilibrium under gravity.
         numbers: (N,) what the user calls each node; a pedicel has the number of the node that bears it.
         damping_ratio: share of critical damping [-].
         stem_nodes: (S,) main stem, root first; of bare edges it may be empty.
@@ -117,7 +113,7 @@ class SourcePlant:
 
 def read_plant(
     path: Path,
-    made: Made = NOTHING,
+    properties: Properties = PRIOR_ALONE,
     *,
     flowers: Sequence[int] = (),
     units: Units | None = None,
@@ -131,24 +127,30 @@ def read_plant(
 
     Args:
         path: run folder or skeleton file.
-        made: what it is made of, as far as somebody says it.
-        flowers: of a file: nodes that bear one, by the file's numbers; none: flowers are supposed at its ends.
+        properties: what the plant is made of, as far as it is given.
+        flowers: of a file: nodes that bear one, by the file's numbers; none: flowers are assumed at its ends.
         units, up, root, stem_tip: of a file, see `read_source` and `main_stem`.
-        bare: of a file: its edges with its own radii alone; nothing is supposed, tapered or stiffened.
-        hanging: of bare edges: they hang still under gravity; False: they have no natural shape yet.
+        bare: of a file: its edges with its own radii alone; nothing is assumed, tapered or stiffened.
+        hanging: of bare edges: in equilibrium under gravity; False: they have no natural shape yet.
 
     Raises:
         InputError: a bad file, node or value, or what only a file takes with a run folder.
         StageFailure: there is no main stem, or the plant would buckle under its own weight.
     """
-    _check(made)
+    _check(properties)
     if path.is_dir():
         if flowers or bare or any(given is not None for given in (units, up, root, stem_tip)):
             names = "--flower, --units, --up, --root, --stem-tip or --bare"
             raise bad_input(names, given="with a run folder", allowed="skeleton files", do="Leave it out.")
-        return _of_run(path, made)
+        return _read_run(path, properties)
     source, skeleton = read_source(
-        path, units=units, up=up, radius=made.radius, least=made.least_radius, root=root, crop=made.species
+        path,
+        units=units,
+        up=up,
+        radius=properties.radius,
+        least=properties.least_radius,
+        root=root,
+        crop=properties.species,
     )
     at = np.array([source.node(number) for number in flowers], dtype=np.int64)
     if np.any(at == 0):
@@ -164,58 +166,59 @@ def read_plant(
             raise
         stem = None
     if bare or stem is None:
-        plant = _bare(source, skeleton, stem, made, at)
+        plant = _bare(source, skeleton, stem, properties, at)
         return replace(plant, rods=_at_rest(plant.rods)) if hanging else plant, skeleton, stem, None
-    plant = _modelled(skeleton, stem, hung, None, made)
+    plant = _model(skeleton, stem, hung, None, properties)
     notes = (*source.notes, *stem.notes, *plant.notes)
     named = replace(plant, numbers=source.numbers[plant.numbers], merged=source.merged, notes=notes)
     return named, skeleton, stem, None
 
 
-def _check(made: Made) -> None:
-    check_range("damping_ratio", made.changes.get("damping_ratio", 0.0), 0, 10)
-    check_range("bend_over_twist", made.changes.get("bend_over_twist", 0.0), 0, 1000)
-    check_range("least_radius", made.least_radius, 0, 1, "m")
-    if not DENSITY[0] <= (density := made.changes.get("density", DENSITY[0])) <= DENSITY[1]:
-        allowed, do = f"{DENSITY[0]:g} to {DENSITY[1]:g} kg/m3", "1.05 g/cm3 are 1050 kg/m3."
-        raise bad_input("density", given=f"{density:g}", allowed=allowed, do=do)
+def _check(properties: Properties) -> None:
+    check_range("damping_ratio", properties.changes.get("damping_ratio", 0.0), 0, 10)
+    check_range("bend_over_twist", properties.changes.get("bend_over_twist", 0.0), 0, 1000)
+    check_range("least_radius", properties.least_radius, 0, 1, "m")
+    if not 10 <= (density := properties.changes.get("density", 10.0)) <= 5000:
+        raise bad_input("density", given=f"{density:g}", allowed="10 to 5000 kg/m3", do="1.05 g/cm3 are 1050 kg/m3.")
 
 
-def _of_run(folder: Path, made: Made) -> tuple[SourcePlant, Skeleton | None, Stem | None, Cloud | None]:
+def _read_run(folder: Path, properties: Properties) -> tuple[SourcePlant, Skeleton | None, Stem | None, Cloud | None]:
     there = {stage: folder / name for stage, name in FILES.items() if (folder / name).exists()}
-    as_scanned = made.radius is None and not made.least_radius
+    as_scanned = properties.radius is None and not properties.least_radius
     if as_scanned and "plant model" in there:
         model = PlantModel.load(there["plant model"])
-        plant = _untwisted(_of_model(*_changed(model, made)), made)
+        plant = _remove_twist(_from_model(*_change_material(model, properties)), properties)
         skeleton = Skeleton.load(there["skeleton"]) if "skeleton" in there else None
         stem = Stem.load(there["stem"]) if "stem" in there else None
         return plant, skeleton, stem, Cloud.load(there["cloud"]) if "cloud" in there else None
     skeleton, stem = Skeleton.load(kept(folder, "skeleton")), Stem.load(kept(folder, "stem"))
-    radius = skeleton.radius if made.radius is None else np.full(len(skeleton.nodes), made.radius)
-    skeleton = replace(skeleton, radius=np.maximum(radius, made.least_radius))
+    radius = skeleton.radius if properties.radius is None else np.full(len(skeleton.nodes), properties.radius)
+    skeleton = replace(skeleton, radius=np.maximum(radius, properties.least_radius))
     cloud = Cloud.load(there["cloud"]) if "cloud" in there else None
     flowers = Flowers.load(there["flowers"]) if "flowers" in there else Flowers(np.zeros((0, 3)), np.zeros(0, np.int64))
-    return _modelled(skeleton, stem, flowers, cloud, made), skeleton, stem, cloud
+    return _model(skeleton, stem, flowers, cloud, properties), skeleton, stem, cloud
 
 
-def _changed(model: PlantModel, made: Made) -> tuple[PlantModel, str]:
-    material, origin = made.of(model.material)
+def _change_material(model: PlantModel, properties: Properties) -> tuple[PlantModel, str]:
+    material, origin = properties.of(model.material)
     return (model if material is model.material else model.with_material(material)), origin
 
 
-def _modelled(skeleton: Skeleton, stem: Stem, flowers: Flowers, cloud: Cloud | None, made: Made) -> SourcePlant:
-    """Return the plant model; a Young's modulus that nobody gave is raised where the plant would not stand."""
-    material, origin = made.of()
-    given = "youngs" in made.changes
-    model = plant_with_flowers(skeleton, stem, flowers, cloud, PRIORS[made.species] if given else material)
+def _model(
+    skeleton: Skeleton, stem: Stem, flowers: Flowers, cloud: Cloud | None, properties: Properties
+) -> SourcePlant:
+    """Return the plant model; a Young's modulus that is not given is raised where the plant would not stand."""
+    material, origin = properties.of()
+    given = "youngs" in properties.changes
+    model = plant_with_flowers(skeleton, stem, flowers, cloud, PRIORS[properties.species] if given else material)
     if given:
-        return _untwisted(_of_model(model.with_material(material), origin), made)
+        return _remove_twist(_from_model(model.with_material(material), origin), properties)
     if model.material.youngs > material.youngs:
         origin = f"raised from {material.youngs / 1e6:.3g} MPa, {origin}: with less it would not stand"
-    return _untwisted(_of_model(model, origin), made)
+    return _remove_twist(_from_model(model, origin), properties)
 
 
-def _of_model(model: PlantModel, origin: str) -> SourcePlant:
+def _from_model(model: PlantModel, origin: str) -> SourcePlant:
     numbers = np.arange(len(model.rods.nodes))
     for j in np.flatnonzero(model.is_pedicel):
         numbers[j] = numbers[model.rods.parent[j]]
@@ -231,29 +234,29 @@ def _of_model(model: PlantModel, origin: str) -> SourcePlant:
     )
 
 
-def _untwisted(plant: SourcePlant, made: Made) -> SourcePlant:
+def _remove_twist(plant: SourcePlant, properties: Properties) -> SourcePlant:
     """Return the plant without twist where that was asked for."""
-    if made.changes.get("bend_over_twist") != 0:
+    if properties.changes.get("bend_over_twist") != 0:
         return plant
     return replace(plant, rods=_at_rest(replace(plant.rods, bend_over_twist=0.0, natural=None)))
 
 
 def _bare(
-    source: SkeletonFile, skeleton: Skeleton, stem: Stem | None, made: Made, flowers: NDArray[Any]
+    source: SkeletonFile, skeleton: Skeleton, stem: Stem | None, properties: Properties, flowers: NDArray[Any]
 ) -> SourcePlant:
-    material, origin = made.of()
+    material, origin = properties.of()
     rods = Rods(
         nodes=skeleton.nodes,
         parent=skeleton.parent,
-        edge_radius=np.maximum(0.5 * (skeleton.radius + skeleton.radius[skeleton.parent]), made.least_radius),
+        edge_radius=np.maximum(0.5 * (skeleton.radius + skeleton.radius[skeleton.parent]), properties.least_radius),
         youngs=material.youngs,
         density=material.density,
-        bend_over_twist=made.changes.get("bend_over_twist", material.bend_over_twist),
+        bend_over_twist=properties.changes.get("bend_over_twist", material.bend_over_twist),
     )
     words = f"E {material.youngs / 1e6:.3g} MPa ({origin})"
-    nodes, said = (np.zeros(0, np.int64), ()) if stem is None else (stem.node_ids, stem.notes)
-    notes = (*source.notes, *said)
-    zeta = made.changes.get("damping_ratio", material.damping_ratio)
+    nodes, notes = (np.zeros(0, np.int64), ()) if stem is None else (stem.node_ids, stem.notes)
+    notes = (*source.notes, *notes)
+    zeta = properties.changes.get("damping_ratio", material.damping_ratio)
     return SourcePlant(rods, source.numbers, zeta, nodes, flowers, words, None, source.merged, notes)
 
 
@@ -261,7 +264,7 @@ def _at_rest(rods: Rods) -> Rods:
     """Return the rods with the natural shape for which the scanned shape hangs still under gravity.
 
     Raises:
-        StageFailure: it would buckle under its own weight; the message tells the stiffness that would hold it.
+        StageFailure: it would buckle under its own weight; the message states the stiffness that would hold it.
     """
     clamp = Clamp.root(rods)
     if (held := standing(rods, clamp)) is not None:

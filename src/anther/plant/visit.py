@@ -205,20 +205,20 @@ class Visit(Record):
         flowers_moved: whether they moved enough to be pollinated (`limits.moved`); None if none was measured.
         predicted_amplitude, measured_amplitude, measured_amplitude_std: (F,) [m]; NaN where not measurable.
         predicted_acceleration, measured_acceleration: (F,) peaks [m/s2].
-        believed: of the plant's material before the shake.
-        material: what was believed of it afterwards. None if unknown.
+        believed: prior of the plant's material.
+        material: its posterior. None if unknown.
         run: its run folder, or None.
         robot: which one visited; "" if it is not known.
         time: when it began, by the robot's clock. Plant, robot and time name a visit in every history it is in.
         id: the visit's number, given by the history; None before it is recorded.
         message: why it failed, or what was held.
-        held, unharmed: the two parts of `held_unharmed`; of a real plant nobody knows whether it was harmed.
+        held, unharmed: the two parts of `held_unharmed`; of a real plant it is unknown whether it was harmed.
         planned: the shake before it was raised or lowered.
         execution: "finished", or why the shake stopped.
         plan_alone_because: why the plan alone was carried out; None where the shake was raised by what was seen.
         steps: of a shake that was watched.
         grip: what the gripper measured.
-        pad_stiffness, pad_turning: what is believed of the gripper's pads afterwards [N/m], [N m/rad].
+        pad_stiffness, pad_turning: posterior of the gripper's pads [N/m], [N m/rad].
         felt_flowers, felt_flower_acceleration_median: of a real plant, by the side camera [-], [m/s2].
         truth: of a simulated plant.
         material_source, material_reason: where the belief before the shake came from.

@@ -21,14 +21,6 @@ from anther.core.geometry import Array, Box, Intrinsics, transform_points
 from anther.core.records import UNSAVED, Range, Record, Shape, Stored, decode, read_tree
 from anther.perception.capture import Capture, in_threads, viewed_box
 from anther.perception.cloud import _registration
-from anther.perception.cloud._doubts import (
-    cloud_doubts,
-    coverage_doubts,
-    disagreement,
-    likely_cause,
-    refuse_ground,
-    view_doubts,
-)
 from anther.perception.cloud._fusion import (
     GAP,
     SurfacePoints,
@@ -39,19 +31,22 @@ from anther.perception.cloud._fusion import (
     pixel_normals,
     supported_pixels,
 )
+from anther.perception.cloud._warnings import (
+    find_disagreement,
+    likely_cause,
+    refuse_ground,
+    warn_of_cloud,
+    warn_of_coverage,
+    warn_of_views,
+)
+from anther.perception.cloud._wrong_views import SEARCH
 from anther.perception.cloud.ply import read_ply, write_ply
-from anther.perception.masks import BACKGROUND, Masks
+from anther.perception.masks import BACKGROUND, LEAST_PIXELS, Masks
 
 __all__ = ["Cloud", "Params", "fuse", "likely_cause"]
 
-MARGIN = 0.05
-"""Pixels this far outside the workspace still take part in the registration [m]: a pose may be off by a few cm."""
-
-_MOST_CELLS = 1e8  # of obstacles: 28 bytes each
-
 Progress = Callable[[int, int], None]
 """Called with the number of steps done and of all."""
-LEAST_POINTS = 200  # with fewer there is no plant
 OBSTACLE_VOXEL = 0.01
 """Spacing of the obstacle points [m]."""
 
@@ -83,11 +78,11 @@ class Cloud(Stored):
         T_world_cam: (V, 4, 4) camera poses after registration, or None for an imported cloud.
         notes: what the stage wants the user to know (warnings, registration declined, ...).
         view_agreement: (V,) share of each view's points that lie on a surface other views see, 0..1, after
-            registration; NaN where too little is seen to tell; None without registration.
+            registration; NaN where too little is seen; None without registration.
         view_used: (V,) bool, false for views left out because the others contradict their pose; None if imported.
         footprint: median width of a pixel at the plant [m]; None if imported.
         seen_through: share of what views judge of each other's points that they see through, 0..1, where that is more
-            than right captures have (`_doubts.disagreement`); else 0.
+            than right captures have (`_warnings.find_disagreement`); else 0.
     """
 
     KIND, SCHEMA = "cloud", 3
@@ -141,7 +136,7 @@ def fuse(
     Args:
         capture: the views.
         masks: of the same views.
-        workspace: where the plant may stand, world frame [m]; None means `capture.viewed_box`.
+        workspace: where the plant may be, world frame [m]; None means `capture.viewed_box`.
         params: see `Params`.
         progress: called after each of five steps.
 
@@ -151,27 +146,27 @@ def fuse(
     """
     params = params or Params()
     box = workspace or viewed_box(capture)
-    box.cells(OBSTACLE_VOXEL, _MOST_CELLS)
+    box.cells(OBSTACLE_VOXEL, 1e8)  # of 28 bytes each
     labels = check_array("mask labels", masks.labels, capture.depth.shape, dtype="uint8")
     report = _steps(progress, 5)
     pixels = plant_pixels(capture, labels, box)
     _require(sum(len(p.points) for p in pixels), "pixels with depth within the masks, within the workspace")
     report()
-    notes = (*_unseen_views(pixels), *view_doubts(capture.depth, labels))
+    notes = (*_unseen_views(pixels), *warn_of_views(capture.depth, labels))
     poses, pixels, found = _registered(pixels, capture.T_world_cam, params)
     report()
     fused = fuse_voxels(pixels, poses, box, params.voxel)
     _require(len(fused.points), "points within the workspace")
     used = np.ones(capture.views, dtype=bool) if found is None else found.used
     seen = [capture.depth[v] for v in np.flatnonzero(used)]
-    doubts, through = disagreement(capture, [p.points for p in pixels], poses, used)
+    warnings, through = find_disagreement(capture, [p.points for p in pixels], poses, used)
     fused = fused.only(agreeing_points(fused.points, seen, capture.intrinsics, poses[used]))
     report()
     refuse_ground(fused.points, box)
     kept = attached_points(fused.points)
-    notes += cloud_doubts(fused.points, kept, box) + coverage_doubts(fused.points[kept].mean(axis=0), poses[used])
+    notes += warn_of_cloud(fused.points, kept, box) + warn_of_coverage(fused.points[kept].mean(axis=0), poses[used])
     fused = fused.only(kept)
-    _require(len(fused.points), "points that hang together")
+    _require(len(fused.points), "connected points")
     report()
     obstacles = _background_cells(
         capture, labels, poses, box, plant=fused.points, voxel=OBSTACLE_VOXEL, used=np.flatnonzero(used)
@@ -184,7 +179,7 @@ def fuse(
         fused.labels,
         obstacles,
         poses,
-        (*doubts, *(found.notes if found else ()), *notes),
+        (*warnings, *(found.notes if found else ()), *notes),
         view_agreement=None if found is None else found.agreement,
         view_used=used,
         footprint=float(np.median(np.concatenate([p.points[:, 2] for p in pixels]))) / capture.intrinsics.fx,
@@ -198,9 +193,9 @@ def plant_pixels(capture: Capture, labels: NDArray[Any], box: Box) -> list[Surfa
     Args:
         capture: the views.
         labels: (V, H, W) of the masks.
-        box: the workspace [m]; pixels more than `MARGIN` outside are left out.
+        box: the workspace [m]; pixels farther outside than a wrong pose is searched for are left out.
     """
-    wide = Box(box.lower - MARGIN, box.upper + MARGIN)
+    wide = Box(box.lower - SEARCH, box.upper + SEARCH)
 
     def of_view(view: int) -> SurfacePoints:
         depth = capture.depth[view]
@@ -249,10 +244,10 @@ def _background_cells(
 
 
 def _require(count: int, what: str) -> None:
-    if count < LEAST_POINTS:
+    if count < LEAST_PIXELS:
         raise StageFailure(
             "no_plant_found",
-            f"cloud: {count} {what}; at least {LEAST_POINTS} are needed. Check the masks, the depth images "
+            f"cloud: {count} {what}; at least {LEAST_PIXELS} are needed. Check the masks, the depth images "
             "and the workspace.",
         )
 

@@ -1,4 +1,4 @@
-"""The steps that make one clean cloud of many views: pixels, voxel fusion, agreement, what hangs together, obstacles.
+"""The steps that make one clean cloud of many views: pixels, voxel fusion, agreement, connected parts, obstacles.
 
 Flying pixels are dropped, and a local plane is fitted to each pixel: in a pinhole image the inverse depth of a plane is
 linear in the pixel coordinates, so it is a linear least squares of the neighbours.
@@ -22,32 +22,20 @@ from anther.core.geometry import Array, Box, Intrinsics, inverse, transform_poin
 from anther.perception.capture import in_threads
 from anther.perception.masks import FLOWER, PLANT
 
-EDGE_WINDOW = 2
-"""Half-width of the window in which a pixel looks for support [px]."""
-EDGE_SUPPORT = 5
-"""Least number of pixels at its depth in that window: keeps a petiole one pixel wide, drops flying pixels."""
-EDGE_DEPTH = 0.003
-"""How far the depth of pixels of one surface may differ at 0.5 m [m]; it grows with z squared, as stereo noise does."""
-_TOLERANCE = np.float32(EDGE_DEPTH / 0.25)  # of inverse depth [1/m]
+_TOLERANCE = np.float32(0.012)
+"""Inverse depths of one surface differ by no more [1/m]: 3 mm at 0.5 m, and as z squared, as stereo noise does."""
 FIT_WINDOW = 3
-"""Half-width [px] of the window a plane is fitted in. Measured: 5 x 5 gives normals twice as noisy."""
-FIT_RIDGE = 8.0
-"""Added to the sums of squared offsets [px^2]; a full window has 196. Across a petiole two pixels wide the slope is not
-observable and is drawn to zero (an estimate)."""
+"""Half-width of the window that a plane is fitted in [px]: 5 x 5 pixels give normals twice as noisy."""
 SEEN_THROUGH = 0.02
 """A view contradicts a point where it sees at least this far behind it [m]."""
 GAP = 0.012
 """Parts closer than this to the rest belong to it [m]."""
-FAR_GAP = 0.05
-"""Large parts belong to the plant up to this distance [m] (a real plant's cloud has gaps of 5 cm)."""
-FAR_SHARE = 0.002
-"""Least share of all points that such a large part has."""
 
 
 def supported_pixels(depth: NDArray[Any], mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return the pixels (H, W) of `mask` (H, W) whose depth (H, W) [m] is shared by enough of their neighbours.
 
-    A flying pixel hangs between two surfaces and few neighbours share its depth; a pixel of a petiole has the
+    A flying pixel lies between two surfaces and few neighbours share its depth; a pixel of a petiole has the
     petiole's other pixels. A gradient filter would drop both (facts: perception, a 15 mm edge filter eats petioles).
     """
     return _supported(_inverse(depth), mask)
@@ -72,18 +60,18 @@ def slant(points: Array, normals: NDArray[Any]) -> Array:
 @numba.njit(nogil=True, cache=True)
 def _supported(inverse, mask):
     height, width = inverse.shape
-    keep = np.zeros(inverse.shape, dtype=np.bool_)
+    keep, reach, least = np.zeros(inverse.shape, dtype=np.bool_), 2, 5  # keeps a petiole that is one pixel wide
     for v in range(height):
         for u in range(width):
             if not mask[v, u] or inverse[v, u] <= 0:
                 continue
             count = 0
-            for j in range(max(0, v - EDGE_WINDOW), min(height, v + EDGE_WINDOW + 1)):
-                if count >= EDGE_SUPPORT:
+            for j in range(max(0, v - reach), min(height, v + reach + 1)):
+                if count >= least:
                     break
-                for i in range(max(0, u - EDGE_WINDOW), min(width, u + EDGE_WINDOW + 1)):
+                for i in range(max(0, u - reach), min(width, u + reach + 1)):
                     count += abs(inverse[j, i] - inverse[v, u]) <= _TOLERANCE
-            keep[v, u] = count >= EDGE_SUPPORT
+            keep[v, u] = count >= least
     return keep
 
 
@@ -105,7 +93,8 @@ def _fitted_planes(inverse, rows, camera):
                 su, sv, sq = su + wu, sv + wv, sq + w * q
                 suu, suv, svv = suu + wu * np.float32(du), suv + wu * np.float32(dv), svv + wv * np.float32(dv)
                 suq, svq = suq + wu * q, svq + wv * q
-        a, b, c = suu - su * su / n + FIT_RIDGE, suv - su * sv / n, svv - sv * sv / n + FIT_RIDGE
+        ridge = 8.0  # [px^2], of 196 in a full window: across a petiole two pixels wide no slope can be observed
+        a, b, c = suu - su * su / n + ridge, suv - su * sv / n, svv - sv * sv / n + ridge
         e, f = suq - su * sq / n, svq - sv * sq / n
         # 1/z = normal . ray; its derivatives along u and v are the normal's x and y over the focal lengths.
         x = camera[0] * (c * e - b * f) / (a * c - b * b)
@@ -276,21 +265,22 @@ def _touching(points, start, pairs, gap2):
 
 
 def attached_points(points: Array) -> NDArray[np.bool_]:
-    """Return which points (N, 3) [m] belong to the plant: the largest cluster, and large ones that come near it.
+    """Return which points (N, 3) [m] belong to the plant: the largest cluster, and large ones within 50 mm of it.
 
-    The strict largest cluster would lose most of a real plant, whose cloud has gaps (facts: skeleton_peers, trap 3).
+    A large one has 0.2 % of the points. The strict largest cluster would lose most of a real plant, whose cloud has
+    gaps (facts: skeleton_peers, trap 3).
     """
-    part = clusters(points, GAP)
+    part, far = clusters(points, GAP), 0.05
     size = np.bincount(part)
     keep = np.zeros(len(size), dtype=bool)
     keep[np.argmax(size)] = True
-    large = size >= FAR_SHARE * len(points)
+    large = size >= 0.002 * len(points)
     while True:
         rest = np.flatnonzero((large & ~keep)[part])
         if len(rest) == 0:
             break
-        distance, _ = KDTree(points[keep[part]]).query(points[rest], distance_upper_bound=FAR_GAP)
-        joins = np.unique(part[rest[distance < FAR_GAP]])
+        distance, _ = KDTree(points[keep[part]]).query(points[rest], distance_upper_bound=far)
+        joins = np.unique(part[rest[distance < far]])
         if len(joins) == 0:
             break
         keep[joins] = True
@@ -301,7 +291,7 @@ def occupied_cells(points: Array, views: NDArray[Any], plant: Array, voxel: floa
     """Return the centres (M, 3) [m] of cells that really hold a surface other than the plant's.
 
     A cell needs points (N, 3) of two `views` (N,), a neighbourhood of such cells, and none of the plant (K, 3): pixels
-    at the plant's edges, wrongly placed beside it, do not make an obstacle.
+    at the plant's edges, wrongly placed next to it, do not make an obstacle.
     """
     if len(points) == 0:
         return np.zeros((0, 3))

@@ -3,7 +3,7 @@
 View by view to those before, ICP drifts on plants (facts: perception, 2.4-5.4 mm against 3.6 mm for the arm's own
 poses). Here every view may move a little: all views' corrections are found together on robust distances between
 neighbouring points of different views, held back by what is known of the arm and the hand-eye calibration. Views that
-the others contradict are placed anew or left out (`_wrong_views.py`).
+the others contradict are relocated or left out (`_wrong_views.py`).
 Dimensions: V views, N points, P pairs.
 """
 
@@ -20,39 +20,10 @@ from scipy.spatial.transform import Rotation
 from anther.core.geometry import Array, inverse, small_transform
 from anther.core.records import Range, Record
 from anther.perception.capture import in_threads
-from anther.perception.cloud._wrong_views import Estimate, Sample, agreement, match, mended, plane_distances
+from anther.perception.cloud._wrong_views import Estimate, Sample, agreement, correct_views, match, plane_distances
 
-ATTENUATION = 1 / 3
-"""Estimated over true reach of the matching window. Noise in the normals draws the estimate to zero (errors in
-variables). Measured on simulated captures: 1.4 px are estimated as 0.41 to 0.50."""
-
-UNEXPLAINED = 1.75
-"""A view that moved this many times farther than the arm's error explains, and than the median view, is named."""
-
-REACH_SIGMA = 0.003
-"""Prior of the reach of the camera's matching window [rad]; 2 px of a D455."""
-
-POINTS_PER_VIEW = 1500
-"""At most this many points of each view are matched, drawn evenly: thirty views then take seconds."""
-
-SOURCE_SHARE, HELD_OUT_SHARE = 0.4, 0.2
-"""Share of these points for which neighbours are looked up in each round, and share that judges the result and takes no
-part in it."""
-
-POINT_SIGMA = 0.0015
-"""Distance scale of the matches [m]; also the Welsch scale in the last round."""
-
-LEAST_GAIN = 0.02
-"""The held-out distance must fall at least by this share, else the arm's own poses are kept."""
-
-HAND_EYE_SIGMA = float(np.deg2rad(0.2)), 0.001
-"""Standard deviation of the error that is common to all views, in the camera frame, per axis [rad], [m]."""
-POINTS_PER_CONSTRAINT = 8.0
-"""Neighbouring residuals are alike: so many count as one independent measurement."""
-VOXEL = 0.004
-"""Views are thinned to this spacing for matching [m]."""
-MATCH_DISTANCES = 0.012, 0.009, 0.007, 0.006, 0.005
-"""Greatest distance of a match [m], one per round; the map is rebuilt in each."""
+MATCHED = (0.012, 0.009, 0.007, 0.006, 0.005)
+"""Greatest distance of a match in each round [m], from three times the arm's error down; a third scales the weights."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +50,7 @@ class Registration:
         distance_before, distance_after: median distance of held-out points to other views' surfaces [m].
         reach: of the camera's matching window, see `_wrong_views.Estimate` [rad].
         agreement: (V,) share of a view's points that lie on a surface seen by others, of those near any; NaN where
-            the view has too few points to tell.
+            the view has too few points.
         used: (V,) whether a view's pose can be trusted; the others should be left out.
         notes: what the user should know.
     """
@@ -104,18 +75,18 @@ def register(points_cam: list[Array], T_world_cam: Array, params: Params | None 
     """
     params = params or Params()
     given = np.array(T_world_cam)
-    sample = Sample.of(points_cam, VOXEL, POINTS_PER_VIEW)
+    sample = Sample.of(points_cam, voxel=0.004, most=1500)  # thirty views then take seconds
     if len(np.unique(sample.view)) < 2:
         return _declined(given, "fewer than two views show the plant")
     draw = np.random.default_rng(0).random(len(sample.view))
-    held_out, source = draw < HELD_OUT_SHARE, draw > 1 - SOURCE_SHARE
+    held_out, source = draw < 0.2, draw > 0.6  # what judges the result takes no part in it
     found = _aligned(sample, given, source, params)
     if found is None:
         return _declined(given, "the views share no surface")
     found, agrees, used, notes = _without_contradictions(sample, given, found, source, params)
     judges = held_out & used[sample.view]
     before, after = (_disagreement(sample, Estimate(T, found.reach), judges) for T in (given, found.poses))
-    accepted, poses = after < (1 - LEAST_GAIN) * before, found.poses
+    accepted, poses = after < 0.98 * before, found.poses  # else the arm's own poses are as good
     if not accepted:
         poses, agrees = given, agreement(sample, Estimate(given, found.reach), range(len(given)))
         note = (
@@ -129,20 +100,20 @@ def register(points_cam: list[Array], T_world_cam: Array, params: Params | None 
 def _without_contradictions(
     sample: Sample, given: Array, found: Estimate, source: NDArray[np.bool_], params: Params
 ) -> tuple[Estimate, Array, NDArray[np.bool_], tuple[str, ...]]:
-    """Return the estimate with contradicted views placed anew, (V,) how far views agree, (V,) which are usable, notes.
+    """Return the estimate with contradicted views relocated, (V,) how far views agree, (V,) which are usable, notes.
 
-    Where a view turns out to stand far from its given pose, that pose says nothing of where it should be: the prior is
-    then about its new one.
+    Where a view turns out far from its given pose, that pose is no prior: the prior is then its new one.
     """
-    poses, wrong, used, agrees = mended(sample, given, found)
+    poses, wrong, used, agrees = correct_views(sample, given, found)
     placed = Estimate(poses, found.reach)
     moved = _moved(sample, given, placed)
-    far = used & (moved > UNEXPLAINED * max(_expected(sample, params), float(np.median(moved))))
+    far = used & (moved > 1.75 * max(_expected(sample, params), float(np.median(moved))))  # else chance
     anew = wrong | far
     if anew.any():
         start, kept = np.where(anew[:, None, None], poses, given), used[sample.view]
-        last = MATCH_DISTANCES[-2:]
-        found = _jointly(sample.only(kept), placed, start, source[kept], last, params, reach_fixed=True) or placed
+        found = (
+            _jointly(sample.only(kept), placed, start, source[kept], MATCHED[-2:], params, reach_fixed=True) or placed
+        )
         found.poses[~used] = given[~used]
     if wrong.any():
         agrees = agreement(sample, found, range(len(given)))
@@ -177,13 +148,12 @@ def _notes(agrees: Array, used: NDArray[np.bool_], moved: Array, far: NDArray[np
 
 def _aligned(sample: Sample, given: Array, source: NDArray[np.bool_], params: Params) -> Estimate | None:
     """Return the estimate, or None where views share no surface."""
-    half = (len(MATCH_DISTANCES) + 1) // 2
-    first, last = MATCH_DISTANCES[:half], MATCH_DISTANCES[half:]
-    at = _jointly(sample, Estimate(given), given, source, first, params, reach_fixed=False)
+    at = _jointly(sample, Estimate(given), given, source, MATCHED[:3], params, reach_fixed=False)
     if at is None:
         return None
-    at = Estimate(at.poses, max(0.0, at.reach) / ATTENUATION)
-    return _jointly(sample, at, given, source, last, params, reach_fixed=True)
+    attenuation = 1 / 3  # noise in the normals draws the estimated reach to zero (errors in variables)
+    at = Estimate(at.poses, max(0.0, at.reach) / attenuation)
+    return _jointly(sample, at, given, source, MATCHED[3:], params, reach_fixed=True)
 
 
 def _jointly(
@@ -196,14 +166,14 @@ def _jointly(
     *,
     reach_fixed: bool,
 ) -> Estimate | None:
-    """Return the estimate after one round for each distance: match, then two Gauss-Newton steps."""
+    """Return the estimate after one round for each distance [m]: match, then two Gauss-Newton steps."""
     information = _prior_information(len(given), params)
     for distance in distances:
         pairs = match(sample, at, source, distance)
         if len(pairs) == 0:
             return None
         for _ in range(2):
-            at = _step(sample, pairs, at, given, information, max(POINT_SIGMA, distance / 3), reach_fixed=reach_fixed)
+            at = _step(sample, pairs, at, given, information, distance / 3, reach_fixed=reach_fixed)
     return at
 
 
@@ -215,21 +185,25 @@ def _declined(given: Array, why: str) -> Registration:
 
 def _disagreement(sample: Sample, at: Estimate, held_out: NDArray[np.bool_]) -> float:
     """Return the median distance [m] of held-out points to the surfaces of other views."""
-    pairs = match(sample, at, held_out, MATCH_DISTANCES[0])
+    pairs = match(sample, at, held_out, MATCHED[0])
     return float(np.median(plane_distances(sample, at, pairs))) if len(pairs) else np.inf
 
 
 def _prior_information(views: int, params: Params) -> Array:
-    """Return the (6V + 1, 6V + 1) inverse covariance of V poses, with own and common errors, and of the reach."""
+    """Return the (6V + 1, 6V + 1) inverse covariance of V poses and of the reach of the camera's matching window.
+
+    Each pose has an error of its own and one that all share, the hand-eye calibration's.
+    """
 
     def variances(rotation: float, translation: float) -> Array:
         return np.diag(np.repeat(np.square([rotation, translation]), 3))
 
     own = variances(params.rotation_sigma, params.translation_sigma)
-    covariance = np.kron(np.eye(views), own) + np.kron(np.ones((views, views)), variances(*HAND_EYE_SIGMA))
+    shared = variances(float(np.deg2rad(0.2)), 0.001)  # per axis [rad], [m]; as careful calibrations leave
+    covariance = np.kron(np.eye(views), own) + np.kron(np.ones((views, views)), shared)
     information = np.zeros((6 * views + 1, 6 * views + 1))
     information[:-1, :-1] = np.linalg.inv(covariance)
-    information[-1, -1] = REACH_SIGMA**-2
+    information[-1, -1] = 0.003**-2  # 2 px of a D455 [rad]
     return information
 
 
@@ -257,7 +231,10 @@ def _step(
     error = inverse(given) @ at.poses
     turned = Rotation.from_matrix(error[:, :3, :3].copy()).as_rotvec()
     moved = np.append(np.concatenate([turned, error[:, :3, 3]], axis=1).ravel(), at.reach)
-    free, weight = slice(-1 if reach_fixed else None), 1 / (POINT_SIGMA**2 * POINTS_PER_CONSTRAINT)
+    free, weight = (
+        slice(-1 if reach_fixed else None),
+        1 / (8 * 0.0015**2),
+    )  # a D455's noise [m]; eight neighbours count as one
     change = np.zeros(len(information))
     change[free] = np.linalg.solve(
         (weight * hessian + information)[free, free], -(weight * gradient + information @ moved)[free]

@@ -19,28 +19,10 @@ from anther.perception.capture import in_threads
 from anther.perception.cloud._fusion import slant, voxel_means
 
 THREADS = 2
-NORMAL_ANGLE = float(np.deg2rad(25))
-"""Matched points' normals differ by at most this [rad]; it keeps the two sides of a stem apart."""
-NEAR = 0.02
-"""A point is judged if other views see anything within this distance [m]."""
-ON_SURFACE = 0.002
-"""A point agrees if it lies within this of another view's surface [m]; two thirds of the kinematic error."""
-ALIKE = float(np.cos(np.deg2rad(40)))
-"""Least cosine between the normals of the same surface; a leaf's two sides count as one here."""
-LEAST_JUDGED = 50
-"""Fewer points than this cannot tell whether a view agrees."""
-THINNED = 4
-"""One point in so many is judged, against the same share of the others'."""
 SEARCH = 0.04
-"""How far around its given place a view that the others contradict is looked for [m]."""
-STEP = 0.01
-"""Spacing of the places tried for a lost view [m]: the alignment that follows finds its way from half of that."""
-LEAST_AGREEMENT = 0.7
-"""A view is contradicted when its agreement is below this share of the median view's."""
+"""How far around its given place a view that the others contradict is searched for [m]; a guess."""
 NEIGHBOURS = 12
 """Points that a normal is fitted to, and candidates looked up for each point among all views' points."""
-TIGHT = {"rotation_epsilon": 1e-5, "translation_epsilon": 1e-6}
-"""small_gicp's own tolerances, 0.1 deg and 1 mm, stop too early (facts: perception)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,7 +99,7 @@ def match(sample: Sample, at: Estimate, use: NDArray[np.bool_], distance: float)
     tree = small_gicp.KdTree(np.ascontiguousarray(points), num_threads=THREADS)
     near, squared = tree.batch_knn_search(points[first], NEIGHBOURS, num_threads=THREADS)
     near, first = near.astype(np.int64), np.broadcast_to(first[:, None], near.shape)
-    alike = np.einsum("nki,nki->nk", normals[first], normals[near]) > np.cos(NORMAL_ANGLE)
+    alike = np.einsum("nki,nki->nk", normals[first], normals[near]) > np.cos(np.deg2rad(25))  # one side of a stem
     pair = (squared < distance**2) & (sample.view[first] != sample.view[near]) & alike
     return np.stack([first[pair], near[pair]], axis=1)
 
@@ -139,19 +121,20 @@ def _normals(points: Array, cloud: Array) -> Array:
     return np.where(np.einsum("ni,ni->n", n, points)[:, None] > 0, -n, n)
 
 
-def mended(sample: Sample, given: Array, found: Estimate) -> tuple[Array, NDArray[Any], NDArray[Any], Array]:
-    """Place the views anew that the others contradict under the estimate `found`; `given` are the arm's poses.
+def correct_views(sample: Sample, given: Array, found: Estimate) -> tuple[Array, NDArray[Any], NDArray[Any], Array]:
+    """Correct the poses of views that the others contradict under the estimate `found`; `given` are the arm's poses.
 
     Returns:
         (V, 4, 4) poses of all views: the contradicted ones where they fit, or as given where they fit nowhere; (V,)
-        which are contradicted; (V,) which are used, all but those that fit nowhere; (V,) agreement of all before.
+        which are contradicted; (V,) which are used, all but those that fit nowhere; (V,) agreement of all before. A
+        contradicted view has less than 0.7 of the median view's agreement.
     """
     agrees = agreement(sample, found, range(len(given)))
-    bar = LEAST_AGREEMENT * np.nanmedian(agrees) if np.isfinite(agrees).any() else 0.0
+    bar = 0.7 * np.nanmedian(agrees) if np.isfinite(agrees).any() else 0.0
     wrong, poses, used = agrees < bar, found.poses.copy(), np.ones(len(given), dtype=bool)
     for view in np.flatnonzero(wrong).tolist():
         others = sample.only(~wrong[sample.view] | (sample.view == view))
-        agreed, pose = placed_anew(others, found, view)
+        agreed, pose = relocate_view(others, found, view)
         used[view] = agreed >= bar
         poses[view] = pose if used[view] else given[view]
     return poses, wrong, used, agrees
@@ -160,19 +143,22 @@ def mended(sample: Sample, given: Array, found: Estimate) -> tuple[Array, NDArra
 def agreement(sample: Sample, at: Estimate, views: Iterable[int]) -> Array:
     """Return for each of `views` the share of its points that lie on a surface other views see, of those near any.
 
-    0 where a view has points enough but hardly any near what others see; NaN where it has too few to tell.
+    0 where a view has points enough but hardly any near what others see; NaN where it has too few. One point
+    in four is judged.
     """
-    sample = sample.only(np.arange(len(sample.view)) % THINNED == 0)
+    sample = sample.only(np.arange(len(sample.view)) % 4 == 0)
     points, normals = sample.world(at)
     return np.array(in_threads(lambda v: _agreement(points, normals, sample.view == v), views))
 
 
-def placed_anew(sample: Sample, at: Estimate, view: int) -> tuple[float, Array]:
+def relocate_view(sample: Sample, at: Estimate, view: int) -> tuple[float, Array]:
     """Return the pose (4, 4) near the view's present one that fits the other views best, and how well it agrees.
 
     All shifts up to `SEARCH` along each axis are scored by how close the points come to the other views'; the best
-    are refined by point-to-plane ICP, and the one that agrees best is returned.
+    are refined by point-to-plane ICP, and the one that agrees best is returned. small_gicp's own tolerances, 0.1 deg
+    and 1 mm, stop too early (facts: perception).
     """
+    step = _shift_step()
     points, _ = sample.world(at)
     own = sample.view == view
     others = points[~own]
@@ -181,10 +167,11 @@ def placed_anew(sample: Sample, at: Estimate, view: int) -> tuple[float, Array]:
     for shift in _best_shifts(points[own], tree, most=3):
         poses = at.poses.copy()
         poses[view, :3, 3] += shift
-        for distance in (2 * STEP, STEP / 2):
+        for distance in (2 * step, step / 2):
             poses[view] = np.asarray(small_gicp.align(
                 target, unbiased, tree, poses[view], registration_type="PLANE_ICP",
-                max_correspondence_distance=distance, num_threads=THREADS, max_iterations=60, **TIGHT,
+                max_correspondence_distance=distance, num_threads=THREADS, max_iterations=60,
+                rotation_epsilon=1e-5, translation_epsilon=1e-6,
             ).T_target_source)  # fmt: skip
         tried.append((float(np.nan_to_num(agreement(sample, Estimate(poses, at.reach), [view])[0])), poses[view]))
     return max(tried, key=lambda found: found[0])
@@ -197,24 +184,35 @@ def _with_normals(points: Array) -> small_gicp.PointCloud:
 
 
 def _agreement(points: Array, normals: Array, own: NDArray[np.bool_]) -> float:
+    """Return the share of `own` points (N,) on a surface of the others, of those with any of them within 20 mm.
+
+    On a surface: within 2 mm, less than the arm's error, of a neighbour's plane whose normal differs by 40 degrees at
+    most; a leaf's two sides count as one. Fewer than 50 points are no evidence.
+    """
+    near_by, few = 0.02, 50
     if own.all() or not own.any():
         return np.nan
-    distance, near = KDTree(points[~own]).query(points[own], 6, distance_upper_bound=NEAR)
-    judged, near = distance[:, 0] < NEAR, np.minimum(near, (~own).sum() - 1)
-    if judged.sum() < LEAST_JUDGED:
-        return 0.0 if own.sum() >= 2 * LEAST_JUDGED else np.nan
+    distance, near = KDTree(points[~own]).query(points[own], 6, distance_upper_bound=near_by)
+    judged, near = distance[:, 0] < near_by, np.minimum(near, (~own).sum() - 1)
+    if judged.sum() < few:
+        return 0.0 if own.sum() >= 2 * few else np.nan
     n = normals[~own][near]
     apart = np.abs(np.einsum("nki,nki->nk", n, points[own][:, None] - points[~own][near]))
-    alike = np.abs(np.einsum("nki,ni->nk", n, normals[own])) > ALIKE
-    agrees = (alike & (apart < ON_SURFACE) & (distance < NEAR)).any(axis=1)
+    alike = np.abs(np.einsum("nki,ni->nk", n, normals[own])) > np.cos(np.deg2rad(40))
+    agrees = (alike & (apart < 0.002) & (distance < near_by)).any(axis=1)
     return float(agrees[judged].mean())
+
+
+def _shift_step() -> float:
+    """Return the spacing of the places tried for a lost view [m]: ICP finds its way from half of that."""
+    return SEARCH / 4
 
 
 def _best_shifts(source: Array, target: small_gicp.KdTree, most: int) -> Array:
     """Return the shifts (most, 3) [m] that bring the source points closest to the target's."""
-    few = source[:: max(1, len(source) // 100)]
-    steps = np.arange(-SEARCH, SEARCH + STEP / 2, STEP)
+    few, step = source[:: max(1, len(source) // 100)], _shift_step()
+    steps = np.arange(-SEARCH, SEARCH + step / 2, step)
     shifts = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
     _, squared = target.batch_knn_search((few + shifts[:, None]).reshape(-1, 3), 1, num_threads=THREADS)
-    score = np.exp(-squared.reshape(len(shifts), -1) / (STEP / 2) ** 2).mean(axis=1)
+    score = np.exp(-squared.reshape(len(shifts), -1) / (step / 2) ** 2).mean(axis=1)
     return shifts[np.argsort(-score)[:most]]

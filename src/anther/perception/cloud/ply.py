@@ -26,7 +26,6 @@ _TYPES = {
 }  # fmt: skip
 _PROPERTIES = {"f8": "double", "f4": "float", "u1": "uchar"}
 _FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
-_LONGEST_HEADER = 64_000
 
 
 def write_ply(
@@ -95,8 +94,6 @@ def read_ply(path: Path | str) -> dict[str, Any]:
 
 
 _COLOR = re.compile(r"(?:colou?rs?|diffuse|rgb)?[ _.:]*(?:(r|red|0)|(g|green|1)|(b|blue|2))(?:f|8|16)?")
-_HARMONIC = 0.28209479177387814
-"""Of a Gaussian splat's first spherical harmonic, f_dc_0 to 2: 1 / (2 sqrt(pi)); a colour is 0.5 more."""
 
 
 def find_colors(
@@ -112,7 +109,8 @@ def find_colors(
     """
     splat = tuple(f"f_dc_{k}" for k in range(3))
     if set(splat) <= set(names):
-        return color_bytes(np.clip(0.5 + _HARMONIC * np.stack([column(n) for n in splat], axis=1), 0, 1)), splat
+        harmonic = 0.5 / np.sqrt(np.pi) * np.stack([column(n) for n in splat], axis=1)  # a Gaussian splat's first
+        return color_bytes(np.clip(0.5 + harmonic, 0, 1)), splat
     found = [(match, name) for name in names if (match := _COLOR.fullmatch(name)) and not name.isdigit()]
     each = [[name for match, name in found if match[k]] for k in (1, 2, 3)]
     if all(each):
@@ -173,7 +171,7 @@ def _read(
     with whole_file(path).open("rb") as stream:
         ascii_text = b"ascii" in stream.read(64)
     data = whole_file(path, LARGEST_TEXT if ascii_text else LARGEST).read_bytes()
-    end = data.find(b"end_header", 0, _LONGEST_HEADER)
+    end = data.find(b"end_header", 0, 64_000)  # a longer head is none
     if not data.startswith(b"ply") or end < 0:
         raise bad_input(str(path), given="unreadable (no PLY header)", allowed="a PLY file", do="Is it truncated?")
     try:

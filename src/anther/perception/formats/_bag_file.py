@@ -208,7 +208,7 @@ def find_topics(bag: BagFile, color: str | None, depth: str | None, pose: str | 
     infos = {image: _camera_info(bag, image) for image in (color, depth)}
     for image, info in infos.items():
         if not info and (image == color or not any(word in image.lower() for word in _ALIGNED)):
-            raise _missing(bag, f"no camera info beside {image}", "sensor_msgs/CameraInfo", "Record it as well.")
+            raise _missing(bag, f"no camera info for {image}", "sensor_msgs/CameraInfo", "Record it as well.")
     by_sdk, unit = bool(stream_of(color) or stream_of(depth)), units_of(depth)
     if stream_of(depth) and unit not in bag.topics:
         do = "Record it with the SDK's recorder."
@@ -239,8 +239,8 @@ def _one(
     found = [t for t in found if bag.topics[t] == _IMAGE] or found
     found = [t for t in found if t.endswith("/compressedDepth")] or found
     if len(found) != 1:
-        told = f"{len(found)} topics with {what} images" + (f" ({', '.join(found)})" if found else "")
-        raise _missing(bag, told, f"one of {', '.join(sorted(among)) or 'sensor_msgs/Image'}", f"Name it: {option}.")
+        given = f"{len(found)} topics with {what} images" + (f" ({', '.join(found)})" if found else "")
+        raise _missing(bag, given, f"one of {', '.join(sorted(among)) or 'sensor_msgs/Image'}", f"Name it: {option}.")
     return found[0]
 
 

@@ -47,7 +47,7 @@ class BagCamera(NamedTuple):
 def camera_of(topic: str, info: Any, *, rectified: bool = False) -> BagCamera:
     """Return the camera of a sensor_msgs/CameraInfo (ROS 1 or 2).
 
-    Of images that are already `rectified` the projection P tells the camera, and the lens is out of them.
+    Of images that are already `rectified` the projection P describes the camera, and lens distortion is removed.
     """
     K = np.array(check_array(f"{topic} K", info.K if hasattr(info, "K") else info.k, (9,)))
     D = np.array(check_array(f"{topic} D", info.D if hasattr(info, "D") else info.d, (None,)))
@@ -62,7 +62,7 @@ def camera_of(topic: str, info: Any, *, rectified: bool = False) -> BagCamera:
 
 
 def _cropped(camera: Intrinsics, info: Any) -> Intrinsics:
-    """Return the camera of the images, where a CameraInfo is of the whole sensor and tells binning and a region."""
+    """Return the camera of the images, where a CameraInfo is of the whole sensor and states binning and a region."""
     x, y = (max(1, int(getattr(info, f"binning_{axis}", 0))) for axis in "xy")
     roi = getattr(info, "roi", None)
     region = (0, 0, 0, 0) if roi is None else (roi.x_offset, roi.y_offset, roi.width, roi.height)
@@ -90,7 +90,7 @@ def colour_image(topic: str, message: Any) -> NDArray[np.uint8]:
         data = np.asarray(message.data, np.uint8)
         image = cv2.imdecode(data, cv2.IMREAD_COLOR) if is_intact(bytes(data)) else None
         if image is None:
-            raise bad_input(topic, given=f"damaged {message.format}", allowed="JPEG or PNG", do="Record it anew.")
+            raise bad_input(topic, given=f"damaged {message.format}", allowed="JPEG or PNG", do="Record it again.")
         return np.asarray(image[..., ::-1], dtype=np.uint8)
     if message.encoding not in _COLORS:
         allowed, do = ", ".join(_COLORS), "Name another colour topic."
@@ -119,14 +119,10 @@ def depth_image(topic: str, message: Any, unit: float) -> NDArray[np.float32]:
     raise bad_input(topic, given=given, allowed=allowed, do="Name another depth topic.")
 
 
-_HEADER = 12
-"""compressed_depth_image_transport's: an int32, and two float32 by which it packs metres."""
-
-
 def _depth_of_inverse(topic: str, message: Any) -> NDArray[np.float32]:
     """Return (H, W) depth [m] that was packed as steps v of its inverse: depth = a / (v - b); v = 0 is no reading."""
     steps, data = _depth_steps(topic, message), bytes(message.data)
-    a, b = np.frombuffer(data[4:_HEADER], "<f4")
+    a, b = np.frombuffer(data[4:12], "<f4")  # compressed_depth_image_transport's header: an int32 and these
     if data.startswith(_PNG) or not np.isfinite([a, b]).all() or a <= 0:
         given, do = f"{message.format} without the numbers that it is packed by", "Record compressedDepth."
         raise bad_input(topic, given=given, allowed="compressedDepth of 32FC1", do=do)
@@ -138,12 +134,12 @@ def _depth_steps(topic: str, message: Any) -> NDArray[np.uint16]:
     """Return (H, W) of a packed depth image: a PNG of 16 bits, perhaps behind a header, or RVL."""
     data = bytes(message.data)
     if "rvl" in message.format.lower():
-        return _unpacked_rvl(topic, data[_HEADER:])
+        return _unpacked_rvl(topic, data[12:])  # behind that header
     at = data.find(_PNG, 0, 64)
     whole = at >= 0 and is_intact(data[at:])
     image = cv2.imdecode(np.frombuffer(data[at:], np.uint8), cv2.IMREAD_UNCHANGED) if whole else None
     if image is None or image.dtype != np.uint16 or image.ndim != 2:
-        raise bad_input(topic, given=f"damaged {message.format}", allowed="a 16-bit PNG", do="Record it anew.")
+        raise bad_input(topic, given=f"damaged {message.format}", allowed="a 16-bit PNG", do="Record it again.")
     return np.asarray(image, dtype=np.uint16)
 
 
@@ -153,7 +149,7 @@ def _unpacked_rvl(topic: str, data: bytes) -> NDArray[np.uint16]:
     words = np.frombuffer(data[8 : 8 + (len(data) - 8) // 4 * 4], "<u4")
     flat = _rvl(words, width * height) if 0 < width * height <= 32 * len(data) else np.zeros(0, np.uint16)
     if not len(flat):
-        raise bad_input(topic, given="damaged RVL", allowed="a whole depth image", do="Record it anew.")
+        raise bad_input(topic, given="damaged RVL", allowed="a whole depth image", do="Record it again.")
     return flat.reshape(height, width)
 
 
@@ -188,12 +184,14 @@ def _rvl(words: Any, count: int) -> Any:
 
 def _raw(topic: str, message: Any) -> SimpleNamespace:
     """Return the raw image in librealsense's own compression, format "YUYV; zstd; 640x480 step=1280"."""
-    said = _ZSTD_FORMAT.fullmatch(message.format)
-    if said is None:
-        raise bad_input(topic, given=f"format {message.format}", allowed="YUYV; zstd; WxH step=N", do="Record it anew.")
-    width, height, step = (int(said[k]) for k in (2, 3, 4))
+    layout = _ZSTD_FORMAT.fullmatch(message.format)
+    if layout is None:
+        raise bad_input(
+            topic, given=f"format {message.format}", allowed="YUYV; zstd; WxH step=N", do="Record it again."
+        )
+    width, height, step = (int(layout[k]) for k in (2, 3, 4))
     return SimpleNamespace(
-        encoding=said[1],
+        encoding=layout[1],
         width=width,
         height=height,
         step=step,
@@ -209,7 +207,7 @@ def _pixels(topic: str, message: Any, kind: np.dtype[Any], channels: int) -> NDA
     data = np.asarray(message.data, np.uint8)
     if step < row or data.size < height * step:
         allowed = f"{height} rows of {row} bytes or more"
-        raise bad_input(topic, given=f"{data.size} bytes", allowed=allowed, do="Record it anew.")
+        raise bad_input(topic, given=f"{data.size} bytes", allowed=allowed, do="Record it again.")
     rows = data[: height * step].reshape(height, step)[:, :row]
     order = kind.newbyteorder(">" if message.is_bigendian else "<")
     pixels = np.ascontiguousarray(rows).view(order).astype(kind, copy=False)
@@ -235,19 +233,19 @@ class PoseSeries(NamedTuple):
 
 @dataclass(slots=True)
 class FrameTree:
-    """The frames of tf: parents and transforms by time; `torn` are those that are told to hang on several."""
+    """The frames of tf: parents and transforms by time; `ambiguous` are those with several parents."""
 
     parent: dict[str, str] = field(default_factory=dict)
     static: dict[str, Array] = field(default_factory=dict)
     moving: dict[str, list[tuple[float, Array]]] = field(default_factory=dict)
-    torn: dict[str, set[str]] = field(default_factory=dict)
+    ambiguous: dict[str, set[str]] = field(default_factory=dict)
 
     def add(self, transforms: Iterable[Any], *, static: bool) -> None:
         """Add the geometry_msgs/TransformStamped of one tf message."""
         for one in transforms:
             child, parent = one.child_frame_id.lstrip("/"), one.header.frame_id.lstrip("/")
             if self.parent.setdefault(child, parent) != parent:
-                self.torn.setdefault(child, {self.parent[child]}).add(parent)
+                self.ambiguous.setdefault(child, {self.parent[child]}).add(parent)
             T = pose_matrix(one.transform.translation, one.transform.rotation)
             if static:
                 self.static[child] = T
@@ -260,7 +258,7 @@ class FrameTree:
         return frame in self.parent and any(name in self.moving for name in self._chain(frame, None))
 
     def lookup(self, frame: str, world: str | None) -> Where:
-        """Return what tells a frame's pose in `world`, an ancestor of it (None: the root of its tree), and how far off
+        """Return what gives a frame's pose in `world`, an ancestor of it (None: the root of its tree), and how far off
         the worst link's stamp is. Every moving link is taken at its stamp nearest to the time asked for; fixed links
         are always on time."""
         chain = self._chain(frame.lstrip("/"), None if world is None else world.lstrip("/"))
@@ -276,7 +274,7 @@ class FrameTree:
         return where
 
     def between(self, a: str, b: str) -> Array | None:
-        """Return T_a_b where both hang together by fixed transforms, else None."""
+        """Return T_a_b where fixed transforms join them, else None."""
         ways = [self._fixed_way(name.lstrip("/")) for name in (a, b)]
         shared = [name for name in ways[0] if name in ways[1]]
         return inverse(ways[0][shared[0]]) @ ways[1][shared[0]] if shared else None
@@ -294,9 +292,9 @@ class FrameTree:
         chain, at = [], frame
         while at != world and at in self.parent and at not in chain:
             chain.append(at)
-            if at in self.torn:
+            if at in self.ambiguous:
                 given, do = (
-                    f"'{at}' hangs on {' and '.join(sorted(self.torn[at]))}",
+                    f"'{at}' has the parents {' and '.join(sorted(self.ambiguous[at]))}",
                     "Record one of them, or give poses.",
                 )
                 raise bad_input("tf", given=given, allowed="one parent for a frame", do=do)

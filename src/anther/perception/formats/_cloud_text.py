@@ -1,7 +1,7 @@
 """Point clouds as text: what separates the numbers, where their decimals begin, and which column is what. N points.
 
-A line of names, also in a comment, says which columns are x, y, z and colours. Without one the first three are x, y, z;
-colours are taken where only one reading of the other columns is possible, and else none are, with a note.
+A line of names, also in a comment, states which columns are x, y, z and colours. Without one the first three are x, y,
+z; colours are taken where only one reading of the other columns is possible, and else none are, with a note.
 """
 
 from __future__ import annotations
@@ -22,10 +22,6 @@ from anther.perception.formats._raw_points import RawPoints, places, stated, uni
 _NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf)", re.IGNORECASE)
 _WORDS = re.compile(r"[^\s,;]+")
 _COMMENT = ("#", "//", "%")
-_SAMPLE = 200
-"""Lines from which separator and decimals are told."""
-_UNIT_LENGTH = 0.02
-"""Columns are a normal's where most have length one to within this [-]."""
 _DO = "Export with decimal points, columns separated by semicolons, tabs or blanks."
 
 
@@ -33,7 +29,7 @@ def read_text(path: Path) -> RawPoints:
     """Read rows of numbers separated by blanks, commas, semicolons or tabs, with decimal points or commas.
 
     Raises:
-        InputError: no rows, fewer points than the file says, columns that cannot be told, or numbers that cannot.
+        InputError: no rows, fewer points than the file says, or columns or numbers whose meaning is unclear.
     """
     lines = [line.strip() for line in read_lines(path)]
     begin = next((i for i, line in enumerate(lines) if _is_row(line)), len(lines))
@@ -42,12 +38,12 @@ def read_text(path: Path) -> RawPoints:
         raise bad_input(str(path), given="unreadable (no row of numbers)", allowed="rows of x y z", do="Export again.")
     if '"' in body[0]:
         body = [";".join(cells) for cells in csv.reader(body, delimiter=_quoted_separator(body[0]))]
-    separator, comma = _layout(path, body[:_SAMPLE])
+    separator, comma = _layout(path, body[:200])
     names = _names(lines[:begin], body[0], separator)
     table = _table(path, body, separator, comma)
     count = next((int(line) for line in lines[:begin] if line.isdecimal()), None)
     if count is not None and count > len(table):
-        given, allowed = f"{len(table)} points", f"{count}, as it says at its beginning"
+        given, allowed = f"{len(table)} points", f"{count}, as its first line states"
         raise bad_input(str(path), given=given, allowed=allowed, do="Is it truncated?")
     raw = _by_names(path, table, names) if names else _by_place(path, table, counted=count is not None)
     units, up = stated([line for line in lines if line.startswith(_COMMENT)])
@@ -55,14 +51,14 @@ def read_text(path: Path) -> RawPoints:
 
 
 def _is_row(line: str) -> bool:
-    """Tell rows of numbers from names, comments and a leading count."""
+    """Separate rows of numbers from names, comments and a leading count."""
     words = _WORDS.findall(line.replace('"', ""))
     numeric = sum(_NUMBER.fullmatch(word) is not None for word in words)
     return numeric > 1 and 2 * numeric > len(words) and not line.startswith(_COMMENT)
 
 
 def _quoted_separator(line: str) -> str:
-    """Return what stands between quoted cells."""
+    """Return the text between quoted cells."""
     return next((mark for mark in ";\t" if mark in line), "," if re.search(r'"\s*,|,\s*"', line) else " ")
 
 
@@ -139,7 +135,7 @@ def _names(head: list[str], row: str, separator: str | None) -> list[str] | None
 
 
 def _cells(line: str, width: int, separator: str | None) -> list[str] | None:
-    """Return a line's words if they can be the names of so many columns."""
+    """Return a line's words if they can be the names of that many columns."""
     line = line.lstrip("#/% ").rstrip(separator or " ")
     for mark in dict.fromkeys((separator, ";", "\t", ",", None)):
         cells = [cell.strip(' \t\r",') for cell in line.split(mark)]
@@ -181,7 +177,7 @@ def _by_place(path: Path, table: Array, *, counted: bool) -> RawPoints:
     left = [k for k in range(extra.shape[1]) if begin is None or not begin <= k < begin + 3]
     if left:
         numbers = ", ".join(str(k + 4) for k in left)
-        say = "; to say what is r, g, b, name the columns in line 1" if begin is None else ""
+        say = "; to use them as r, g, b, name the columns in line 1" if begin is None else ""
         notes += unused_note([f"column{'s' if len(left) > 1 else ''} {numbers}{say}"])
     return RawPoints(table[:, :3], colors, notes=notes)
 
@@ -209,7 +205,8 @@ def _colour_columns(extra: Array, *, counted: bool) -> int | None:
 
 
 def _is_normal(three: Array) -> bool:
-    return bool((np.abs(np.linalg.norm(three, axis=1) - 1) < _UNIT_LENGTH).mean() > 0.5)
+    """Return whether most rows (N, 3) have the length one, to within 2 %."""
+    return bool((np.abs(np.linalg.norm(three, axis=1) - 1) < 0.02).mean() > 0.5)
 
 
 def _is_colour(three: Array) -> bool:

@@ -51,7 +51,7 @@ def write_glb(path: Path | str, skeleton: Skeleton, labels: Sequence[str] | None
 def tubes(skeleton: Skeleton, labels: Sequence[str] | None = None) -> dict[str, trimesh.Trimesh]:
     """Return a closed, tapered tube for every axis, joined to one mesh an organ name.
 
-    An axis begins within the node it branches from, no thicker than that node, and goes on as `successors` says.
+    An axis begins within the node it branches from, no thicker than that node, and continues by `successors`.
     """
     parts: dict[str, list[tuple[Array, NDArray[Any]]]] = {}
     for axis, own in _axes(skeleton, labels):

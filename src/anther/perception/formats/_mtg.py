@@ -3,7 +3,7 @@
 Format: C. Godin and Y. Caraglio, "A multiscale model of plant topological structures", J. theor. Biol. 191 (1998), and
 https://mtg.readthedocs.io (file format, FORM-A); the layout is the one openalea.mtg's `write_mtg` makes. Scale 1 is the
 plant, scale 2 its nodes: class Stem, Branch, ... (or Node), numbered from 1, with XX, YY, ZZ and radius [m].
-`<` continues an axis, `+` branches off. In the text a column is a branching order, `^` stands for the last entity in
+`<` continues an axis, `+` branches off. In the text a column is a branching order, `^` is the last entity in
 the same column.
 """
 
@@ -38,7 +38,7 @@ def write_mtg(path: Path | str, skeleton: Skeleton, labels: Sequence[str] | None
 def read_mtg(path: Path | str) -> SkeletonFile:
     """Read the vertices of an MTG that have XX, YY, ZZ [m], as one tree; radius [m] and classes where it has them.
 
-    Vertices without coordinates (plant, axes) only say where the tree begins.
+    Vertices without coordinates (plant, axes) only state where the tree begins.
     """
     lines = [line.split("#")[0].rstrip() for line in read_lines(path)]
     heads = [i for i, line in enumerate(lines) if line.startswith("ENTITY-CODE")]
@@ -114,10 +114,10 @@ def _parsed(path: str, lines: list[str], columns: list[str], first: int) -> Skel
         parent = last.get(column if found[1] else column - 1)
         last = {at: node for at, node in last.items() if at < column}
         last[column] = None
-        told = [bool(values.get(axis)) for axis in FEATURES[:3]]
-        if any(told) and not all(told):
+        given = [bool(values.get(axis)) for axis in FEATURES[:3]]
+        if any(given) and not all(given):
             raise bad_input(path, given=f"only some of XX, YY, ZZ in '{line.strip()}'", allowed="all", do="Is it cut?")
-        if all(told):
+        if all(given):
             last[column] = len(nodes)
             nodes.append(np.array([float(values.get(name) or "nan") for name in FEATURES]))
             above.append(parent)

@@ -1,4 +1,4 @@
-"""What a cloud's file holds, as it stands there, and what the names of its columns say. N points."""
+"""The content of a cloud's file, as stored, and the meaning of its column names. N points."""
 
 from __future__ import annotations
 
@@ -14,13 +14,11 @@ from anther.core.geometry import TO_Z_UP, Array
 
 METRES: dict[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "0.01mm": 1e-5, "um": 1e-6, "in": 0.0254, "ft": 0.3048}
 _COMMON = ("m", "cm", "mm", "0.01mm")
-"""Units that are advised; who has others knows it."""
-SMALLEST, LARGEST = 0.005, 20.0
-"""What is smaller or larger is no plant [m]: a 0.6 m plant in mm, read as metres, measures 600 m."""
+"""Units that are advised: others are rare."""
 MOST_POINTS = 20_000_000
 """Most points of a cloud that is read: with colours and copies some 2 GB. A guess."""
 LIKELY = (0.03, 5.0)
-"""From a seedling to a vine in a greenhouse [m]. Two units can both be likely: then it is for the person to say."""
+"""From a seedling to a vine in a greenhouse [m]. Two units can both be likely: then the user must choose."""
 
 
 def other_units(size: float, units: str) -> str:
@@ -63,7 +61,7 @@ _PLACE = re.compile(
 
 
 def places(names: Sequence[str]) -> tuple[list[int] | None, Units | None]:
-    """Return which columns hold x, y and z by their names, None where that is not said, and the units they state.
+    """Return which columns hold x, y and z by their names, None where that is not stated, and the units they state.
 
     They are called x, "X (mm)", x_mm, pos_x, Points:0 ...
     """

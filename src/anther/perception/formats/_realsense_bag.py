@@ -1,4 +1,4 @@
-"""What librealsense's own recordings say in words of their own: streams, cameras, extrinsics, units, times.
+"""librealsense's own messages in its recordings: streams, cameras, extrinsics, units, times.
 
 Up to SDK 2.57 they are ROS 1 bags with a float32, the depth unit, behind every Image. From 2.58 on they are one rosbag2
 SQLite file (.db3): cameras, extrinsics and options are texts `key=value;key=value`, and a header's stamp is the time
@@ -17,7 +17,6 @@ from anther.core.geometry import Array, transform
 
 _STREAM_END = "/image/data"
 _ZSTD = b"\x28\xb5\x2f\xfd"  # RFC 8878
-_LARGEST = 1 << 28
 
 
 def stream_of(image: str) -> str:
@@ -65,34 +64,34 @@ def unpacked(data: bytes) -> bytes:
         from compression import zstd  # type: ignore[import-not-found]  # noqa: PLC0415  # Python 3.14
     except ImportError:
         from backports import zstd  # noqa: PLC0415  # rosbags brings it
-    return zstd.ZstdDecompressor().decompress(data, max_length=_LARGEST)
+    return zstd.ZstdDecompressor().decompress(data, max_length=1 << 28)
 
 
 def camera_info(topic: str, text: str) -> SimpleNamespace:
-    """Return what a camera's text says with the names of sensor_msgs/CameraInfo."""
-    said = _said(text)
+    """Return a camera's text with the names of sensor_msgs/CameraInfo."""
+    fields = _fields(text)
     K = np.zeros(9)
-    K[[0, 2, 4, 5, 8]] = [*(_numbers(topic, said, name, 1)[0] for name in ("fx", "ppx", "fy", "ppy")), 1.0]
-    size = [int(_numbers(topic, said, name, 1)[0]) for name in ("width", "height")]
+    K[[0, 2, 4, 5, 8]] = [*(_numbers(topic, fields, name, 1)[0] for name in ("fx", "ppx", "fy", "ppy")), 1.0]
+    size = [int(_numbers(topic, fields, name, 1)[0]) for name in ("width", "height")]
     return SimpleNamespace(
         width=size[0],
         height=size[1],
         k=K,
-        d=_numbers(topic, said, "coeffs", 5),
-        distortion_model=said.get("model", ""),
+        d=_numbers(topic, fields, "coeffs", 5),
+        distortion_model=fields.get("model", ""),
         header=SimpleNamespace(frame_id=""),
     )
 
 
 def extrinsics(topic: str, text: str) -> Array:
     """Return T_stream_reference (4, 4): its rotation is written column by column, as rs2_extrinsics holds it."""
-    said = _said(text)
-    return transform(_numbers(topic, said, "rotation", 9).reshape(3, 3).T, _numbers(topic, said, "translation", 3))
+    fields = _fields(text)
+    return transform(_numbers(topic, fields, "rotation", 9).reshape(3, 3).T, _numbers(topic, fields, "translation", 3))
 
 
 def frame_time(topic: str, text: str) -> float:
     """Return when a frame was taken [s], on the clock of its timestamp_domain."""
-    return 1e-3 * float(_numbers(topic, _said(text), "timestamp", 1)[0])
+    return 1e-3 * float(_numbers(topic, _fields(text), "timestamp", 1)[0])
 
 
 def number(topic: str, text: str) -> float:
@@ -104,16 +103,16 @@ def _length(message: bytes, at: int) -> int:
     return struct.unpack_from("<I", message, at)[0]
 
 
-def _said(text: str) -> dict[str, str]:
+def _fields(text: str) -> dict[str, str]:
     return dict(part.split("=", 1) for part in text.strip().strip(";").split(";") if "=" in part)
 
 
-def _numbers(topic: str, said: dict[str, str], name: str, count: int) -> Array:
+def _numbers(topic: str, fields: dict[str, str], name: str, count: int) -> Array:
     try:
-        values = np.array([float(word) for word in said[name].split(",")])
+        values = np.array([float(word) for word in fields[name].split(",")])
     except (KeyError, ValueError):
         values = np.zeros(0)
     if len(values) != count or not np.isfinite(values).all():
-        given, allowed = f"{name}={said.get(name, '')}", f"{count} finite number{'s' if count > 1 else ''}"
-        raise bad_input(topic, given=given, allowed=allowed, do="Record it anew.")
+        given, allowed = f"{name}={fields.get(name, '')}", f"{count} finite number{'s' if count > 1 else ''}"
+        raise bad_input(topic, given=given, allowed=allowed, do="Record it again.")
     return values

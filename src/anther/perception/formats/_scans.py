@@ -54,8 +54,8 @@ def _las_unit(vlrs: Any) -> Units | None:
         for key in getattr(vlr, "geo_keys", ()):
             if key.id == _GEO_LINEAR:
                 return unit_of(_GEO_UNITS.get(key.value_offset, ""))
-        told = re.findall(r'UNIT\["(?:US survey )?(\w+)"', str(getattr(vlr, "string", "")), re.IGNORECASE)
-        units: set[Units] = {unit for word in told if (unit := unit_of(word.lower().replace("_us", "")))}
+        stated = re.findall(r'UNIT\["(?:US survey )?(\w+)"', str(getattr(vlr, "string", "")), re.IGNORECASE)
+        units: set[Units] = {unit for word in stated if (unit := unit_of(word.lower().replace("_us", "")))}
         if len(units) == 1:
             return units.pop()
     return None

@@ -34,8 +34,6 @@ from anther.perception.formats._bag_messages import (
     sorted_series,
 )
 
-_SAME_CAMERA = 1e-3  # relative difference of intrinsics that counts as one camera
-
 
 @dataclass(frozen=True, slots=True)
 class BagOptions(Record):
@@ -45,14 +43,14 @@ class BagOptions(Record):
         color_topic, depth_topic: images; None: found by name.
         pose_topic: PoseStamped, TransformStamped, PoseWithCovarianceStamped or Odometry; None: tf where it moves the
             camera, else the only one there is.
-        pose_frame: the frame in tf whose poses that topic tells; None: the one it names, else the camera's.
+        pose_frame: the frame in tf whose poses that topic gives; None: the one it names, else the camera's.
         poses: a trajectory file (time x y z qx qy qz qw) instead: RealSense's own bags hold no poses.
         camera_frame: the camera's optical frame in tf; None: the one its camera info names.
         world_frame: the world's frame in tf; None: the root of the camera's tree.
         camera_in_pose: 7-number pose of the camera's optical frame in the frame whose poses are given (hand-eye
             calibration, when they are the flange's); None: they are the camera's.
         tolerance: largest difference of stamps between depth, colour and pose [s].
-        views: at most so many, evenly spread over the matched ones.
+        views: greatest number, evenly spread over the matched ones.
     """
 
     color_topic: str | None = None
@@ -85,7 +83,7 @@ class BagViews:
 @dataclass(slots=True)
 class _Contents:
     """What the first pass over a bag collects: every small message, and times by topic, of images those of their stamps
-    or, where RealSense tells them beside, their own."""
+    or, where RealSense records them too, their own."""
 
     infos: dict[str, BagCamera] = field(default_factory=dict)
     poses: list[tuple[float, Array]] = field(default_factory=list)
@@ -120,7 +118,7 @@ def read_bag(path: Path | str, options: BagOptions | None = None) -> BagViews:
         topics = find_topics(bag, options.color_topic, options.depth_topic, options.pose_topic)
         held = _first_pass(bag, topics)
         camera, depth_camera, T_color_depth = _cameras(str(path), topics, held)
-        where, told = _where(str(path), topics, held, options, camera.frame)
+        where, more = _where(str(path), topics, held, options, camera.frame)
         views, notes = _matched(str(path), topics, held, where, options)
         images = _images(bag, topics, held.unit, views)
     for image, color in images:
@@ -139,7 +137,7 @@ def read_bag(path: Path | str, options: BagOptions | None = None) -> BagViews:
         T_world_cam=poses,
         rgb=np.stack([straightened(image, camera.maps, nearest=False) for _, image in images]),
     )
-    return BagViews(capture, np.array([view.time for view in views]), (*notes, *told))
+    return BagViews(capture, np.array([view.time for view in views]), (*notes, *more))
 
 
 def _first_pass(bag: BagFile, topics: Topics) -> _Contents:
@@ -153,7 +151,7 @@ def _first_pass(bag: BagFile, topics: Topics) -> _Contents:
         if stream.times in held.times:
             frames, own = len(held.times[stream.images]), held.times[stream.times]
             if len(own) != frames:
-                given, do = f"{frames} frames and {len(own)} times of frames", "Was it stopped early? Record it anew."
+                given, do = f"{frames} frames and {len(own)} times of frames", "Was it stopped early? Record it again."
                 raise bad_input(stream.images, given=given, allowed="as many of both", do=do)
             held.times[stream.images] = own
     return held
@@ -185,7 +183,7 @@ def _keep(held: _Contents, message: Recorded, bag: BagFile, topics: Topics) -> N
 
 
 def _keep_text(held: _Contents, topic: str, text: str, topics: Topics) -> None:
-    """Keep what RealSense says in its own words (.db3)."""
+    """Keep RealSense's own messages (.db3)."""
     if topic in (topics.color.info, topics.depth.info):
         held.infos.setdefault(topic, camera_of(topic, _realsense_bag.camera_info(topic, text)))
     elif topic in (topics.color.extrinsics, topics.depth.extrinsics):
@@ -203,7 +201,7 @@ def _cameras(path: str, topics: Topics, held: _Contents) -> tuple[BagCamera, Bag
         raise bad_input(path, given=f"nothing on {topics.color.info}", allowed="a CameraInfo", do="Record it as well.")
     depth = held.infos.get(topics.depth.info, color)
     a, b = color.intrinsics, depth.intrinsics
-    same = (a.width, a.height) == (b.width, b.height) and np.allclose(a.matrix, b.matrix, rtol=_SAME_CAMERA)
+    same = (a.width, a.height) == (b.width, b.height) and np.allclose(a.matrix, b.matrix, rtol=1e-3)
     ends = [held.extrinsics.get(topic) for topic in (topics.color.extrinsics, topics.depth.extrinsics)]
     if ends[0] is not None and ends[1] is not None:
         T_color_depth = ends[0] @ inverse(ends[1])
@@ -214,13 +212,13 @@ def _cameras(path: str, topics: Topics, held: _Contents) -> tuple[BagCamera, Bag
     else:
         T_color_depth = held.frames.between(color.frame, depth.frame)
     if T_color_depth is None:
-        beside = (
+        joint = (
             f"{_realsense_bag.stream_of(topics.depth.images)}/tf/N and the colour's" if topics.by_sdk else "/tf_static"
         )
         raise bad_input(
             path,
             given=f"depth in frame '{depth.frame}', colour in '{color.frame}', and no fixed transform between them",
-            allowed=f"depth aligned to colour, or what joins them: {beside}",
+            allowed=f"depth aligned to colour, or what joins them: {joint}",
             do="Record both streams with the SDK's recorder."
             if topics.by_sdk
             else "Record aligned_depth_to_color (realsense2_camera: align_depth.enable:=true) or /tf_static.",
@@ -231,7 +229,7 @@ def _cameras(path: str, topics: Topics, held: _Contents) -> tuple[BagCamera, Bag
 def _where(
     path: str, topics: Topics, held: _Contents, options: BagOptions, frame: str
 ) -> tuple[Where, tuple[str, ...]]:
-    """Return what tells the camera's pose at a time, and notes."""
+    """Return what gives the camera's pose at a time, and notes."""
     frame = (options.camera_frame or frame).lstrip("/")
     explicit = any(o is not None for o in (options.pose_topic, options.pose_frame, options.camera_in_pose))
     by_tf = held.frames.moves(frame) and not explicit
@@ -263,10 +261,10 @@ def _where(
 
 
 def _in_pose(topic: str, held: _Contents, given: str | None, frame: str) -> tuple[Array, tuple[str, ...]]:
-    """Return the camera's pose in the frame whose poses a topic tells, and notes.
+    """Return the camera's pose in the frame whose poses a topic gives, and notes.
 
     Raises:
-        InputError: it is another frame than the camera's, or that is not said, and nothing joins them.
+        InputError: it is another frame than the camera's, or that is not stated, and nothing joins them.
     """
     own, above = (given or held.posed).lstrip("/"), held.frames.parent.get(frame)
     if own:
@@ -275,9 +273,9 @@ def _in_pose(topic: str, held: _Contents, given: str | None, frame: str) -> tupl
             fault, allowed = f"poses of '{own}', a camera in '{frame}'", "fixed transforms between them in /tf_static"
             do = "Record them, or give --camera-in-pose x y z qx qy qz qw, or --pose-frame if it is another frame's."
             raise bad_input(topic, given=fault, allowed=allowed, do=do)
-        return T, (f"{topic} tells the poses of '{own}'; the camera is '{frame}' on it",) if own != frame else ()
+        return T, (f"{topic} gives the poses of '{own}'; the camera is '{frame}' on it",) if own != frame else ()
     if above is not None:
-        fault = f"poses that do not say whose they are: the camera's '{frame}' or of what carries it, as '{above}'"
+        fault = f"poses of an unnamed frame: the camera's '{frame}' or of what carries it, as '{above}'"
         do = f"Say it: --pose-frame {frame}, or another of {', '.join(sorted({*held.frames.parent.values()}))}."
         raise bad_input(topic, given=fault, allowed="the frame's name", do=do)
     return np.eye(4), (f"{topic} is taken for the poses of the camera's optical frame; else see --camera-in-pose",)

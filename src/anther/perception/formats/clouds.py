@@ -1,6 +1,6 @@
-"""Read somebody's point cloud: PLY, PCD, LAS, E57, text or NPZ, in the units and with the axis up that it has.
+"""Read an imported point cloud: PLY, PCD, LAS, E57, text or NPZ, in the units and with the axis up that it has.
 
-Which axis is up its stem tells, as far as it can: right, it begins thick, round and upright, and rises far.
+If the up axis is not given, it is checked: with the right one, the plant starts with a thick, round, vertical stem.
 N points.
 """
 
@@ -23,18 +23,16 @@ from anther.core.geometry import TO_Z_UP, Array
 from anther.perception.cloud import Cloud, ply
 from anther.perception.formats._cloud_text import read_text
 from anther.perception.formats._raw_points import (  # fmt: skip
-    LARGEST,
     LIKELY,
     METRES,
     MOST_POINTS,
-    SMALLEST,
     RawPoints,
     other_units,
     stated,
     unused_note,
 )
 from anther.perception.formats._scans import read_e57, read_las
-from anther.perception.skeleton import skeletonize
+from anther.perception.skeleton import FEWEST_POINTS, LARGEST, SMALLEST, skeletonize
 from anther.perception.stem import find_stem
 
 __all__ = [
@@ -53,14 +51,8 @@ __all__ = [
 ]
 
 SUFFIXES = (".ply", ".pcd", ".las", ".laz", ".e57", ".xyz", ".txt", ".csv", ".asc", ".pts", ".npz")
-_FEWEST = 50
-_MOST_BROKEN = 0.05
 DOUBT = 2.0
-"""An axis whose stem is not so many times worse than the best may be up (docs/formats.md)."""
-_COARSE = 120
-_BASE, _SURE = 0.25, 0.5
-"""The cloud is thinned to one point per cube of plant size / 120; a base is the lowest quarter, likelier a stem
-than not."""
+"""An axis whose stem is at most this many times worse than the best may be up (docs/formats.md)."""
 
 _CUT = "Is it truncated, or another format?"
 
@@ -90,7 +82,7 @@ def read_cloud(
     taken += [] if up else ["with z up (--up)"]
     upright = np.ascontiguousarray(raw.points[:, TO_Z_UP[up or "z"]]) * METRES[units or "m"]
     cloud = checked_cloud(path, RawPoints(upright, raw.colors), units or "m")
-    notes = (f"the file does not say all: it is read {' and '.join(taken)}",) if taken else ()
+    notes = (f"the file does not state all: it is read {' and '.join(taken)}",) if taken else ()
     notes = (*raw.notes, *([f"{path.name}: {other}"] if other else []), *notes)
     axis = () if up else axis_notes(cloud.points)
     return replace(cloud, notes=(*cloud.notes, *axis, *notes))
@@ -143,11 +135,11 @@ def _read(path: Path, plant: int | None) -> RawPoints:
 
 
 def _check_enough(path: Path, finite: np.ndarray) -> None:
-    if len(finite) and (~finite).mean() > _MOST_BROKEN:
-        given, allowed = f"{(~finite).mean():.0%} of the points NaN or infinite", f"at most {_MOST_BROKEN:.0%}"
+    if len(finite) and (~finite).mean() > 0.05:
+        given, allowed = f"{(~finite).mean():.0%} of the points NaN or infinite", "at most 5%"
         raise bad_input(str(path), given=given, allowed=allowed, do="Repair the export.")
-    if np.count_nonzero(finite) < _FEWEST:
-        given, allowed = f"{np.count_nonzero(finite)} points", f"{_FEWEST} or more"
+    if np.count_nonzero(finite) < FEWEST_POINTS:
+        given, allowed = f"{np.count_nonzero(finite)} points", f"{FEWEST_POINTS} or more"
         raise bad_input(str(path), given=given, allowed=allowed, do="Is it the right file?")
 
 
@@ -162,21 +154,22 @@ def _check_size(path: Path, points: np.ndarray, units: str) -> tuple[str, ...]:
 
 
 def axis_notes(points: Array) -> tuple[str, ...]:
-    """Return a note where another axis than z is as likely up of points (N, 3) as they stand in the file [m]."""
+    """Return a note where another axis than z is as likely up of points (N, 3) as stored [m]."""
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
-    thin = np.asarray(voxelgrid_sampling(points, size / _COARSE).points())[:, :3]
+    thin = np.asarray(voxelgrid_sampling(points, size / 120).points())[:, :3]
     worth = {axis: stem_worth(thin[:, order]) for axis, order in TO_Z_UP.items()}
     likely = [axis for axis, value in worth.items() if DOUBT * value >= max(worth.values())]
     if len(likely) > 1:
-        return (f"which axis is up is hard to tell ({' or '.join(likely)}): look, and say --up",)
-    return () if likely == ["z"] else (f"it looks as if {likely[0]} were up: try --up {likely[0]}",)
+        return (f"the up axis is uncertain ({' or '.join(likely)}): check it, and set --up",)
+    return () if likely == ["z"] else (f"{likely[0]} seems to be up: try --up {likely[0]}",)
 
 
 def stem_worth(points: Array) -> float:
-    """Return how good a stem the points (N, 3) have if z is up; 0 without one, or if its base is likelier none.
+    """Return how good a stem the points (N, 3) have if z is up; 0 without one.
 
-    It is the product of how thick the stem's base is over the plant's size, how sure its axis there, how upright the
-    stem, and what share of the plant's height it rises.
+    It is 0 too where the stem's base, its lowest quarter, is likelier none. Else it is the product of how thick the
+    stem's base is over the plant's size, how sure its axis there, how upright the stem, and what share of the plant's
+    height it rises.
     """
     try:
         tree = skeletonize(Cloud(np.ascontiguousarray(points)))
@@ -184,11 +177,11 @@ def stem_worth(points: Array) -> float:
     except AntherError:
         return 0.0
     line, length = tree.nodes[stem.node_ids], float(stem.arc_length[-1])
-    base = stem.node_ids[stem.arc_length <= max(_BASE * length, stem.arc_length[1])]
+    base = stem.node_ids[stem.arc_length <= max(0.25 * length, stem.arc_length[1])]
     extent = np.ptp(tree.nodes, axis=0)
     rise = max(float(line[-1, 2] - line[0, 2]), 0.0)
     sure = 0.0 if tree.confidence is None else float(tree.confidence[base].mean())
-    if sure < _SURE:
+    if sure < 0.5:
         return 0.0
     thick = float(np.median(tree.radius[base])) / float(np.linalg.norm(extent))
     return thick * sure * rise / length * rise / float(extent[2])
@@ -217,7 +210,7 @@ def read_npz_points(path: Path, plant: int | None) -> RawPoints:
     if stored.ndim != 2 or stored.shape[1] != 3 or len(stored) > MOST_POINTS:
         allowed = f"shape (N, 3), N <= {MOST_POINTS:,}"
         raise bad_input(f"{path}: points", given=f"shape {stored.shape}", allowed=allowed, do="Thin out the cloud.")
-    with understood(path, "numbers in points, colors, offsets and up", "Write the arrays anew."):
+    with understood(path, "numbers in points, colors, offsets and up", "Write the arrays again."):
         part = _plant_part(path, held.get("offsets"), len(stored), plant)
         points = check_array(f"{path}: points", stored[part], (None, 3), finite=False) / per_unit
         colors = next((held[name] for name in _NPZ_COLORS if name in held), None)
@@ -249,14 +242,10 @@ def read_pcd(path: Path) -> RawPoints:
     if not seen.all():
         notes.append(f"{np.sum(~seen)} of {count} points hold no reading (NaN) and are left out")
         points, colors = points[seen], None if colors is None else colors[seen]
-    units, up = stated(
-        [line for line in content[:_PCD_HEAD].decode("ascii", "replace").splitlines() if line[:1] == "#"]
-    )
+    units, up = stated([line for line in content[:2000].decode("ascii", "replace").splitlines() if line[:1] == "#"])
     return RawPoints(points, colors, units, up, notes=(*unused_note(unused), *notes))
 
 
-_PCD_HEAD = 2000
-"""Comments stand within these first bytes."""
 _NPZ_COLORS = ("colors", "colours", "rgb", "color")
 _NPZ_KEYS = {"points", "points_x100", "offsets", "units", "up", *_NPZ_COLORS}
 
@@ -266,7 +255,7 @@ def _plant_part(path: Path, offsets: NDArray[Any] | None, count: int, plant: int
     starts = np.array([0, count]) if offsets is None else check_array(f"{path}: offsets", offsets, (None,), dtype=int)
     if len(starts) < 2 or starts[0] < 0 or starts[-1] > count or np.any(np.diff(starts) < 0):
         allowed = f"rising numbers from 0 to {count}, where each plant's points begin and the last one's end"
-        raise bad_input(f"{path}: offsets", given=f"{starts[:5]}", allowed=allowed, do="Write them anew.")
+        raise bad_input(f"{path}: offsets", given=f"{starts[:5]}", allowed=allowed, do="Write them again.")
     last = len(starts) - 2
     if plant is None and last > 0:
         allowed, do = f"one of them, 0 to {last}", "Choose it with --plant NUMBER."
@@ -305,7 +294,7 @@ def _pcd_header(path: Path, content: bytes) -> tuple[dict[str, list[str]], bytes
             header[words[0]] = words[1:]
     if " ".join(header["DATA"]) not in _PCD_BODIES:
         given = f"DATA {' '.join(header['DATA'])}"
-        raise bad_input(str(path), given=given, allowed=", ".join(_PCD_BODIES), do="Save it anew.")
+        raise bad_input(str(path), given=given, allowed=", ".join(_PCD_BODIES), do="Save it again.")
     return header, content[at:]
 
 

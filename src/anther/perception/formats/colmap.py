@@ -1,8 +1,8 @@
 """Views and clouds from COLMAP: a dense workspace becomes a `Capture`, a fused PLY or sparse points a `Cloud`.
 
-COLMAP knows neither scale nor up: the user tells them (`scale_and_up`). The world's origin stays the model's. Its own
+COLMAP knows neither scale nor up: the user states them (`scale_and_up`). The world's origin stays the model's. Its own
 files, cameras, images and points3D, text or binary, and depth maps, are read as https://colmap.github.io/format.html
-(output format), cameras.html (camera models) and faq.html (depth maps) say: lengths are model units; pixel centres lie
+(output format), cameras.html (camera models) and faq.html (depth maps): lengths are model units; pixel centres lie
 at half-integers. V views, N points.
 """
 
@@ -29,12 +29,11 @@ from anther.perception.cloud import Cloud
 from anther.perception.formats.clouds import RawPoints, checked_cloud, read_ply
 from anther.perception.images import read_image
 
-_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 _ALLOWED = "x, y, z, -x, -y, -z, or three numbers such as 0.1,-0.9,0.3"
 
 
 def scale_and_up(path: object, scale: float | None, up: str | None) -> tuple[float, Array]:
-    """Return (scale [m per model unit], R_world_model (3, 3)) of what the user told.
+    """Return (scale [m per model unit], R_world_model (3, 3)) as the user states them.
 
     The rotation is the shortest that turns `up` to +z.
 
@@ -53,7 +52,7 @@ def scale_and_up(path: object, scale: float | None, up: str | None) -> tuple[flo
             given=f"no {missing}",
             allowed=f"--scale (metres per model unit) and --up= ({_ALLOWED})",
             do="A structure-from-motion model has neither: measure a known length in it (real metres / model length), "
-            "and look which way the plant grows (before any alignment it is often about -y).",
+            "and check which way the plant grows (before any alignment it is often about -y).",
         )
     check_range("scale", scale, 1e-6, 1e6, "m per unit")
     direction = _direction(up)
@@ -64,7 +63,7 @@ def scale_and_up(path: object, scale: float | None, up: str | None) -> tuple[flo
 def _direction(up: str) -> Array:
     found = re.fullmatch(r"([+-]?)([xyz])", up.strip().lower())
     if found:
-        return np.array(_AXES[found[2]]) * (-1.0 if found[1] == "-" else 1.0)
+        return np.eye(3)["xyz".index(found[2])] * (-1.0 if found[1] == "-" else 1.0)
     try:
         vector = np.array([float(word) for word in up.replace(",", " ").split()])
     except ValueError:
@@ -76,8 +75,6 @@ def _direction(up: str) -> Array:
 
 DEPTH_MAPS = ("geometric", "photometric")
 """Kinds of depth map, the better first."""
-
-_ALIKE = 1e-6  # relative difference of focal lengths and principal points that counts as one camera
 
 
 def read_colmap_capture(folder: Path | str, scale: float | None = None, up: str | None = None) -> Capture:
@@ -170,7 +167,7 @@ def _intrinsics(cameras: dict[int, ColmapCamera], images: list[ColmapImage]) -> 
     first = used[0].pinhole()
     for other in used[1:]:
         same_size = (other.width, other.height) == (used[0].width, used[0].height)
-        if not same_size or not np.allclose(other.pinhole(), first, rtol=_ALIKE, atol=0):
+        if not same_size or not np.allclose(other.pinhole(), first, rtol=1e-6, atol=0):
             raise bad_input(
                 "COLMAP cameras",
                 given=f"{len(used)} different cameras",
@@ -213,7 +210,6 @@ MODELS = {
 """Camera model -> number of parameters, in the order of COLMAP's model ids (0, 1, ...)."""
 
 _SAME_FOCAL = {"SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"}
-_LONGEST_NAME = 4096
 _SAID = re.compile(r"# Number of (?:cameras|images|points): (\d+)")
 _CUT = "Is it truncated?"
 
@@ -292,9 +288,9 @@ def _rows(
             return list(binary(path.read_bytes()))
         lines = read_lines(path)
         found = list(text([line for line in lines if not line.startswith("#")]))
-        said = [m for line in lines if (m := _SAID.match(line))]
-        if said and int(said[0][1]) != len(found):
-            raise ValueError(f"{len(found)} {name}, where its head says {said[0][1]}")
+        stated = [m for line in lines if (m := _SAID.match(line))]
+        if stated and int(stated[0][1]) != len(found):
+            raise ValueError(f"{len(found)} {name}, where its head states {stated[0][1]}")
         return found
 
 
@@ -321,7 +317,7 @@ def _images_binary(data: bytes) -> Iterator[ColmapImage]:
     at = 8
     for _ in range(struct.unpack_from("<Q", data)[0]):
         _, *pose, camera = struct.unpack_from("<i7di", data, at)
-        end = data.index(b"\0", at + 64, at + 64 + _LONGEST_NAME)
+        end = data.index(b"\0", at + 64, at + 64 + 4096)  # PATH_MAX of Linux
         name = data[at + 64 : end].decode("utf-8")
         seen = struct.unpack_from("<Q", data, end + 1)[0]
         at = end + 9 + 24 * seen

@@ -15,8 +15,6 @@ from anther.core.geometry import Intrinsics
 from anther.perception.capture import Capture, check_views
 from anther.perception.images import read_image
 
-_MM = 1e-3  # [m]
-
 
 def read_kinect(folder: Path) -> Capture:
     """Return the capture in a folder of 16-bit depth images and a poses.json, in metres.
@@ -31,9 +29,9 @@ def read_kinect(folder: Path) -> Capture:
     wanted = "intrinsics {width, height, fx, fy, cx, cy} and frames [{file, T_world_cam}]"
     with understood(folder / "poses.json", wanted, "Compare with docs/capture.md."):
         values = {key: meta["intrinsics"][key] for key in ("width", "height", "fx", "fy", "cx", "cy")}
-        scale = float(meta.get("depth_scale_mm", 1.0)) * _MM
+        scale = float(meta.get("depth_scale_mm", 1.0)) * 1e-3
         poses = np.array([check_array("T_world_cam", frame["T_world_cam"], (4, 4)) for frame in meta["frames"]])
-        poses[:, :3, 3] *= _MM
+        poses[:, :3, 3] *= 1e-3
         size = check_views(len(poses), camera := Intrinsics(**values))
         depth = np.stack([_depth(named_file(folder, str(frame["file"])), scale, size) for frame in meta["frames"]])
     return Capture(depth=depth, intrinsics=camera, T_world_cam=poses)

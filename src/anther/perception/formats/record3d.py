@@ -27,8 +27,6 @@ from anther.perception.images import is_intact
 from anther.perception.transforms import OPENGL_TO_OPENCV, PIXEL_CENTRE, brought_to_one, check_views, same_shape
 
 INSTALL = "pip install 'anther[phones]'"
-LOW = 0
-"""ARKit's confidence of readings that are left out."""
 T_Z_UP_ARKIT = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 _ZLIB, _LZFSE = b"\x78", b"bvx"
 
@@ -109,7 +107,7 @@ def _sure(path: str, archive: zipfile.ZipFile, frame: int, size: tuple[int, int]
     name = f"rgbd/{frame}.conf"
     if name not in names:
         return np.ones(size[::-1], dtype=bool)
-    return _unpacked(path, archive.read(name), np.dtype(np.uint8), size) > LOW
+    return _unpacked(path, archive.read(name), np.dtype(np.uint8), size) > 0  # ARKit: 0 is low
 
 
 def _unpacked(path: str, data: bytes, kind: np.dtype[Any], size: tuple[int, int]) -> NDArray[Any]:

@@ -17,10 +17,8 @@ from anther.core.choices import Units
 from anther.core.errors import bad_input
 from anther.core.geometry import Array
 from anther.core.records import Range, Record, Shape
-from anther.perception.formats._raw_points import LIKELY, METRES, SMALLEST, other_units
-from anther.perception.skeleton import Skeleton
-
-LARGEST_PLANT = 20.0  # [m], a tall tree; a larger number is most likely in millimetres
+from anther.perception.formats._raw_points import LIKELY, METRES, other_units
+from anther.perception.skeleton import LARGEST, SMALLEST, Skeleton
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,17 +59,17 @@ class SkeletonFile(Record):
         """Return the same tree in metres: its numbers are in `units`, else in what the file states, else in metres.
 
         Raises:
-            InputError: a size no plant has; or an unlikely one where nobody stated the units.
+            InputError: a size no plant has; or an unlikely one where the units are not stated.
         """
-        told = units or self.units
-        metres = METRES[told or "m"]
+        stated = units or self.units
+        metres = METRES[stated or "m"]
         size = float(np.linalg.norm(np.ptp(self.nodes, axis=0))) * metres
-        lower, upper = SMALLEST, LARGEST_PLANT if told else LIKELY[1]
+        lower, upper = SMALLEST, LARGEST if stated else LIKELY[1]
         if not lower <= size <= upper:
-            given = f"a plant of {size:.3g} m (read in {told or 'metres'})"
+            given = f"a plant of {size:.3g} m (read in {stated or 'metres'})"
             allowed = f"{lower:g} <= size <= {upper:g} m"
-            right = " If it is right: --units m." if LIKELY[1] < size <= LARGEST_PLANT else ""
-            do = other_units(size, told or "m") + right
+            right = " If it is right: --units m." if LIKELY[1] < size <= LARGEST else ""
+            do = other_units(size, stated or "m") + right
             raise bad_input("skeleton", given=given, allowed=allowed, do=do)
         if self.radius is not None and self.radius.min() < 0:
             number = int(self.numbers[np.argmin(self.radius)])
@@ -99,7 +97,7 @@ class SkeletonFile(Record):
     def rooted_at(self, number: int | None = None) -> SkeletonFile:
         """Return the same tree with another root: the node that the file calls `number`.
 
-        None: where the plant stands. Scraps of soil hang together with the stem in many scans, and the lowest node is
+        None: the stem's base. Scraps of soil are connected to the stem in many scans, and the lowest node is
         often the end of one; the root is then where the way to the highest node begins to rise.
 
         Raises:
@@ -183,7 +181,7 @@ def rooted(
     n = len(nodes)
     numbers = np.arange(n) if numbers is None else numbers
     if len(edges) == n - 1 and n > 2 and edges.min() >= 0 and edges.max() < n:
-        same = np.linalg.norm(nodes[edges[:, 0]] - nodes[edges[:, 1]], axis=1) <= ALIKE * np.ptp(nodes, axis=0).max()
+        same = np.linalg.norm(nodes[edges[:, 0]] - nodes[edges[:, 1]], axis=1) <= 1e-6 * np.ptp(nodes, axis=0).max()
         if same.any() and not same.all():
             return _merged(nodes, edges, same, radius, numbers, root, labels)
     if n < 2 or len(edges) != n - 1 or edges.min() < 0 or edges.max() >= n:
@@ -199,10 +197,6 @@ def rooted(
     above = np.where(parent[order] < 0, -1, place[parent[order]])
     named = None if labels is None else tuple(labels[j] for j in order)
     return SkeletonFile(nodes[order], above, None if radius is None else radius[order], numbers[order], named)
-
-
-ALIKE = 1e-6
-"""Nodes nearer to each other than this share of the plant's size are one point twice."""
 
 
 def _merged(
@@ -242,7 +236,7 @@ THINNEST = 0.5e-3
 """Radius below which nothing is supposed to be [m]: a pedicel's (facts: pollination 2)."""
 
 
-def supposed_radius(source: SkeletonFile, base: float) -> Array:
+def assume_radii(source: SkeletonFile, base: float) -> Array:
     """Return (J,) radii [m] of a plant of which only the lines are known: sections that add up (pipes, Shinozaki 1964).
 
     A node's section is to that of the stem's base as the length of all that it carries is to the whole plant's.
@@ -258,13 +252,15 @@ def supposed_radius(source: SkeletonFile, base: float) -> Array:
     return np.maximum(base * np.sqrt(carried / carried[0]), THINNEST)
 
 
-LOW, FLAT, STEADY = 0.15, 0.2, 0.03
-"""A scrap of soil lies within this share of the plant's height and rises by no more than this of its length; a stem
-rises by half its length at least, all along this far [m]."""
+LOW = 0.15
+"""A scrap of soil lies within this share of the plant's height."""
 
 
 def _base(nodes: Array, edges: NDArray[Any]) -> int:
-    """Return where the way from the lowest node to the highest begins to rise; the lowest, where it does at once."""
+    """Return where the way from the lowest node to the highest begins to rise; the lowest, where it does at once.
+
+    A stem rises by half its length at least, all along 30 mm; a scrap of soil by a fifth of its length at most.
+    """
     lowest, highest = int(np.argmin(nodes[:, 2])), int(np.argmax(nodes[:, 2]))
     _, parent = _walk(len(nodes), edges, highest)
     way = [lowest]
@@ -274,9 +270,9 @@ def _base(nodes: Array, edges: NDArray[Any]) -> int:
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     ceiling = path[0, 2] + LOW * np.ptp(nodes[:, 2])
     for k in np.flatnonzero(path[:, 2] <= ceiling):
-        ahead = slice(k + 1, int(np.searchsorted(arc, arc[k] + STEADY)) + 1)
+        ahead = slice(k + 1, int(np.searchsorted(arc, arc[k] + 0.03)) + 1)
         if len(arc[ahead]) and np.all(path[ahead, 2] - path[k, 2] >= 0.5 * (arc[ahead] - arc[k])):
-            return way[k] if path[k, 2] - path[0, 2] <= FLAT * arc[k] else lowest
+            return way[k] if path[k, 2] - path[0, 2] <= 0.2 * arc[k] else lowest
     return lowest
 
 

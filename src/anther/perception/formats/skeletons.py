@@ -25,7 +25,7 @@ from anther.core.geometry import Array
 from anther.perception.cloud.ply import read_elements
 from anther.perception.formats._mtg import read_mtg, write_mtg
 from anther.perception.formats._raw_points import places, stated
-from anther.perception.formats.skeleton_file import LARGEST_PLANT, SkeletonFile, rooted
+from anther.perception.formats.skeleton_file import SkeletonFile, rooted
 from anther.perception.skeleton import Skeleton
 
 
@@ -103,8 +103,8 @@ def write_graphml(path: Path | str, skeleton: Skeleton, labels: Sequence[str] | 
 
     graph = nx.DiGraph()
     for j, values in enumerate(np.column_stack([skeleton.nodes, skeleton.radius]).tolist()):
-        told = {} if labels is None else {"organ": labels[j]}
-        graph.add_node(f"n{j}", **dict(zip(("x", "y", "z", "radius"), values, strict=True)), **told)
+        organ = {} if labels is None else {"organ": labels[j]}
+        graph.add_node(f"n{j}", **dict(zip(("x", "y", "z", "radius"), values, strict=True)), **organ)
     graph.add_edges_from((f"n{a}", f"n{b}") for a, b in skeleton.edges)
     with replacing(path) as temporary:
         nx.write_graphml(graph, temporary)
@@ -125,32 +125,27 @@ def read_graphml(path: Path | str) -> SkeletonFile:
         fault = f"not XML ({error})" if isinstance(error, ET.ParseError) else f"no graph ({error})"
         raise bad_input(str(path), given=fault, allowed="GraphML", do="Is it truncated?") from error
     values = dict(graph.nodes(data=True))
-    bare = [name for name, told in values.items() if not {"x", "y", "z"} <= set(told)]
+    bare = [name for name, stated in values.items() if not {"x", "y", "z"} <= set(stated)]
     if bare:
         given, allowed = f"node '{bare[0]}' without x, y, z", "nodes with x, y, z, edges between them"
         raise bad_input(str(path), given=given, allowed=allowed, do="Export it again.")
     index = {name: j for j, name in enumerate(values)}
-    nodes = np.array([[float(told[axis]) for axis in "xyz"] for told in values.values()]).reshape(-1, 3)
+    nodes = np.array([[float(node[axis]) for axis in "xyz"] for node in values.values()]).reshape(-1, 3)
     edges = np.array([[index[a], index[b]] for a, b in graph.edges()], dtype=np.int64).reshape(-1, 2)
-    has = {name: bool(values) and all(name in told for told in values.values()) for name in ("radius", "organ")}
+    has = {name: bool(values) and all(name in node for node in values.values()) for name in ("radius", "organ")}
     tops = np.setdiff1d(np.arange(len(nodes)), edges[:, 1])
     digits = [name.lstrip("n") for name in values]
     return rooted(
         nodes,
         edges,
-        radius=np.array([float(told["radius"]) for told in values.values()]) if has["radius"] else None,
+        radius=np.array([float(node["radius"]) for node in values.values()]) if has["radius"] else None,
         numbers=np.array([int(d) for d in digits]) if all(d.isdecimal() for d in digits) else None,
         root=int(tops[0]) if graph.is_directed() and len(tops) == 1 else None,
-        labels=[str(told["organ"]) for told in values.values()] if has["organ"] else None,
+        labels=[str(node["organ"]) for node in values.values()] if has["organ"] else None,
     )
 
 
-__all__ = ["LARGEST_PLANT", "READS", "WRITES", "SkeletonFile", "Units", "read_skeleton", "write_skeleton"]
-
-_SWC = 7
-"""Columns of an SWC: id, type, x, y, z, radius, parent."""
-SWC_CUSTOM = 7
-"""SWC leaves types from here on to the user (http://www.neuronland.org/NLMorphologyConverter/MorphologyFormats/SWC)."""
+__all__ = ["READS", "WRITES", "SkeletonFile", "Units", "read_skeleton", "write_skeleton"]
 
 
 def read_skeleton(path: Path | str, units: Units | None = None) -> SkeletonFile:
@@ -178,7 +173,7 @@ def read_skeleton(path: Path | str, units: Units | None = None) -> SkeletonFile:
 
 
 def write_skeleton(path: Path | str, skeleton: Skeleton, labels: Sequence[str] | None = None) -> None:
-    """Write a skeleton as its suffix says: .npz .swc .txt .ply .graphml .mtg .glb.
+    """Write a skeleton in the format of the suffix: .npz .swc .txt .ply .graphml .mtg .glb.
 
     Args:
         path: the file; .txt keeps no radii, .npz and .txt no labels, .glb only the surface.
@@ -208,7 +203,8 @@ def _write_npz(path: Path, skeleton: Skeleton, labels: Sequence[str] | None) -> 
 
 
 def _write_swc(path: Path, skeleton: Skeleton, labels: Sequence[str] | None) -> None:
-    kinds = {name: SWC_CUSTOM + i for i, name in enumerate(dict.fromkeys(labels or ()))}
+    own = 7  # SWC leaves types from here on to the user
+    kinds = {name: own + i for i, name in enumerate(dict.fromkeys(labels or ()))}
     lines = ["# anther skeleton; metres; id type x y z radius parent"]
     if kinds:
         lines.append("# types: " + " ".join(f"{kind}={name}" for name, kind in kinds.items()))
@@ -242,21 +238,21 @@ def _read_txt(path: Path) -> SkeletonFile:
 
 
 def _with_stated(tree: SkeletonFile, lines: Sequence[str]) -> SkeletonFile:
-    """Return the tree with the units that comments state; an axis up that is not z is told."""
+    """Return the tree with the units that comments state; an axis up that is not z is noted."""
     comments = [line for line in lines if line.lstrip().startswith(("#", "comment"))]
     units, up = stated(comments)
     names = [line.lstrip("# \t").split() for line in comments]
-    units = units or next((found for line in names if len(line) == _SWC and (found := places(line)[1])), None)
+    units = units or next((found for line in names if len(line) == 7 and (found := places(line)[1])), None)
     notes = (f"the file states that {up} is up and is read with z up",) if up not in (None, "z") else ()
     return replace(tree, units=units, notes=(*tree.notes, *notes))
 
 
 def _read_swc(path: Path) -> SkeletonFile:
     lines = read_lines(path)
-    table = _table(lines, _SWC)
+    table = _table(lines, 7)  # id, type, x, y, z, radius, parent
     numbers, above = (_whole(table[:, column]) for column in (0, 6))
     if len(set(numbers.tolist())) < len(numbers):
-        raise bad_input("SWC", given="an id twice", allowed="distinct ids", do="Number the samples anew.")
+        raise bad_input("SWC", given="an id twice", allowed="distinct ids", do="Number the samples again.")
     root = (above == -1) | (above == numbers) | ((above == 0) & (0 not in numbers))  # as different programs mark it
     kept = ~_of_soma(table[:, 1], numbers, above)
     notes = (f"{np.sum(~kept)} points that only draw the soma are left out",) if not kept.all() else ()
@@ -270,9 +266,9 @@ def _read_swc(path: Path) -> SkeletonFile:
         raise bad_input("SWC", given=f"{len(roots)} roots", allowed="one parent -1 (or 0)", do="Keep one tree.")
     edges = np.array([(index[int(p)], i) for i, p in enumerate(above) if not root[i]]).reshape(-1, 2)
     labels = _swc_labels(lines, table[:, 1].astype(np.int64).tolist())
-    radius, told = _swc_radius(table[:, 5], [line for line in lines if line.lstrip().startswith("#")])
+    radius, more = _swc_radius(table[:, 5], [line for line in lines if line.lstrip().startswith("#")])
     tree = rooted(table[:, 2:5], edges, radius=radius, numbers=numbers, root=int(roots[0]), labels=labels)
-    return _with_stated(replace(tree, notes=(*tree.notes, *notes, *told)), lines)
+    return _with_stated(replace(tree, notes=(*tree.notes, *notes, *more)), lines)
 
 
 def _whole(column: Array) -> NDArray[np.int64]:
@@ -298,14 +294,14 @@ def _swc_radius(values: Array, comments: list[str]) -> tuple[Array, tuple[str, .
     )
     scales = [m[1].split() for line in comments if (m := re.match(r"#\s*SCALE\s+([-+.\deE\s]+)$", line.strip()))]
     notes = [f"its SCALE {' '.join(scale)} is not applied" for scale in scales if any(float(n) != 1 for n in scale)]
-    notes += ["column 6 is a diameter, as the file says: it is halved"] if named else []
+    notes += ["column 6 is a diameter, as the file states: it is halved"] if named else []
     return values / 2 if named else values, tuple(notes)
 
 
 def _swc_labels(lines: list[str], kinds: list[int]) -> list[str] | None:
-    """Return the names of the types where a comment tells them ("# types: 7=stem 8=branch")."""
-    told = [line.split(":", 1)[1].split() for line in lines if line.startswith("# types:")]
-    names = {int(kind): name for kind, _, name in (word.partition("=") for word in (told[0] if told else ()))}
+    """Return the names of the types where a comment lists them ("# types: 7=stem 8=branch")."""
+    listed = [line.split(":", 1)[1].split() for line in lines if line.startswith("# types:")]
+    names = {int(kind): name for kind, _, name in (word.partition("=") for word in (listed[0] if listed else ()))}
     return [names[kind] for kind in kinds] if set(kinds) <= set(names) else None
 
 

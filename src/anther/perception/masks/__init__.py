@@ -3,7 +3,7 @@
 The default needs no weights. Every depth pixel in the workspace votes, with its colour, in a voxel grid that all
 views share. There the ground (bench, soil, pot) is found by geometry, brown stem parts are kept because
 they join green ones, and flowers are small yellow or white blobs at the plant. The decision is carried back to the
-pixels. Without colour, whatever stands above the ground is plant.
+pixels. Without colour, whatever rises above the ground is plant.
 """
 
 from __future__ import annotations
@@ -27,10 +27,7 @@ from anther.perception.masks._voting import EMPTY, GROUND, RIM, clear, read_back
 
 __all__ = ["BACKGROUND", "FLOWER", "PLANT", "Masks", "Params", "segment", "without_ground"]
 
-BACKGROUND, PLANT, FLOWER = 0, 1, 2
-
-GROUND_BORDER = 0.6
-"""A patch without depth is no plant if its border with the ground is longer than this share of that with the plant."""
+BACKGROUND, PLANT, FLOWER = range(3)
 
 LEAST_PIXELS = 200
 """With fewer plant pixels in all views together there is no plant."""
@@ -38,11 +35,11 @@ LEAST_PIXELS = 200
 
 @dataclass(frozen=True, slots=True)
 class Params(Record):
-    """How plant and flowers are told from the rest.
+    """How plant and flowers are separated from the rest.
 
     Attributes:
         green: least excess green 2g - r - b (Woebbecke 1995) of certain vegetation, chromaticities 0..1.
-        white_petals: whether petals may be white, as of most peppers, beside yellow. Of tomatoes they are not, and
+        white_petals: whether petals may be white, as of most peppers, besides yellow. Of tomatoes they are not, and
             leaves that shine are then not taken for them.
         ground_radius: a horizontal surface at least this wide is soil, bench or pot [m].
     """
@@ -70,8 +67,8 @@ def segment(capture: Capture, workspace: Box | None = None, params: Params | Non
     """Return the plant and flower pixels of every view.
 
     Args:
-        capture: the views. Without colour, geometry alone decides and no flowers are told apart.
-        workspace: where the plant may stand, world frame [m]; None means around the point where the optical
+        capture: the views. Without colour, geometry alone decides and no flowers are found.
+        workspace: where the plant may be, world frame [m]; None means around the point where the optical
             axes meet (`capture.viewed_box`).
         params: see `Params`.
 
@@ -137,7 +134,7 @@ def without_ground(masks: Masks, capture: Capture, workspace: Box | None = None,
 def _add_pixels_without_depth(labels: NDArray[Any], classes: NDArray[Any]) -> NDArray[Any]:
     """Return the labels with green patches without depth added where they border the plant and not green ground.
 
-    What is nearer than the sensor's least range has no depth, and neither has the stereo shadow beside a leaf: in
+    What is nearer than the sensor's least range has no depth, and neither has the stereo shadow next to a leaf: in
     light without green that may be soil, as dark as a leaf.
     """
     ground = (labels == 0) & (classes == GREEN)
@@ -155,11 +152,11 @@ def _drop_pixels_without_depth(
 
 
 def _patches_of(blind: NDArray[np.bool_], plant: NDArray[np.bool_], ground: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the connected patches of `blind` (H, W) that border `plant`, and `ground` much less."""
+    """Return the connected patches of `blind` (H, W) that border `plant`, and `ground` at most 0.6 times as long."""
     count, numbered = cv2.connectedComponents(blind.astype(np.uint8), connectivity=8)
     patch, window = np.asarray(numbered, dtype=np.int32), np.ones((5, 5), np.uint8)
-    beside_plant, beside_ground = (
+    near_plant, near_ground = (
         np.bincount(patch[blind & (cv2.dilate(part.astype(np.uint8), window) > 0)], minlength=count)
         for part in (plant, ground)
     )
-    return blind & ((beside_plant > 0) & (beside_ground <= GROUND_BORDER * beside_plant))[patch]
+    return blind & ((near_plant > 0) & (near_ground <= 0.6 * near_plant))[patch]

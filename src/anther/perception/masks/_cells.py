@@ -1,6 +1,6 @@
 """What each cell of the grid is: ground, green, a brown part of the plant, or a flower. X x Y x Z cells.
 
-Stakes and strings beside a plant are long straight upright lines of cells that are not green.
+Stakes and strings near a plant are long straight upright lines of cells that are not green.
 """
 
 from __future__ import annotations
@@ -16,41 +16,17 @@ from anther.perception.capture import Capture
 from anther.perception.masks._light import GREEN, WHITE, YELLOW
 from anther.perception.masks._survey import Survey
 from anther.perception.masks._voting import (
-    BESIDE_FLOWER,
     BROWN_CELL,
     EMPTY,
     FLOWER_CELL,
     GREEN_CELL,
     GROUND,
     LAYERS,
+    NEAR_FLOWER,
     PETAL_VIEWS,
     RIM,
     Grid,
 )
-
-GREEN_SHARE, PETAL_SHARE = 0.25, 0.35
-"""Least share of votes that makes a cell green, or petal."""
-
-PETAL_COVER = 0.4
-"""A petal cell has at least this share of the pixels that one view has on a cell's face, in all views together."""
-
-FLOWER_DISTANCE = 0.02
-"""A flower comes at least this close to green cells [m]."""
-
-FLOWER_EXTENT = 0.12
-"""Greatest extent of a flower cluster, a truss [m]."""
-
-SEEN_AS_PETAL = 3
-"""A petal cell is seen as petal from at least so many views."""
-
-ATTACH_DISTANCE = 0.012
-"""A part that is not green belongs to the plant if it comes this close to green ones [m]."""
-
-BROWN_EXTENT = 0.08
-"""Greatest second extent of a part that is not green [m]: stems and fruits are slender, walls are not."""
-
-LEAST_PART = 20
-"""Flowers are looked for beside green parts of at least this many cells."""
 
 
 def kinds(seen: Survey, capture: Capture) -> NDArray[np.uint8]:
@@ -68,15 +44,23 @@ def _by_geometry(seen: Survey) -> NDArray[np.uint8]:
 
 
 def _enough_petals(capture: Capture, grid: Grid) -> tuple[float, int]:
-    """Return how many petal pixels, and from how many views, a petal cell needs."""
+    """Return how many petal pixels, and from how many views, a petal cell needs.
+
+    In all views together 0.4 of the pixels that one view has on a cell's face, from three views.
+    """
     centre = grid.lower + np.multiply(grid.shape, grid.voxel) / 2
     distance = float(np.median(np.linalg.norm(capture.T_world_cam[:, :3, 3] - centre, axis=1)))
     pixels = (grid.voxel * capture.intrinsics.fx / max(distance, grid.voxel)) ** 2
-    return PETAL_COVER * pixels, min(SEEN_AS_PETAL, capture.views)
+    return 0.4 * pixels, min(3, capture.views)
 
 
 def _by_colour(seen: Survey, least_votes: float, least_views: int) -> NDArray[np.uint8]:
-    """Most cells are empty: all but what needs their neighbours is decided in a list of the occupied ones."""
+    """Return the kinds of cells (X, Y, Z); most are empty, and what needs no neighbours is decided in a list.
+
+    A quarter of its votes make a cell green, 0.35 petal. A flower, or a truss of them, measures 0.12 m at most and
+    comes within 20 mm of a green part of 20 cells. Another part belongs to the plant where it comes within 12 mm of
+    green and is slender, 80 mm at most, as stems and fruits are and walls are not.
+    """
     at = np.flatnonzero(seen.total >= 2)
     votes, total = seen.votes.reshape(LAYERS, -1)[:, at], seen.total.ravel()[at]
     below, rim = seen.below.ravel()[at], seen.rim.ravel()[at]
@@ -86,7 +70,7 @@ def _by_colour(seen: Survey, least_votes: float, least_views: int) -> NDArray[np
         grid.ravel()[at] = part
         return grid
 
-    likely = votes[GREEN - 1] >= np.maximum(2, GREEN_SHARE * total)
+    likely = votes[GREEN - 1] >= np.maximum(2, 0.25 * total)
     foot = seen.foot(grid_of(likely)).ravel()[at]
     green = likely & (~below | foot)
     free = ~below & ~rim
@@ -94,21 +78,21 @@ def _by_colour(seen: Survey, least_votes: float, least_views: int) -> NDArray[np
         free &= ~stake_cells(grid_of(free & (votes[GREEN - 1] <= 0.1 * total)), seen.grid.voxel).ravel()[at]
     petal_votes = votes[YELLOW - 1].astype(np.int32) + votes[WHITE - 1]
     seen_often = (petal_votes >= least_votes) & (votes[PETAL_VIEWS] >= least_views)
-    petals = free & seen_often & (petal_votes >= PETAL_SHARE * total)
-    leaves = _large_parts(grid_of(green & ~petals), LEAST_PART)
+    petals = free & seen_often & (petal_votes >= 0.35 * total)
+    leaves = _large_parts(grid_of(green & ~petals), 20)
     flowers = _parts_near(
-        grid_of(petals), leaves, distance=FLOWER_DISTANCE, extent=FLOWER_EXTENT, axis=0,
+        grid_of(petals), leaves, distance=0.02, extent=0.12, axis=0,
         voxel=seen.grid.voxel,
     )  # fmt: skip
     brown = _parts_near(
-        grid_of(free & ~green & ~flowers.ravel()[at]), grid_of(green), distance=ATTACH_DISTANCE,
-        extent=BROWN_EXTENT, axis=1, voxel=seen.grid.voxel,
+        grid_of(free & ~green & ~flowers.ravel()[at]), grid_of(green), distance=0.012,
+        extent=0.08, axis=1, voxel=seen.grid.voxel,
     )  # fmt: skip
     cells = np.where(seen.below | seen.rim, np.uint8(GROUND), np.uint8(EMPTY))
     cells.ravel()[at[green]] = GREEN_CELL
     cells.ravel()[at[green & rim]] = RIM
     cells[brown] = BROWN_CELL
-    cells[dilated(flowers, 1) & (cells != GROUND)] = BESIDE_FLOWER
+    cells[dilated(flowers, 1) & (cells != GROUND)] = NEAR_FLOWER
     cells[flowers] = FLOWER_CELL
     return cells
 
@@ -151,24 +135,17 @@ def dilated(part: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
     return np.asarray(grown).reshape(part.shape).view(np.bool_)
 
 
-LENGTH = 0.20
-"""Least length of a stake [m]."""
-COVERED = 0.6
-"""Least share of the heights along a stake at which it is seen."""
-_TRIALS, _TAN_TILT, _RADIUS = 400, 0.35, 1.3  # lines tried, tangent of the greatest tilt, half width [cells]
-_MOST = 4  # stakes and strings looked for
-
-
 def stake_cells(bare: NDArray[np.bool_], voxel: float) -> NDArray[np.bool_]:
-    """Return the cells (X, Y, Z) in and beside a stake or string, from `bare` ones: seen, above ground, not green.
+    """Return the cells (X, Y, Z) of up to four stakes or strings, and those around them.
 
-    Lines through random pairs of cells, that through most heights is kept (RANSAC, Fischler and Bolles 1981).
+    They are found in the `bare` cells: seen, above the ground, not green. A stake is 0.2 m long or more. Of lines
+    through random pairs of cells, that through most heights is kept (RANSAC, Fischler and Bolles 1981).
     """
     cells = np.stack(np.unravel_index(np.flatnonzero(bare), bare.shape), axis=1).astype(np.float64)
     found = np.zeros_like(bare)
     rng = np.random.default_rng(0)
-    for _ in range(_MOST):
-        inside = _longest(cells, LENGTH / voxel, rng)
+    for _ in range(4):
+        inside = _longest(cells, 0.2 / voxel, rng)
         if not inside.any():
             break
         found[tuple(cells[inside].astype(int).T)] = True
@@ -177,22 +154,26 @@ def stake_cells(bare: NDArray[np.bool_], voxel: float) -> NDArray[np.bool_]:
 
 
 def _longest(cells: NDArray[Any], least: float, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """Return which cells (n, 3) lie on the upright line that is seen at most heights; none if it is too short."""
-    best, most = np.zeros(len(cells), dtype=bool), COVERED * least
+    """Return which cells (n, 3) lie on the upright line that is seen at most heights; none if it is too short.
+
+    Of 400 lines tried, those count that tilt by 19 degrees at most and are seen at 0.6 of their heights.
+    """
+    best, covered = np.zeros(len(cells), dtype=bool), 0.6
+    most = covered * least
     if len(cells) < most:
         return best
-    for a, b in cells[rng.integers(len(cells), size=(_TRIALS, 2))]:
+    for a, b in cells[rng.integers(len(cells), size=(400, 2))]:
         rise = b[2] - a[2]
-        if abs(rise) < 0.3 * least or np.hypot(*(b - a)[:2]) > _TAN_TILT * abs(rise):
+        if abs(rise) < 0.3 * least or np.hypot(*(b - a)[:2]) > 0.35 * abs(rise):
             continue
         on_line = a[:2] + (cells[:, 2:] - a[2]) * ((b - a)[:2] / rise)
-        near = np.hypot(*(cells[:, :2] - on_line).T) <= _RADIUS
+        near = np.hypot(*(cells[:, :2] - on_line).T) <= 1.3  # [cells]
         heights = np.unique(cells[near, 2])
         span = _longest_run(heights, gap=0.25 * least)
         if span is not None and span[1] - span[0] >= least:
             inside = near & (cells[:, 2] >= span[0]) & (cells[:, 2] <= span[1])
             seen = int(((heights >= span[0]) & (heights <= span[1])).sum())
-            if seen > most and seen >= COVERED * (span[1] - span[0]):
+            if seen > most and seen >= covered * (span[1] - span[0]):
                 best, most = inside, seen
     return best
 

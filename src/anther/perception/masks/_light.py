@@ -1,4 +1,4 @@
-"""What a pixel's colour says, whatever lamp shines: tables from colour to class that adapt to the light.
+"""Colour classes of pixels under any lamp: tables from colour to class that adapt to the light.
 
 Where the light holds green, plants are green once the white balance is right. Where it holds none (grow lamps of
 660 nm and 450 nm), the colours of plant and surroundings are learned from pixels that geometry is sure of.
@@ -25,19 +25,6 @@ STEPS = 64
 """Steps of a table in each channel: 4 grey levels wide, just above the noise of a camera."""
 
 _DARK = 30  # sum of the channels below which a pixel has no colour
-_GAINS = (0.5, 2.0)  # range of the white-balance gains
-_NO_GREEN = 0.5  # least green of the light relative to its strongest channel
-_LEAF_SHADE = 0.25  # darker than this share of the brightest green: a black cloth, or too deep in shade to count
-_SMOOTHING = 1.5  # of learned densities [steps]
-
-YELLOW_SATURATION, WHITE_SATURATION = 0.45, 0.25
-"""Least saturation of yellow petals and greatest of white ones, 0..1."""
-
-YELLOW_GAIN, WHITE_GAIN = 0.5, 0.9
-"""Least brightness of petals, relative to bright leaves."""
-
-PETAL_CONTRAST = 2.0
-"""Where the light holds no green, petals are at least this much brighter than leaves."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +54,7 @@ class Light:
     Attributes:
         gains: white-balance gains of red, green and blue.
         leaf: brightness of well-lit leaves after white balance, 0..255.
-        holds_green: whether the green channel gets enough of it to tell plants by.
+        holds_green: whether the green channel gets enough of it to recognize plants.
     """
 
     gains: tuple[float, float, float]
@@ -80,7 +67,9 @@ class Light:
 
         Shades of grey with Minkowski norm p = 6: Finlayson and Trezzi 2004. Green pixels (excess green > `green`) are
         left out, because a plant before a black cloth is all the light there is to see, and those with a saturation
-        (0..1) of `colourful` or more, because ripe tomatoes are no red lamp.
+        (0..1) of `colourful` or more, because ripe tomatoes are no red lamp. Leaves count down to a quarter of the
+        brightest green; darker is a black cloth or deep shade. Light without green holds less than
+        half as much of it as of its strongest colour.
         """
         sample = rgb[:, ::16, ::16].reshape(-1, 3).astype(np.float64)
         lit = sample[sample.sum(axis=1) >= _DARK]
@@ -88,33 +77,36 @@ class Light:
         for _ in range(4):
             if len(grey):
                 lamp = np.power(np.mean(grey**6, axis=0), 1 / 6) + 1e-9
-            gains = np.clip(lamp.mean() / lamp, *_GAINS)
+            gains = np.clip(lamp.mean() / lamp, 0.5, 2)
             balanced = lit * gains
             grey = lit[(_excess_green(balanced) < green) & (saturation(balanced) < colourful)]
         leaves = (lit * gains).max(axis=1)[_excess_green(lit * gains) > green]
         if len(leaves):
-            leaves = leaves[leaves > _LEAF_SHADE * np.percentile(leaves, 99)]
+            leaves = leaves[leaves > 0.25 * np.percentile(leaves, 99)]
         return cls(
             gains=(float(gains[0]), float(gains[1]), float(gains[2])),
             leaf=float(np.percentile(leaves, 90)) if len(leaves) else 128.0,
-            holds_green=bool(lamp[1] >= _NO_GREEN * lamp.max()),
+            holds_green=bool(lamp[1] >= 0.5 * lamp.max()),
         )
 
 
 def green_rule(light: Light, params: Params) -> ColourRule:
-    """Return the rule for light that holds green: excess green 2g - r - b (Woebbecke 1995), petals yellow or white."""
+    """Return the rule for light that holds green: excess green 2g - r - b (Woebbecke 1995), petals yellow or white.
+
+    Yellow petals are saturated and half as bright as bright leaves; white ones are not, and nearly as bright.
+    """
     level = np.arange(STEPS) * (256 / STEPS) + (256 / STEPS - 1) / 2
     r, g, b = np.meshgrid(*(level * gain for gain in light.gains), indexing="ij")
     colour = np.stack([r, g, b], axis=-1)
     high, total = colour.max(axis=-1), colour.sum(axis=-1)
     saturated = saturation(colour)
-    yellow_value = np.clip(YELLOW_GAIN * light.leaf, 20, 200)
-    white_value = np.clip(WHITE_GAIN * light.leaf, 40, 220)
+    yellow_value = np.clip(0.5 * light.leaf, 20, 200)
+    white_value = np.clip(0.9 * light.leaf, 40, 220)
     table = np.where(_excess_green(colour) >= params.green, GREEN, OTHER)
     if params.white_petals:
-        table[(saturated <= WHITE_SATURATION) & (high >= white_value)] = WHITE
+        table[(saturated <= 0.25) & (high >= white_value)] = WHITE
     yellow = (r >= 0.9 * g) & (g >= 0.58 * r) & (high >= yellow_value)
-    table[(saturated >= YELLOW_SATURATION) & yellow] = YELLOW
+    table[(saturated >= 0.45) & yellow] = YELLOW
     table[total < _DARK] = OTHER
     return ColourRule(table.astype(np.uint8), _alike(light.leaf))
 
@@ -122,23 +114,23 @@ def green_rule(light: Light, params: Params) -> ColourRule:
 def learned_rule(plant: NDArray[Any], rest: NDArray[Any]) -> ColourRule:
     """Return the rule for light without green, from colours (n, 3), (m, 3) uint8 of pixels that are surely either.
 
-    GREEN is what is likelier on the plant than elsewhere; WHITE (a petal) what outshines the leaves.
+    GREEN is what is likelier on the plant than elsewhere; WHITE (a petal) what is twice as bright as the leaves.
     """
     likelier = _density(plant) > _density(rest)
     leaf = float(np.percentile(plant.max(axis=1), 90)) if len(plant) else 128.0
     level = np.arange(STEPS) * (256 / STEPS) + (256 / STEPS - 1) / 2
     high = np.maximum.reduce(np.meshgrid(level, level, level, indexing="ij"))
     table = np.where(likelier, GREEN, OTHER)
-    table[high >= PETAL_CONTRAST * leaf] = WHITE
+    table[high >= 2 * leaf] = WHITE
     return ColourRule(table.astype(np.uint8), _alike(leaf), learned=True)
 
 
 def _density(colours: NDArray[Any]) -> NDArray[np.float32]:
-    """Return how densely (n, 3) uint8 colours fill the steps of a table; sums to 1."""
+    """Return how densely (n, 3) uint8 colours fill the steps of a table, smoothed over 1.5 steps; sums to 1."""
     r, g, b = (colours // (256 // STEPS)).astype(np.int64).T
     count = np.bincount((r * STEPS + g) * STEPS + b, minlength=STEPS**3).reshape(STEPS, STEPS, STEPS)
     share = (count / max(1, len(colours))).astype(np.float32)
-    return np.asarray(ndimage.gaussian_filter(share, _SMOOTHING, mode="constant"), dtype=np.float32)
+    return np.asarray(ndimage.gaussian_filter(share, 1.5, mode="constant"), dtype=np.float32)
 
 
 def _excess_green(colour: NDArray[Any]) -> Array:
@@ -152,5 +144,5 @@ def saturation(colour: NDArray[Any]) -> NDArray[Any]:
 
 
 def _alike(leaf: float) -> float:
-    """Return how much colours of one thing may differ: 18 grey levels where leaves have 150 (measured by us)."""
+    """Return how much colours of one thing may differ: 18 grey levels where leaves have 150."""
     return float(np.clip(0.12 * leaf, 5, 18))

@@ -25,7 +25,6 @@ SAM2_MEAN, SAM2_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 """Of red, green, blue, 0..1: ImageNet's, which SAM 2's image processor uses."""
 SPECIAL_TOKENS, PHRASE_ENDS = (101, 102, 1012, 1029), (1012, 1029)
 """BERT's [CLS] [SEP] . ? in Grounding DINO's vocabulary; transformers has the same numbers in its model code."""
-_BOXES_AT_A_TIME = 16  # bounds the memory of masks at full size: 59 MB at 1280 x 720
 SAM3_MEAN = SAM3_STD = (0.5, 0.5, 0.5)
 """Of red, green, blue, 0..1, as in SAM 3's image processor."""
 TEXT_LENGTH = 32
@@ -89,10 +88,10 @@ def sides(size: Any) -> tuple[int, int]:
 
 @contextmanager
 def told_when_memory_is_full(views: int) -> Iterator[None]:
-    """Turn torch's error into one that says what to do.
+    """Turn torch's error into one that advises.
 
     Raises:
-        InputError: so many views at a time do not fit the GPU's memory.
+        InputError: that many views at a time do not fit the GPU's memory.
     """
     try:
         yield
@@ -185,8 +184,9 @@ class GroundedSam2:
         scale = torch.tensor([side[1] / width, side[0] / height] * 2, device=self.device)
         for image, corners in enumerate(boxes):
             here = [feature[image : image + 1] for feature in features]
-            for start in range(0, len(corners), _BOXES_AT_A_TIME):
-                part = slice(start, start + _BOXES_AT_A_TIME)
+            some = 16  # boxes at a time: their masks at full size take 59 MB at 1280 x 720
+            for start in range(0, len(corners), some):
+                part = slice(start, start + some)
                 answer = self._outliner(
                     image_embeddings=here, input_boxes=(corners[part] * scale)[None], multimask_output=False
                 )
@@ -212,7 +212,7 @@ def chosen_boxes(
         logits: (Q, >= T) of each query for each token.
         boxes: (Q, 4) centre x, y, width, height as shares of the image, whose `size` is height, width [px].
         word_of_token: (T,) see `words_of_tokens`.
-        score, most: least score, 0..1; at most so many.
+        score, most: least score, 0..1; greatest number.
     """
     chance = logits[:, : len(word_of_token)].sigmoid()
     of_words = [chance[:, word_of_token == k].amax(dim=1) for k in range(int(word_of_token.max()) + 1)]

@@ -32,23 +32,12 @@ if TYPE_CHECKING:
     from anther.perception.masks import Params
 
 _THREADS = 2  # each votes in a grid of its own
-_MOST_BYTES = 2.5e9  # of the votes, the sums and masks of all cells together
-_COARSE = 3  # step of the pixels that the colours are learned from
-
 VOXEL = 0.005
 """Edge of the cells in which the views vote [m]; above the kinematic pose error (3.6 mm RMS, facts: perception) so that
 views agree."""
 RIM_HEIGHT = 0.05
-"""A pot's rim stands at most this much above its soil [m]."""
+"""A pot's rim is at most this far above its soil [m]."""
 GROUND_MARGIN = 0.008  # what lies less than this above the ground is ground [m]
-BARE_GROUND_RADIUS = 0.06
-"""`Params.ground_radius` for the soil without colour, when leaves could be mistaken for it [m]."""
-WALL_HEIGHT = 0.04
-"""A closed ring is a pot's wall if it goes on over this height [m]; leaves close rings over less."""
-STEM_EXTENT = 0.04
-"""The foot of a stem, as the errors of the poses spread it, is at most this wide [m]."""
-SEEN_BELOW = 0.3
-"""A surface with something seen below a larger share of it is foliage."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,7 +52,7 @@ class Survey:
         total: (X, Y, Z) votes of every colour.
         below: (X, Y, Z) cells that are ground, whatever their colour.
         rim: (X, Y, Z) cells about a pot's wall and rim, where only what is green is plant.
-        source: what told plant from the rest, for `Masks.source`.
+        source: what separated plant from the rest, for `Masks.source`.
     """
 
     grid: Grid
@@ -83,7 +72,7 @@ class Survey:
 def survey(capture: Capture, workspace: Box | None, params: Params) -> Survey:
     """Let all views vote, and find the ground in the votes."""
     layers = 1 if capture.rgb is None else LAYERS
-    grid = Grid.over(workspace or viewed_box(capture), VOXEL, _MOST_BYTES / (2 * _THREADS * layers + 16))
+    grid = Grid.over(workspace or viewed_box(capture), VOXEL, 2.5e9 / (2 * _THREADS * layers + 16))  # bytes in all
     rule, light = None, None
     if capture.rgb is not None:
         light = Light.on(capture.rgb, params.green)
@@ -92,7 +81,8 @@ def survey(capture: Capture, workspace: Box | None, params: Params) -> Survey:
     classes, votes = _votes(capture, grid, cameras, rule)
     total = votes[:PETAL_VIEWS].sum(axis=0, dtype=np.int32)
     if rule is None or rule.learned:
-        below, rim = ground_cells(total >= 2, VOXEL, params.ground_radius, BARE_GROUND_RADIUS, rings=False)
+        soil = 0.06  # [m]: without colour, a leaf of 35 mm could be mistaken for it
+        below, rim = ground_cells(total >= 2, VOXEL, params.ground_radius, soil, rings=False)
     else:
         bare = (total >= 5) & (votes[GREEN - 1] <= 0.1 * total)
         below, rim = ground_cells(bare, VOXEL, params.ground_radius, params.ground_radius, rings=True)
@@ -123,10 +113,10 @@ def _votes(
 def _learned(capture: Capture, grid: Grid, params: Params) -> ColourRule:
     """Learn the colours of plant and surroundings from every third pixel, where geometry is sure."""
     assert capture.rgb is not None
-    k, box = capture.intrinsics, Box(grid.lower, grid.lower + np.multiply(grid.shape, grid.voxel))
-    depth = np.ascontiguousarray(capture.depth[:, ::_COARSE, ::_COARSE])
-    rgb = np.ascontiguousarray(capture.rgb[:, ::_COARSE, ::_COARSE])
-    scale = np.array([k.fx, k.fy, k.cx, k.cy]) / _COARSE
+    step, k, box = 3, capture.intrinsics, Box(grid.lower, grid.lower + np.multiply(grid.shape, grid.voxel))
+    depth = np.ascontiguousarray(capture.depth[:, ::step, ::step])
+    rgb = np.ascontiguousarray(capture.rgb[:, ::step, ::step])
+    scale = np.array([k.fx, k.fy, k.cx, k.cy]) / step
     coarse = Intrinsics(depth.shape[2], depth.shape[1], *map(float, scale))
     bare = survey(Capture(depth, coarse, capture.T_world_cam), box, params)
     cells = np.where((bare.votes[0] > 0) & ~bare.below & ~bare.rim, BROWN_CELL, EMPTY).astype(np.uint8)
@@ -179,14 +169,14 @@ def ground_cells(
 def foot_cells(plant: NDArray[np.bool_], below: NDArray[np.bool_], voxel: float) -> NDArray[np.bool_]:
     """Return the cells just below the top of the ground (X, Y, Z) that carry on a stem above it.
 
-    The margin above the soil belongs to the ground, and a stem would begin above it. What stands on that layer and is
-    no wider than `STEM_EXTENT` is a stem, carried on straight down through the margin.
+    The margin above the soil belongs to the ground, and a stem would begin above it. What rises from that layer and is
+    no wider than 40 mm, as the errors of the poses spread it, is a stem, carried on straight down through the margin.
     """
     top = below.sum(axis=2)[:, :, None]
     above = np.minimum(top + np.arange(2), below.shape[2] - 1)
     standing = np.any(np.take_along_axis(plant & ~below, above, axis=2), axis=2)
     _, parts, stats, _ = cv2.connectedComponentsWithStats(np.asarray(standing, dtype=np.uint8), connectivity=8)
-    narrow = stats[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1) <= STEM_EXTENT / voxel
+    narrow = stats[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1) <= 0.04 / voxel
     narrow[0] = False
     foot = np.zeros_like(below)
     carried = np.maximum(top - 1 - np.arange(1 + int(GROUND_MARGIN / voxel)), 0)
@@ -209,12 +199,15 @@ def _slabs(solid: NDArray[np.bool_], voxel: float) -> list[tuple[int, NDArray[np
 def _wall_heights(
     slabs: list[tuple[int, NDArray[np.uint8]]], shape: tuple[int, ...], disc: NDArray[np.uint8], voxel: float
 ) -> NDArray[np.int64]:
-    """Return the highest level (X, Y) of a closed wall around each column; -1 without one."""
+    """Return the highest level (X, Y) of a closed wall around each column; -1 without one.
+
+    A closed ring is a wall if it goes on over 40 mm; leaves close rings over less.
+    """
     wall, run, last = np.full(shape, -1), np.zeros(shape, dtype=np.int64), -1
     for level, slab in slabs:
         inside = cv2.dilate(_eroded(_filled(slab), disc), disc) > 0
         run = np.where(inside, np.where(level == last + 1, run, 0) + 1, 0)
-        wall[run >= WALL_HEIGHT / voxel] = level
+        wall[run >= 0.04 / voxel] = level
         last = level
     return wall
 
@@ -239,7 +232,7 @@ def _extended(height: NDArray[Any], reach: float) -> NDArray[np.int64]:
 
 
 def _opaque(centres: NDArray[Any], lowest: NDArray[Any], level: int, voxel: float) -> NDArray[np.uint8]:
-    """Return the connected patches of `centres` (X, Y) below which little is seen: ground is opaque, foliage is not."""
+    """Return the patches of `centres` (X, Y) with something seen below less than 0.3 of them: others are foliage."""
     seen_below = lowest < level - 0.04 / voxel
     if not centres.any():
         return centres
@@ -248,7 +241,7 @@ def _opaque(centres: NDArray[Any], lowest: NDArray[Any], level: int, voxel: floa
     share = np.bincount(patch.ravel(), weights=seen_below.ravel(), minlength=count) / np.maximum(
         1, np.bincount(patch.ravel(), minlength=count)
     )
-    opaque = share < SEEN_BELOW
+    opaque = share < 0.3
     opaque[0] = False
     return opaque[patch].astype(np.uint8)
 

@@ -16,13 +16,12 @@ from numpy.typing import NDArray
 from anther.core.geometry import Array, Box, Intrinsics
 from anther.perception.masks._light import GREEN, GREEN_NO_DEPTH, OTHER, OUTSIDE, WHITE, YELLOW, ColourRule
 
-EMPTY, GROUND, RIM, GREEN_CELL, BROWN_CELL, FLOWER_CELL, BESIDE_FLOWER = range(7)
+EMPTY, GROUND, RIM, GREEN_CELL, BROWN_CELL, FLOWER_CELL, NEAR_FLOWER = range(7)
 """What a cell of the grid was found to be. RIM: green, but about a pot's rim. BROWN_CELL: a part of the plant that is
 not green."""
 
 PETAL_VIEWS, LAYERS = 4, 5
 """Layer of the vote grid after the four colours: in how many views petals voted; and the number of all layers."""
-_BLEED_REACH, _BLEED_DEPTH = 3, 0.05  # [px], [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,10 +105,10 @@ def _bleeds(
     rgb: NDArray[Any], depth: NDArray[Any], v: NDArray[Any], u: NDArray[Any], alike: float
 ) -> NDArray[np.bool_]:
     """Return (n,) which pixels have the colour of a background near them: then they are that, wrongly placed."""
-    bleeding, steps = np.zeros(len(v), dtype=bool), (-_BLEED_REACH, 0, _BLEED_REACH)
+    bleeding, steps, behind_by = np.zeros(len(v), dtype=bool), (-3, 0, 3), np.float32(0.05)  # [px], [m]
     for dv, du in product(steps, steps):
         j, i = np.clip(v + dv, 0, depth.shape[0] - 1), np.clip(u + du, 0, depth.shape[1] - 1)
-        behind = (depth[j, i] > depth[v, u] + np.float32(_BLEED_DEPTH)) | (depth[j, i] <= 0)
+        behind = (depth[j, i] > depth[v, u] + behind_by) | (depth[j, i] <= 0)
         bleeding |= behind & (np.abs(rgb[j, i].astype(np.int16) - rgb[v, u]) < alike).all(axis=1)
     return bleeding
 
@@ -119,13 +118,13 @@ _LABEL[GREEN] = 1
 _LABEL[GREEN, GROUND] = 0
 _LABEL[[[OTHER], [YELLOW], [WHITE]], [BROWN_CELL, FLOWER_CELL]] = 1, 2
 _LABEL[YELLOW, GREEN_CELL] = 1
-_LABEL[[YELLOW, WHITE], BESIDE_FLOWER] = 2
+_LABEL[[YELLOW, WHITE], NEAR_FLOWER] = 2
 
 
 def read_back(depth: NDArray[Any], camera: Array, classes: NDArray[Any], cells: NDArray[Any]) -> NDArray[np.uint8]:
     """Return one view's labels (H, W), 0 background, 1 plant, 2 flower, from what its cells (X, Y, Z) were found to be.
 
-    A green pixel is plant unless its cell is ground. Others need a cell that holds a brown part or a flower: beside
+    A green pixel is plant unless its cell is ground. Others need a cell that holds a brown part or a flower: next to
     green parts they are background that the depth sensor's matching window fattened the plant with.
     """
     return _LABEL[classes, cells.ravel()[_cell_of(depth, camera, cells.shape)]]

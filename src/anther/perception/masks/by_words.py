@@ -37,7 +37,7 @@ class Network:
     Attributes:
         name: what it is called.
         model_types: `model_type` in its config.json.
-        download: the command that brings its weights; the braces stand for the models folder.
+        download: the command that brings its weights; the braces are replaced by the models folder.
         facts: size and licence, from the model card.
     """
 
@@ -80,11 +80,11 @@ class Params:
     """What is looked for, and when it counts as found.
 
     Attributes:
-        plant: words whose objects become plant; lower case, each ending in "." (that is how Grounding DINO tells them
-            apart). The paper uses "leaves".
+        plant: words whose objects become plant; lower case, each ending in "." (that is how Grounding DINO separates
+            them). The paper uses "leaves".
         flower: words whose objects become flower.
         score: least score of a find, 0..1. transformers' decoding has 0.25 for Grounding DINO, 0.3 for SAM 3.
-        most: so many of the best finds in a view; bounds time and memory.
+        most: number of the best finds in a view that count; bounds time and memory.
         batch: views at a time; None means 4 on a GPU, 1 on a CPU.
     """
 
@@ -208,14 +208,14 @@ def load_networks(method: Method, folders: Sequence[Path], params: Params) -> Ne
 
 
 def find_models(folder: Path, method: Method = "grounded-sam2") -> tuple[Path, ...]:
-    """Find what a method needs in a folder, at most two levels below it, by what config.json says.
+    """Find what a method needs in a folder, at most two levels below it, by its config.json.
 
     Returns:
         the folder of each of the method's networks, with config.json and *.safetensors.
 
     Raises:
         MissingExtra: torch or transformers is not installed.
-        InputError: weights are missing (the message says how to get them), or there are several of a kind.
+        InputError: weights are missing (the message explains how to get them), or there are several of a kind.
     """
     absent = [name for name in ("torch", "transformers") if importlib.util.find_spec(name) is None]
     if absent:

@@ -15,9 +15,16 @@ from anther.core.geometry import Array
 from anther.core.records import Range, Record, Shape, Share, Stored
 from anther.perception.cloud import Cloud
 from anther.perception.masks import FLOWER
-from anther.perception.skeleton._centreline import beginning, centred, extended, resample
-from anther.perception.skeleton._paths import LevelSets, geodesic_tree, level_sets, middled
-from anther.perception.skeleton.raw_tree import RawTree, parted, rerooted, with_extents, without_spurs, without_veins
+from anther.perception.skeleton._centreline import centre_curves, extend_to_soil, resample, start_direction
+from anther.perception.skeleton._paths import LevelSets, centre_on_blades, geodesic_tree, level_sets
+from anther.perception.skeleton.raw_tree import (
+    RawTree,
+    remove_spurs,
+    remove_veins,
+    reroot,
+    separate_branches,
+    with_extents,
+)
 from anther.perception.skeleton.support import distance_to_soil, find_root, node_confidence, stem_gain
 from anther.perception.skeleton.thinning import thinned_tree
 from anther.perception.skeleton.voxel_solid import (
@@ -25,40 +32,26 @@ from anther.perception.skeleton.voxel_solid import (
     VoxelSolid,
     bridges,
     components,
+    mark_fragments,
     nearest,
     neighbour_edges,
     point_spacing,
     solidify,
     surroundings,
-    without_specks,
 )
 
 __all__ = ["Params", "Skeleton", "nearest_node", "skeletonize"]
 
-_FEWEST_POINTS = 50
-_MANY_POINTS = 80_000
-_ENOUGH_POINTS = 80_000  # cross-sections of more are not better (measured on ten simulated captures)
-_FINEST = 700  # a cloud of many points is thinned to one per cube of plant size / _FINEST
-_MOST_VOXELS = 1500  # along the plant: with more, filled hollows take gigabytes
-_REACH, _FLAT = 6.0, 0.5  # surroundings looked at [voxels], and the planarity that counts as a blade
+FEWEST_POINTS = 50
+"""A plant of fewer points has no skeleton."""
+SMALLEST, LARGEST = 0.005, 20.0
+"""Whatever is smaller or larger is no plant [m], but one in other units: a seedling in mm read as metres, a tree."""
+ENOUGH_POINTS = 80_000
+"""Points beyond these cost time and change no decision; a cloud of more is thinned."""
 RESOLUTION = 350.0
-"""Voxels along the plant's size, where nobody gives the voxels' edge."""
-CLOSE = 2
-"""Gaps of up to so many voxels are closed."""
-HOLLOW = 0.06
-"""Stems hollow in the scan are filled up to this diameter, relative to the plant's size."""
-_SURE = 0.75  # a root that is less likely is said
+"""Voxels along the plant's size by default; a cloud is thinned to twice as many points along it."""
 _BRIDGE = 0.15  # gaps up to this share of the plant's size are bridged
-_SPECK = 0.02  # fragments shorter than this share of the plant's size are dropped
-_SPUR_PER_WIDTH, _SPUR = 2.5, 6.0
-"""Side branches shorter than the first times the half width of the organ they leave, or than the second [voxels], are
-pruned."""
-_VEIN = 2.5  # side branches that leave on a blade go if they hold less stem or petiole than this [voxels]
-_SAME_PLACE = 10.0  # a root this close to where the paths began leaves them as they are [voxels]
-_FATTENING = 0.5
-"""How much farther than the radius the surface of a round organ lies from its axis in a fused cloud [pixels]: what the
-matching window of a depth camera spreads it to either side (facts: perception, "Depth sensors") and fusing leaves of
-that. Measured on six simulated captures (pixels of 1 mm): 0.45 for radii from 2.2 to 6 mm, 0.5 to 0.8 down to 1.3."""
+_SPUR = 6.0  # side branches shorter than this are pruned [voxels]
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,14 +59,15 @@ class Params(Record):
     """How a cloud becomes a skeleton. Lengths without a unit are relative to the plant's size (its diagonal).
 
     Attributes:
-        root: where the stem leaves the soil [m], by who knows better; None: it is found.
+        root: where the stem leaves the soil [m], if known; None: it is found.
         method: "geodesic" (shortest paths that prefer stems, default: measured better) or "thinning" (the paper's
             P7-P9).
         voxel: voxel edge [m]; None: plant size / `RESOLUTION`, but not below 1.3 point spacings.
         spacing: distance between nodes [m]; None: plant size / 110 (6 mm on a 0.65 m plant).
         recentre: rounds of sub-voxel centring; 0 keeps the coarse tree's steps, as the paper's skeleton does.
         fattening: how much thicker the sensor makes organs [m of radius], taken off the radii; None: half a pixel
-            of the cloud's footprint, 0 for a cloud without one.
+            of the cloud's footprint, which the matching window of a depth camera spreads a surface to either side
+            (facts: perception, "Depth sensors"); 0 for a cloud without one.
     """
 
     root: Annotated[tuple[float, float, float], Range(-1e9, 1e9, "m")] | None = None
@@ -100,7 +94,7 @@ class Skeleton(Stored):
             node (docs/confidence.md); None if unknown.
         flatness: (J,) 0 where the plant is round or a line around the node, 1 where it is a plane: a blade; None if
             unknown.
-        root_confidence: probability that the plant stands at node 0; None if unknown.
+        root_confidence: probability that node 0 is the stem's base; None if unknown.
     """
 
     KIND, SCHEMA, CALLED = "skeleton", 3, "skeleton"
@@ -138,12 +132,12 @@ class Skeleton(Stored):
 
     @property
     def breadth(self) -> Array:
-        """(J,) half width of the organ [m]; the radius where nobody knows."""
+        """(J,) half width of the organ [m]; the radius if unknown."""
         return self.radius if self.width is None else self.width
 
     @property
     def rooted(self) -> float:
-        """Probability that the plant stands at node 0; 1 where nobody knows."""
+        """Probability that node 0 is the stem's base; 1 if unknown."""
         return 1.0 if self.root_confidence is None else self.root_confidence
 
     def path_from_root(self, node: int) -> NDArray[Any]:
@@ -168,44 +162,40 @@ def skeletonize(cloud: Cloud, params: Params | None = None) -> Skeleton:
     params = params or Params()
     points = _plant_points(cloud)
     size = _plant_size(points)
-    if len(points) > _MANY_POINTS:
-        points = np.asarray(voxelgrid_sampling(points, size / _FINEST).points())[:, :3]
+    if len(points) > ENOUGH_POINTS:
+        points = np.asarray(voxelgrid_sampling(points, size / (2 * RESOLUTION)).points())[:, :3]
     if params.voxel is not None:
-        check_range("voxel", params.voxel, size / _MOST_VOXELS, size / 10, "m")  # finer, hollows fill with millions
+        check_range("voxel", params.voxel, size / 1500, size / 10, "m")  # finer, filled hollows take gigabytes
     voxel = params.voxel or max(size / RESOLUTION, 1.3 * point_spacing(points))
-    solid = solidify(points, voxel, close=CLOSE, fill=HOLLOW * size)
+    solid = solidify(points, voxel, close=2, fill=0.06 * size)  # the widest stem that is hollow in a scan
     voxels, notes = _connected(solid, size)
-    coarse, sure, doubts = _coarse_tree(voxels, size, params)
+    coarse, sure, warnings = _coarse_tree(voxels, size, params)
     spacing = params.spacing or size / 110
     curves = resample(coarse, stem_gain(coarse), spacing)
-    fattening = _FATTENING * (cloud.footprint or 0) if params.fattening is None else params.fattening
-    surface = points[:: -(-len(points) // _ENOUGH_POINTS)]
-    curves = centred(curves, surface, rounds=params.recentre, fattening=fattening)
-    hidden = distance_to_soil(curves.nodes[0], beginning(curves), cloud.obstacles)
+    fattening = 0.5 * (cloud.footprint or 0) if params.fattening is None else params.fattening
+    surface = points[:: -(-len(points) // ENOUGH_POINTS)]
+    curves = centre_curves(curves, surface, rounds=params.recentre, fattening=fattening)
+    hidden = distance_to_soil(curves.nodes[0], start_direction(curves), cloud.obstacles)
     if hidden > 0:
-        curves = extended(curves, hidden, spacing)
+        curves = extend_to_soil(curves, hidden, spacing)
         notes += (f"the lowest {hidden * 1e3:.0f} mm of the stem were not seen: taken straight down to the soil",)
     flatness = coarse.flatness[nearest(curves.nodes, coarse.nodes)[1]]
     confidence = node_confidence(curves.nodes, curves.parent, curves.radius, flatness, points)
     confidence = confidence * (1 - cloud.seen_through)  # it was fitted on views that agree
     return Skeleton(
-        curves.nodes, curves.parent, curves.radius, notes + doubts, curves.width, confidence, flatness, sure
+        curves.nodes, curves.parent, curves.radius, notes + warnings, curves.width, confidence, flatness, sure
     )
-
-
-AWAY = 0.1
-"""A place that somebody names is on the plant if it is no farther from it than this, relative to the plant's size."""
 
 
 def nearest_node(name: str, place: ArrayLike, nodes: Array) -> int:
     """Return which of the nodes (J, 3) [m] is nearest to a named place (3,) [m].
 
     Raises:
-        InputError: it is too far from all of them to be meant.
+        InputError: it is farther from all of them than a tenth of the plant's size.
     """
     at = check_array(name, np.asarray(place, dtype=np.float64), (3,))
     gap = np.linalg.norm(nodes - at, axis=1)
-    if gap.min() > AWAY * np.linalg.norm(np.ptp(nodes, axis=0)):
+    if gap.min() > 0.1 * np.linalg.norm(np.ptp(nodes, axis=0)):
         low, high = nodes.min(axis=0).round(3).tolist(), nodes.max(axis=0).round(3).tolist()
         given, do = f"{at.tolist()}, {gap.min():.3g} m from the plant", "Give it in metres, z up, as in the results."
         raise bad_input(name, given=given, allowed=f"on the plant, which is from {low} to {high} m", do=do)
@@ -214,11 +204,11 @@ def nearest_node(name: str, place: ArrayLike, nodes: Array) -> int:
 
 def _plant_points(cloud: Cloud) -> Array:
     flower = cloud.labels == FLOWER
-    points = cloud.points[~flower] if np.count_nonzero(~flower) >= _FEWEST_POINTS else cloud.points
-    if len(points) < _FEWEST_POINTS:
+    points = cloud.points[~flower] if np.count_nonzero(~flower) >= FEWEST_POINTS else cloud.points
+    if len(points) < FEWEST_POINTS:
         raise StageFailure(
             "no_plant_found",
-            f"skeleton: got {len(points)} plant points; allowed: {_FEWEST_POINTS} or more. "
+            f"skeleton: got {len(points)} plant points; allowed: {FEWEST_POINTS} or more. "
             "Is the cloud empty or the mask wrong?",
         )
     return points
@@ -227,10 +217,9 @@ def _plant_points(cloud: Cloud) -> Array:
 def _plant_size(points: Array) -> float:
     """Return the diagonal of the bounding box of all but the outermost 1 % of the points [m]."""
     size = float(np.linalg.norm(np.subtract(*np.quantile(points, [0.995, 0.005], axis=0))))
-    if not 0.005 <= size <= 20:
-        raise bad_input(
-            "plant size", given=f"{size:g} m", allowed="0.005 <= size <= 20 m", do="Are the units right (m or mm)?"
-        )
+    if not SMALLEST <= size <= LARGEST:
+        allowed = f"{SMALLEST:g} <= size <= {LARGEST:g} m"
+        raise bad_input("plant size", given=f"{size:g} m", allowed=allowed, do="Are the units right (m or mm)?")
     return size
 
 
@@ -238,20 +227,20 @@ def _coarse_tree(voxels: Voxels, size: float, params: Params) -> tuple[RawTree, 
     """Return the tree before centring, rooted where the stem leaves the soil, how sure that is, and notes."""
     known = params.root
     if params.method == "thinning":
-        tree = _pruned(_not_trivial(thinned_tree(voxels), size), voxels)
+        tree = _prune(_not_trivial(thinned_tree(voxels), size), voxels)
         root, sure, notes = (nearest_node("root", known, tree.nodes), 1.0, ()) if known is not None else _base(tree)
-        return tree.taking(*rerooted(tree.parent, root)), sure, notes
+        return tree.taking(*reroot(tree.parent, root)), sure, notes
     source = nearest_node("root", known, voxels.points) if known is not None else int(np.argmin(voxels.points[:, 2]))
     paths, levels = _paths(voxels, source, size)
     sure, notes = 1.0, ()
     if known is None:
-        tree = _parted(paths, voxels)
+        tree = _separate(paths, voxels)
         root, sure, notes = _base(tree)
-        if np.linalg.norm(tree.nodes[root] - voxels.points[source]) > _SAME_PLACE * voxels.voxel:
+        if np.linalg.norm(tree.nodes[root] - voxels.points[source]) > 10 * voxels.voxel:
             source = int(np.argmin(np.linalg.norm(voxels.points - tree.nodes[root], axis=1)))
             paths, levels = _paths(voxels, source, size)
-    pruned = _pruned(paths, voxels)
-    return middled(pruned, stem_gain(pruned), voxels, levels), sure, notes
+    pruned = _prune(paths, voxels)
+    return centre_on_blades(pruned, stem_gain(pruned), voxels, levels), sure, notes
 
 
 def _paths(voxels: Voxels, source: int, size: float) -> tuple[RawTree, LevelSets]:
@@ -261,25 +250,25 @@ def _paths(voxels: Voxels, source: int, size: float) -> tuple[RawTree, LevelSets
 
 
 def _base(tree: RawTree) -> tuple[int, float, tuple[str, ...]]:
-    """Return the node where the plant stands, how sure that is; where it is doubtful, a note that names its rival."""
+    """Return the stem's base node, its probability and, if that is low, a note that names the second candidate."""
     node, sure, rival = find_root(tree)
-    if sure >= _SURE:
+    if sure >= 0.75:
         return node, sure, ()
     x, y, z = tree.nodes[rival]
-    words = f"root: with a probability of {sure:.0%}; else the plant may stand at {x:.3f},{y:.3f},{z:.3f}"
-    return node, sure, (f"{words} (--root names it)",)
+    words = f"root: probability {sure:.0%}; the second candidate is {x:.3f},{y:.3f},{z:.3f}"
+    return node, sure, (f"{words} (set it with --root)",)
 
 
-def _parted(tree: RawTree, voxels: Voxels) -> RawTree:
-    """Return the tree without paths side by side and the shortest spurs; a stem's foot may look like a longer one."""
-    tree = parted(tree, stem_gain(tree))
-    return without_spurs(with_extents(tree.nodes, tree.parent, voxels), at_least=_SPUR * voxels.voxel)
+def _separate(tree: RawTree, voxels: Voxels) -> RawTree:
+    """Return the tree without parallel paths and the shortest spurs; longer ones may be the stem's foot."""
+    tree = separate_branches(tree, stem_gain(tree))
+    return remove_spurs(with_extents(tree.nodes, tree.parent, voxels), at_least=_SPUR * voxels.voxel)
 
 
-def _pruned(tree: RawTree, voxels: Voxels) -> RawTree:
-    """Return the tree without what is not an organ: paths side by side, spurs, veins."""
-    tree = without_spurs(_parted(tree, voxels), per_width=_SPUR_PER_WIDTH)
-    return without_veins(tree, _VEIN * voxels.voxel)
+def _prune(tree: RawTree, voxels: Voxels) -> RawTree:
+    """Return the tree without what is not an organ: parallel paths, spurs, veins."""
+    tree = remove_spurs(_separate(tree, voxels), per_width=2.5)  # a line within the organ that it leaves is no limb
+    return remove_veins(tree, 2.5 * voxels.voxel)
 
 
 def _not_trivial(tree: RawTree, size: float) -> RawTree:
@@ -296,14 +285,14 @@ def _connected(solid: VoxelSolid, size: float) -> tuple[Voxels, tuple[str, ...]]
     """Return the voxels that can be joined into one piece, and notes."""
     points, edges = solid.points, neighbour_edges(solid.index)
     label = components(len(points), edges)
-    kept = without_specks(points, label, _SPECK * size)
+    kept = mark_fragments(points, label, 0.02 * size)
     label = np.where(kept, label, -1)
     links = bridges(points, label, _BRIDGE * size)
     joined = np.isin(label, np.concatenate([[0], label[links[:, 1]]]))
     rank = np.cumsum(joined) - 1
     edges = rank[np.concatenate([edges[joined[edges].all(axis=1)], links])]
-    flat, off_middle = surroundings(solid.index[joined], _REACH)
-    flat = np.minimum(flat / _FLAT, 1)
+    flat, off_middle = surroundings(solid.index[joined], reach=6)  # [voxels]; a guess that matters
+    flat = np.minimum(2 * flat, 1)  # a planarity of one half is a blade; matters too
     voxels = Voxels(points[joined], edges, solid.voxel, solid.thickness[joined], flat, off_middle)
     return voxels, _gap_notes(points, links, joined)
 

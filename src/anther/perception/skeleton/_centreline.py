@@ -74,21 +74,21 @@ def resample(tree: RawTree, gain: Array, spacing: float) -> Curves:
     return Curves(nodes, made, radius, radius)
 
 
-def centred(curves: Curves, points: Array, *, rounds: int, fattening: float) -> Curves:
+def centre_curves(curves: Curves, points: Array, *, rounds: int, fattening: float) -> Curves:
     """Return the curves moved to the middle of the cloud's (N, 3) cross-sections, with radii from the cloud.
 
     Each of the `rounds` sees sections cut across better centrelines; `fattening` is how much thicker the sensor makes
     organs [m of radius].
     """
     for _ in range(rounds):
-        curves = _smoothed(_recentred(curves, points))
-    curves = _reaching_ends(_straight_start(curves), points)
+        curves = _smooth_curves(_recentre(curves, points))
+    curves = _extend_ends(_straighten_start(curves), points)
     return _radii(curves, points, fattening)
 
 
-def extended(curves: Curves, length: float, spacing: float) -> Curves:
+def extend_to_soil(curves: Curves, length: float, spacing: float) -> Curves:
     """Return the curves with the first chain begun `length` [m] earlier, straight on from how it begins."""
-    upward, count = beginning(curves), max(round(length / spacing), 1)
+    upward, count = start_direction(curves), max(round(length / spacing), 1)
     new = curves.nodes[curves.chains[0][0]] - upward * length * np.linspace(1, 0, count, endpoint=False)[:, None]
     first, *others = [chain + count for chain in curves.chains]
     return Curves(
@@ -99,26 +99,22 @@ def extended(curves: Curves, length: float, spacing: float) -> Curves:
     )
 
 
-def beginning(curves: Curves) -> Array:
+def start_direction(curves: Curves) -> Array:
     """Return the direction (3,) in which the first chain begins, over its first nodes."""
     first = curves.chains[0]
     rise = curves.nodes[first[min(5, len(first) - 1)]] - curves.nodes[first[0]]
     return rise / max(float(np.linalg.norm(rise)), 1e-12)
 
 
-_BENT, _STRAIGHT = 2, 10
-"""The first nodes of a side branch, bent towards the quick way down the stem, and the next ones, which point to where
-it leaves (measured on simulated captures: junctions within 10 mm rise from 0.80 to 0.91, and lie 0.3 mm too high, not
-2.7 mm too low)."""
-_BEYOND = 2.5
-"""A host node farther than this times the nearest is not believed."""
+_BENT = 2
+"""The first nodes of a side branch bend towards the quick way down the stem; the next ones point to where it leaves."""
 
 
 def _attachment(line: Array, host: Array) -> int:
     """Return which node of a host (H, 3) a side chain (M, 3) leaves: where the line of its beginning meets the host."""
     offset = host - line[min(1, len(line) - 1)]
     away = np.linalg.norm(offset, axis=1)
-    straight = line[1 + _BENT : 1 + _BENT + _STRAIGHT]
+    straight = line[1 + _BENT : 11 + _BENT]
     if len(straight) < 3:
         return int(np.argmin(away))
     middle = straight.mean(axis=0)
@@ -126,17 +122,16 @@ def _attachment(line: Array, host: Array) -> int:
     direction *= np.sign(direction @ (straight[-1] - straight[0])) or 1
     along = (host - middle) @ direction
     aside = np.linalg.norm(host - middle - along[:, None] * direction, axis=1)
-    allowed = (away <= _BEYOND * away.min()) & (along <= 0)
+    allowed = (away <= 2.5 * away.min()) & (along <= 0)
     return int(np.argmin(np.where(allowed, aside, np.inf))) if allowed.any() else int(np.argmin(away))
 
 
-_UNRESOLVED = 1
-"""Side branches that leave so many nodes apart leave at one node, as opposite and whorled leaves do."""
-
-
 def _shared(at: int, host: NDArray[Any], forks: set[int]) -> int:
-    """Return the position on the host nearest to `at` where another side branch leaves it, if that is near."""
-    near = range(max(at - _UNRESOLVED, 0), min(at + _UNRESOLVED + 1, len(host)))
+    """Return a position on the host one node from `at` at most, where another side branch leaves it; else `at`.
+
+    Opposite and whorled leaves leave at one node.
+    """
+    near = range(max(at - 1, 0), min(at + 2, len(host)))
     there = [i for i in near if int(host[i]) in forks]
     return min(there, key=lambda i: abs(i - at)) if there else at
 
@@ -163,7 +158,7 @@ def _smooth(line: Array, sigma: float = 1.0) -> Array:
     return smooth
 
 
-def _smoothed(curves: Curves, sigma: float = 1.0) -> Curves:
+def _smooth_curves(curves: Curves, sigma: float = 1.0) -> Curves:
     nodes = curves.nodes.copy()
     for chain in curves.chains:
         nodes[chain] = _smooth(nodes[chain], sigma)
@@ -184,10 +179,13 @@ def _sections(curves: Curves, points: Array) -> CrossSections:
     return cross_sections(points, curves.nodes, _tangents(curves), before)
 
 
-def _recentred(curves: Curves, points: Array) -> Curves:
-    """Return the curves with nodes at the centres of the fitted circles, where the sections are round."""
+def _recentre(curves: Curves, points: Array) -> Curves:
+    """Return the curves with nodes at the centres of the fitted circles, where the sections are round.
+
+    A section is round when half its points lie within a quarter of the radius from the circle.
+    """
     at = _sections(curves, points)
-    trusted = (at.count >= _FEWEST) & (at.residual <= _ROUND * at.circle) & (at.circle <= 3 * curves.radius)
+    trusted = (at.count >= _FEWEST) & (at.residual <= 0.25 * at.circle) & (at.circle <= 3 * curves.radius)
     length = np.linalg.norm(at.centre, axis=1)
     shell = _shells(curves, at)
     most = np.where(shell, at.circle, 1.5 * curves.radius)
@@ -196,31 +194,22 @@ def _recentred(curves: Curves, points: Array) -> Curves:
 
 
 _FEWEST = 8
-"""Points needed to say anything about a cross-section."""
-_THICKER = 1.3
-"""No organ is thicker than this times what carries it, the stem than its lower part: a curled leaf may look so."""
-_FLAT = 2.2
-"""A section is flat when it is broader than thick by more than this."""
-_ROUND = 0.25
-"""A section is round when half its points lie within this share of the radius from the fitted circle."""
-_ARC = 0.08
-"""A stem that is an arc in the cloud, seen from one side or hollow: half its points are this near to the circle."""
-_CUT = 1  # node at the foot, whose section is cut off aslant
+"""Least number of points of a cross-section."""
 
 
 def _shells(curves: Curves, at: CrossSections) -> NDArray[np.bool_]:
     """Return (J,) where the first chain runs in the wall of a stem seen from one side: a third of a round or more.
 
-    Most of the stem below must look so too, but for its cut foot: a blade rolled up above a solid stem has such
-    sections as well.
+    Half the points of such an arc lie within 8 % of the radius from the circle. Most of the stem below must look so
+    too, but for its cut foot: a blade rolled up above a solid stem has such sections as well.
     """
-    arc = (at.count >= _FEWEST) & (at.residual <= _ARC * at.circle) & (at.wide >= 0.6 * at.circle)
+    arc = (at.count >= _FEWEST) & (at.residual <= 0.08 * at.circle) & (at.wide >= 0.6 * at.circle)
     shells, own = np.zeros(len(curves.nodes), dtype=bool), curves.chains[0]
-    shells[own] = arc[own] & (np.cumsum(arc[own]) + _CUT >= 0.5 * np.arange(1, len(own) + 1))
+    shells[own] = arc[own] & (np.cumsum(arc[own]) + 1 >= 0.5 * np.arange(1, len(own) + 1))
     return shells
 
 
-def _straight_start(curves: Curves) -> Curves:
+def _straighten_start(curves: Curves) -> Curves:
     """Put the first two nodes on the line of the next ones: sections at the soil are cut off aslant."""
     nodes, first = curves.nodes.copy(), curves.chains[0]
     if len(first) >= 6:
@@ -229,7 +218,7 @@ def _straight_start(curves: Curves) -> Curves:
     return replace(curves, nodes=nodes)
 
 
-def _reaching_ends(curves: Curves, points: Array) -> Curves:
+def _extend_ends(curves: Curves, points: Array) -> Curves:
     """Move the tips and the root out to where the cloud ends."""
     nodes, first = curves.nodes.copy(), curves.chains[0]
     _, owner = nearest(points, nodes)
@@ -248,34 +237,30 @@ def _radii(curves: Curves, points: Array, fattening: float) -> Curves:
     """Return the curves with radii (half thickness where the section is flat) and half widths, from the cloud.
 
     The radius of a round section is the median distance of the surface from the centreline, less what the sensor adds.
-    Of a flat section it is not much more than the inscribed radius of the solid: a curled blade encloses air.
+    Of a flat section, 2.2 times as broad as thick, it is not much more than the inscribed radius of the solid: a curled
+    blade encloses air. No organ is more than 1.3 times as thick as what carries it, the stem as its lower part.
     """
     at = _sections(curves, points)
-    known, flat = at.count >= _FEWEST, at.wide > _FLAT * at.thin
+    known, flat = at.count >= _FEWEST, at.wide > 2.2 * at.thin
     radius = np.where(flat, np.minimum(at.thin, 1.5 * curves.radius), at.surface - fattening)
     radius = np.where(_shells(curves, at) & flat, at.circle - fattening, radius)
     radius, width = np.where(known, radius, curves.radius), np.where(known, at.wide - fattening, curves.width)
     for number, (chain, own) in enumerate(zip(curves.chains, curves.own, strict=True)):
         for values in (radius, width):
-            values[own] = median_filter(values[own], size=min(_MEDIAN, len(own)), mode="nearest")
+            values[own] = median_filter(values[own], size=min(5, len(own)), mode="nearest")
         carrier = radius[chain[0]] if number else float(np.median(radius[own[: max(len(own) // 4, 3)]]))
-        radius[own] = np.minimum(radius[own], _THICKER * carrier)
-    radius = np.maximum(radius, _SMALLEST)
+        radius[own] = np.minimum(radius[own], 1.3 * carrier)
+    radius = np.maximum(radius, 1e-4)  # [m], finer than any sensor
     return replace(curves, radius=radius, width=np.maximum(width, radius))
 
 
-_SMALLEST = 1e-4  # no radius is reported smaller [m]
-_MEDIAN = 5
-"""Radii are the medians over so many nodes."""
-
-
 _ENOUGH = 200
-"""More points than this do not make a cross-section better."""
+"""Points of a section beyond these are thinned: more cost time alone."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CrossSections:
-    """What the points around each node look like, seen along its tangent.
+    """The points around each node, projected along its tangent.
 
     Attributes:
         count: (J,) points looked at.

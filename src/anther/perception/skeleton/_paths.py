@@ -23,19 +23,13 @@ from anther.core.geometry import Array
 from anther.perception.skeleton.raw_tree import RawTree, chains, with_extents
 from anther.perception.skeleton.voxel_solid import Voxels, components, nearest
 
-_AT_THE_EDGE = 0.4
-"""A voxel this far off the middle of its surroundings [of their reach] is at the surface (a half plane has 0.42)."""
-_DEEP = 4.0
-"""Depth of a level set [voxels]. On eight simulated captures 3 and 5 give junctions with an F1 of 0.813 and 0.814, 4 of
-0.822; with 6 and 10 short petioles merge with what is beside them."""
-FLAT, EDGE = 3.0, 3.0
-"""How many times its length a way across a blade costs more, and one along a surface than one through the middle;
-measured on simulated captures and labelled seedlings."""
+DETOUR = 3.0
+"""A way across a blade, or along a surface, costs as many times its length more than one through a stem's middle."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LevelSets:
-    """What lies equally far from the root and hangs together: a ring of a stem, a strip across a blade.
+    """Connected voxels at the same distance from the root: a ring of a stem, a strip across a blade.
 
     Attributes:
         way: (N,) length of the shortest way from the root through the plant [m].
@@ -47,11 +41,11 @@ class LevelSets:
 
 
 def level_sets(voxels: Voxels, source: int) -> LevelSets:
-    """Return the level sets of the way from the voxel `source`."""
+    """Return the level sets of the way from the voxel `source`, four voxels deep: deeper ones merge short petioles."""
     way, _ = shortest_paths(voxels.points, voxels.edges, np.ones(len(voxels.points)), source)
-    level = (way // (_DEEP * voxels.voxel)).astype(np.int64)
-    beside = voxels.edges[level[voxels.edges[:, 0]] == level[voxels.edges[:, 1]]]
-    return LevelSets(way, components(len(way), beside))
+    level = (way // (4 * voxels.voxel)).astype(np.int64)
+    within = voxels.edges[level[voxels.edges[:, 0]] == level[voxels.edges[:, 1]]]
+    return LevelSets(way, components(len(way), within))
 
 
 def geodesic_tree(voxels: Voxels, source: int, levels: LevelSets, shortest: float) -> RawTree:
@@ -59,7 +53,8 @@ def geodesic_tree(voxels: Voxels, source: int, levels: LevelSets, shortest: floa
 
     No path but the first has less than `shortest` [m] of its own.
     """
-    cost = 1 + FLAT * voxels.flatness + EDGE * np.minimum(voxels.off_middle / _AT_THE_EDGE, 1) ** 2
+    at_surface = np.minimum(voxels.off_middle / 0.4, 1) ** 2  # at the edge of a half plane `off_middle` is 0.42
+    cost = 1 + DETOUR * (voxels.flatness + at_surface)
     distance, before = shortest_paths(voxels.points, voxels.edges, cost, source)
     chosen = covering_paths(distance, before, levels, shortest)
     rank = np.full(len(voxels.points), -1)
@@ -106,19 +101,12 @@ def _walked(tips, before, number, way, shortest):
     return on_tree
 
 
-_THINNEST = 2.0
-"""Least half depth of what is averaged [voxels]."""
-_DEPTH = 0.5
-"""Half depth of what is averaged, as a share of its spread: a broad blade has a smooth line."""
-_ROUND, _FLAT = 0.2, 0.5
-"""Nodes flatter than this begin to move, or move all the way: a stem scanned from one side has its axis elsewhere."""
-
-
-def middled(tree: RawTree, gain: Array, voxels: Voxels, levels: LevelSets) -> RawTree:
+def centre_on_blades(tree: RawTree, gain: Array, voxels: Voxels, levels: LevelSets) -> RawTree:
     """Return the tree with its nodes, that are voxels, on blades in the middle of the blade's width.
 
     A chain moves to the centroids of the level sets it goes through, each cut to what is nearer to this chain than to
-    another, so that blades that touch keep their own lines.
+    another, so that blades that touch keep their own lines. Nodes with a flatness of 0.2 to 0.5 move part of the way:
+    a stem scanned from one side has its axis elsewhere.
     """
     every = chains(tree.parent, gain)
     home = np.zeros(len(tree.nodes), dtype=np.int64)
@@ -128,7 +116,7 @@ def middled(tree: RawTree, gain: Array, voxels: Voxels, levels: LevelSets) -> Ra
     order = np.lexsort((levels.way, home))
     first = np.searchsorted(home[order], np.arange(len(every) + 1))
     at = nearest(tree.nodes, voxels.points)[1]
-    weight = np.clip((tree.flatness - _ROUND) / (_FLAT - _ROUND), 0, 1)[:, None]
+    weight = np.clip((tree.flatness - 0.2) / 0.3, 0, 1)[:, None]
     nodes = tree.nodes.copy()
     for number, chain in enumerate(every):
         mine, own = chain[min(number, 1) :], order[first[number] : first[number + 1]]
@@ -141,9 +129,9 @@ def middled(tree: RawTree, gain: Array, voxels: Voxels, levels: LevelSets) -> Ra
 
 def _middle(points: Array, way: Array, at: Array, voxel: float) -> Array:
     """Return the middle (M, 3) of points, sorted by way, about `at` (M,): the broader they spread, the deeper."""
-    thinnest = np.full(len(at), _THINNEST * voxel)
+    thinnest = np.full(len(at), 2 * voxel)
     _, spread = _mean(points, way, at, thinnest)
-    return _mean(points, way, at, np.maximum(_DEPTH * gaussian_filter1d(spread, 4, mode="nearest"), thinnest))[0]
+    return _mean(points, way, at, np.maximum(0.5 * gaussian_filter1d(spread, 4, mode="nearest"), thinnest))[0]
 
 
 def _mean(points: Array, way: Array, at: Array, half: Array) -> tuple[Array, Array]:

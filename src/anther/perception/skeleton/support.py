@@ -1,7 +1,7 @@
-"""How sure the skeleton is: of each node by the cloud around it, and of where the plant stands. J nodes, N points.
+"""Confidence of the skeleton: of each node, from the cloud around it, and of the stem's base. J nodes, N points.
 
-A node is believed when a surface lies around it at one radius and its surroundings are not a plane: bridges have no
-surface, blades are planes, and where views disagree the surface is smeared. The plant stands at a low tip, not always
+A node has a high confidence when a surface lies around it at one radius and its surroundings are not a plane: bridges
+have no surface, blades are planes, and where views disagree the surface is smeared. The base is a low tip, not always
 the lowest, since leaves droop and soil is left over.
 """
 
@@ -20,13 +20,11 @@ from anther.perception.skeleton.raw_tree import (
     along_tree,
     edge_lengths,
     path_gain,
-    rerooted,
+    reroot,
     sum_above,
     sum_below,
 )
 from anther.perception.skeleton.voxel_solid import nearest
-
-_ENOUGH = 40_000  # more points than this make the node statistics no better
 
 FITTED = (-4.12, 4.63, 6.58)
 """Constant and weights of `node_support` in the log-odds: `python -m evaluation.perception.confidence --fit`."""
@@ -53,12 +51,12 @@ def logit(share: ArrayLike) -> Array:
 
 
 def node_support(nodes: Array, parent: NDArray[Any], radius: Array, flatness: Array, points: Array) -> Array:
-    """Return what the cloud (N, 3) says of every node, (J, 2), each 0 .. 1, larger for a better one, 0 without points.
+    """Return the cloud's (N, 3) evidence for every node, (J, 2), each 0 .. 1, larger is better, 0 without points.
 
     Columns: how sharply the surface lies at one radius, exp(-2 scatter / radius); how little the surroundings are a
     plane, 1 - flatness.
     """
-    points = points[:: max(len(points) // _ENOUGH, 1)]
+    points = points[:: max(len(points) // 40_000, 1)]  # more make the statistics no better
     _, owner = nearest(points, nodes)
     offset, tangent = points - nodes[owner], _tangents(nodes, parent)[owner]
     along = np.sum(offset * tangent, axis=1)
@@ -80,12 +78,6 @@ def _tangents(nodes: Array, parent: NDArray[Any]) -> Array:
     return direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12)
 
 
-_LOW = 0.5
-_SAME = 0.1
-"""Tips so near to each other through the tree are the same base, per plant's extent."""
-_THICK = 1.5
-"""Wood counts as no thicker than this times the 95th percentile: a pot left over is no stem."""
-
 BASE_FITTED = (-19.95, 12.54, 14.04)
 BASE_SEEN = (2.79, 0.36)
 """Weights of `base_evidence` in the utility of a base; constant and weight of the best utility in the log-odds that the
@@ -99,7 +91,7 @@ def stem_gain(tree: RawTree) -> Array:
 
 
 class PlantBase(NamedTuple):
-    """Where a plant stands: the node, how likely that is, and where else it might be (itself, if nowhere)."""
+    """The stem's base node, its probability, and the second candidate (itself, if there is none)."""
 
     node: int
     probability: float
@@ -107,7 +99,8 @@ class PlantBase(NamedTuple):
 
 
 def find_root(tree: RawTree, candidates: int = 60) -> PlantBase:
-    """Return the tip in the lower half of the plant, among the lowest `candidates`, at which it most likely stands.
+    """Return the tip in the lower half of the plant, among the lowest `candidates`, that is most likely the stem's
+    base.
 
     The tips are the choices of a conditional logit, nested in whether the base is in the cloud (McFadden 1978).
     """
@@ -121,30 +114,30 @@ def find_root(tree: RawTree, candidates: int = 60) -> PlantBase:
 
 
 def same_place(tree: RawTree, tips: NDArray[np.int64], best: int) -> NDArray[np.bool_]:
-    """Return which of the tips (C,) are the same base as the best of them: stubs beside it."""
-    parent, order = rerooted(tree.parent, int(tips[best]))
+    """Return which of the tips (C,) are the same base as the best of them: within a tenth of the plant through it."""
+    parent, order = reroot(tree.parent, int(tips[best]))
     way = np.empty(len(order))
     way[order] = sum_above(parent, edge_lengths(tree.nodes[order], parent))
-    return way[tips] <= _SAME * _extent(tree)
+    return way[tips] <= 0.1 * _extent(tree)
 
 
 def base_evidence(tree: RawTree, candidates: int) -> tuple[NDArray[np.int64], Array]:
-    """Return the tips (C,) where the plant may stand and what speaks for each, (C, 3), relative to the plant's extent.
+    """Return the candidate tips (C,) for the base and their evidence (C, 3), relative to the plant's extent.
 
     Columns: the mean way through the tree to all that it would carry (a base is near to all); how much the plant's
     wood would rise, each edge by its squared inscribed radius and roundness (a stem is thick and grows up, a drooping
     leaf grows down); how far it lies below the top.
     """
     middle = int(np.argmin(_mean_way(tree)))
-    parent, order = rerooted(tree.parent, middle)
+    parent, order = reroot(tree.parent, middle)
     tree, extent = tree.taking(parent, order), _extent(tree)
     z = tree.nodes[:, 2]
     tips = np.flatnonzero(np.bincount(parent[1:], minlength=len(parent)) + (parent >= 0) == 1)
     tips = tips[np.argsort(z[tips])]
-    low = np.count_nonzero(z[tips] <= z.min() + _LOW * np.ptp(z))
-    tips = tips[: min(max(low, 1), candidates)]  # what hangs in an arc has no low tip
+    low = np.count_nonzero(z[tips] <= z.min() + 0.5 * np.ptp(z))
+    tips = tips[: min(max(low, 1), candidates)]  # a plant that hangs in an arc has no low tip
     wood = tree.thickness * _roundness(tree)
-    wood = np.minimum(wood / max(float(np.quantile(wood, 0.95)), 1e-12), _THICK) ** ALPHA
+    wood = np.minimum(wood / max(float(np.quantile(wood, 0.95)), 1e-12), 1.5) ** ALPHA  # a pot left over is no stem
     rising = (z - z[np.maximum(parent, 0)]) * wood  # from another root the way there is walked the other way round
     rise = rising.sum() - 2 * sum_above(parent, rising)
     return order[tips], np.stack([_mean_way(tree)[tips], rise[tips], z.max() - z[tips]], axis=1) / extent
@@ -169,21 +162,16 @@ def _extent(tree: RawTree) -> float:
     return max(float(np.linalg.norm(np.ptp(tree.nodes, axis=0))), 1e-12)
 
 
-_SOIL_REACH = 0.05
-"""The stem goes on straight, unseen, for at most this long down to the soil, and soil so far aside counts [m]."""
-_FEWEST_CELLS = 5
-_STEEPEST = 0.7
-"""Cosine of the greatest angle from the vertical at which a stem is taken to go on straight."""
-
-
 def distance_to_soil(base: Array, upward: Array, obstacles: Array) -> float:
     """Return how far below its lowest seen point (3,) the stem, straight on, meets the soil [m]; 0 if unknown.
+
+    Soil counts within 50 mm, from five cells on, below a stem that leans by 45 degrees at most.
 
     `upward` (3,) is the stem's unit vector there; the obstacles (M, 3) are points of pot and soil [m].
     """
     aside = np.linalg.norm(obstacles[:, :2] - base[:2], axis=1)
     below = base[2] - obstacles[:, 2]
-    soil = below[(aside <= _SOIL_REACH) & (np.abs(below) <= _SOIL_REACH)]
-    if len(soil) < _FEWEST_CELLS or upward[2] < _STEEPEST:
+    soil = below[(aside <= 0.05) & (np.abs(below) <= 0.05)]
+    if len(soil) < 5 or upward[2] < 0.7:
         return 0.0
     return max(float(np.median(soil)) / float(upward[2]), 0.0)

@@ -23,10 +23,6 @@ from anther.core.geometry import Array
 from anther.perception.skeleton.raw_tree import RawTree, rooted, with_extents
 from anther.perception.skeleton.voxel_solid import Voxels, bridges, components
 
-_NEIGHBOURS = 12
-_LONGEST_LINK = 3.0  # [voxels]
-_FAR = 4.0  # no line explains voxels farther from it than this and three times the spacing of the line [voxels]
-
 
 def thinned_tree(voxels: Voxels) -> RawTree:
     """Return the tree of the voxels that thinning leaves, rooted anywhere (P7 to P9)."""
@@ -35,7 +31,7 @@ def thinned_tree(voxels: Voxels) -> RawTree:
     touching = edges[np.abs(index[edges[:, 0]] - index[edges[:, 1]]).max(axis=1) <= 1]
     line = np.flatnonzero(medial_line(index, touching))
     nodes, radius = voxels.points[line], voxels.thickness[line]
-    links = knn_links(nodes, _LONGEST_LINK * voxels.voxel)
+    links = knn_links(nodes, 3 * voxels.voxel)
     links = spanning_tree(len(nodes), links, link_costs(nodes, radius, links))
     links = np.concatenate([links, bridges(nodes, components(len(nodes), links), np.inf)])
     parent, order = rooted(links, len(nodes), 0)
@@ -62,7 +58,7 @@ def medial_line(index: NDArray[Any], touching: NDArray[Any]) -> NDArray[np.bool_
 
 def knn_links(nodes: Array, longest: float) -> NDArray[Any]:
     """Return (E, 2) links of each node to its nearest neighbours within `longest` [m] (P8)."""
-    distance, other = map(np.asarray, KDTree(nodes).query(nodes, k=min(_NEIGHBOURS, len(nodes)), workers=1))
+    distance, other = map(np.asarray, KDTree(nodes).query(nodes, k=min(12, len(nodes)), workers=1))
     distance, other = distance.reshape(len(nodes), -1), other.reshape(len(nodes), -1)
     start = np.broadcast_to(np.arange(len(nodes))[:, None], other.shape)
     use = (distance <= longest) & (start != other)
@@ -93,12 +89,12 @@ def _lee(index: NDArray[Any]) -> NDArray[np.bool_]:
 
 
 def _uncovered(index: NDArray[Any], left: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return (N,) which voxels lie farther from the line than half the local thickness explains."""
+    """Return (N,) which voxels lie farther from the line than four voxels and three times its spacing."""
     if not left.any():
         return np.ones(len(index), dtype=bool)
     distance, _ = KDTree(index[left]).query(index)
     inside, _ = KDTree(index[left]).query(index[left], k=min(2, int(left.sum())))
-    return np.asarray(distance) > _FAR + 3 * float(np.median(inside))
+    return np.asarray(distance) > 4 + 3 * float(np.median(inside))
 
 
 def _wider(index: NDArray[Any]) -> NDArray[Any]:

@@ -11,21 +11,35 @@ from numpy.typing import NDArray
 from anther.core.errors import StageFailure, bad_input
 from anther.core.geometry import Array
 from anther.core.records import Range, Record, Shape, Share, Stored
-from anther.perception.skeleton import Skeleton, nearest_node
+from anther.perception.skeleton import LARGEST, SMALLEST, Skeleton, nearest_node
 from anther.perception.skeleton.raw_tree import chains, edge_lengths, longest_way
 from anther.perception.stem._main_axis import SHORTEST, fork_at, growth_end, path_score
-from anther.perception.stem._organs import BRANCH, LEAF, ORGAN_NAMES, SPUR, STEM, TRUSS, classify, stem_breadth
-from anther.perception.stem.confidence import doubt, rise_share, second_stem, stem_confidence
+from anther.perception.stem._organs import (
+    BRANCH,
+    LEAF,
+    LONGEST_PEDICEL,
+    ORGAN_NAMES,
+    PEDICEL,
+    SPUR,
+    STEM,
+    TRUSS,
+    classify,
+    stem_breadth,
+)
+from anther.perception.stem.confidence import doubt, find_second_stem, rise_share, stem_confidence
 
-__all__ = ["BRANCH", "LEAF", "ORGAN_NAMES", "STEM", "TRUSS", "Params", "Stem", "find_stem"]
+__all__ = [
+    "BRANCH", "LEAF", "LONGEST_PEDICEL", "ORGAN_NAMES", "PEDICEL", "STEM", "TRUSS", "Params", "Stem",
+    "find_stem",
+]  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
 class Params(Record):
-    """What a person may know better. What makes a path the main stem stands as constants beside its use.
+    """What a user may know.
 
     Attributes:
-        tip: where the main stem ends [m], by who knows better; None: it is found.
+        tip: where the main stem ends [m], if known; None: it is found.
     """
 
     tip: Annotated[tuple[float, float, float], Range(-1e9, 1e9, "m")] | None = None
@@ -82,7 +96,7 @@ def find_stem(skeleton: Skeleton, params: Params | None = None, *, flowers_at: A
 
     Args:
         skeleton: one rooted tree.
-        params: what is known better.
+        params: see `Params`.
         flowers_at: (F, 3) centres of flowers (`flowers.flower_centres`) [m]; without them no node is TRUSS.
 
     Raises:
@@ -105,7 +119,7 @@ def find_stem(skeleton: Skeleton, params: Params | None = None, *, flowers_at: A
     forked = [fork_at(skeleton, path, organ, int(i)) for i in attachments]
     fork = min([len(node_ids) - 1, *(i for i in forked if i is not None)])
     confidence = stem_confidence(skeleton, node_ids)
-    notes = (*_low(skeleton, node_ids), *second_stem(skeleton, node_ids), *doubt(confidence))
+    notes = (*_low(skeleton, node_ids), *find_second_stem(skeleton, node_ids), *doubt(confidence))
     return Stem(node_ids, arc_length, attachments, organ, fork, notes, confidence)
 
 
@@ -130,8 +144,8 @@ def _attachments(skeleton: Skeleton, node_ids: NDArray[Any], organ: NDArray[Any]
 
 def _plausible(nodes: Array, arc_length: Array, size: float) -> None:
     rise = nodes[:, 2].max() - nodes[0, 2]
-    if not 0.005 <= size <= 20:
-        problem = f"the plant measures {size:g} m (allowed: 0.005 to 20 m). Wrong units?"
+    if not SMALLEST <= size <= LARGEST:
+        problem = f"the plant measures {size:g} m (allowed: {SMALLEST:g} to {LARGEST:g} m). Wrong units?"
     elif arc_length[-1] < SHORTEST * size:
         problem = (
             f"the best candidate is {arc_length[-1] * 1e3:.1f} mm long on a plant of {size * 1e3:.0f} mm "

@@ -14,25 +14,18 @@ from anther.perception.skeleton.raw_tree import edge_lengths, longest_way, path_
 from anther.perception.stem._organs import BRANCH, PLANAR_BLADE, SPUR, stem_breadth
 
 SHORTEST = 0.05
-"""A shorter stem is not believed (share of the plant's size)."""
+"""A shorter stem is no stem (share of the plant's size)."""
 _WINDOW = 0.06  # length over which a step is judged (share of the plant's size)
 _BROADEST = 1.5
-"""A step broader than the narrowest below it by this factor, and than most below it, is none of a stem, which does not
-broaden upward; a leaf does after the neck at its base. Below the last limb it must be planar as well: leaves touch."""
+"""A step broader than the narrowest below it by this factor, and than most below it, is no stem, which does not broaden
+upward; a leaf does after the neck at its base. Below the last limb it must be planar as well: leaves touch."""
 _THINNEST = 0.35  # nor is one thinner than this share of the median radius so far
-_DOUBT = 2.0  # how much a length that is not stem-like counts against one that is
 _LEAFLET = 0.2
-"""A side line shorter than this, relative to the longest limb, is a leaflet (tried on the labelled plants of
-evaluation/perception/real_plants.py: from 0.2 to 0.45 ever fewer stems end in a leaf, but simulated ones shorten)."""
-_TOGETHER = 3  # so many nodes side by side are no sign of two lines: limbs that part begin so
-_LONGER = 1.5  # internodes shorten upward; the youngest leaf of a grass, rolled, looks like a long one
-_FORKED = 2  # so many limbs show that a stem goes on; one line beside the path can be the blade's own
-_TURN = 45.0  # degrees: a step that turns from the growth axis by more is not stem-like
+"""A side line shorter than this, relative to the longest limb, is a leaflet: larger shares shorten simulated stems."""
+_TURN = 45.0  # degrees: a step that turns from the growth axis by more, or a fork that leans more, is not stem-like
 _FORK_SHARE = 0.6
-"""A branch forks the stem when it is this share as thick as the stem beyond it and rises this share as high
-(docs/reports/skeletons.md: branches rise 0.85 times as high or more, petioles 0.48 times at most),"""
-_FORK_LEAN = 50.0
-"""and leans from the vertical by less than so many degrees."""
+"""A branch forks the stem when it is this share as thick as the stem beyond it and rises this share as high: branches
+rise 0.85 times as high or more, petioles 0.48 times at most (docs/reports/skeletons.md)."""
 _ROUND = 1.5  # sections up to this much broader than thick count as round: noise and one-sided views do that
 
 
@@ -40,7 +33,7 @@ def fork_at(skeleton: Skeleton, path: NDArray[Any], organ: NDArray[Any], at: int
     """Return where a branch that leaves the stem at position `at` of the path forks it, None where none does.
 
     A branch forks the stem when it is as much a stem as what goes on: it rises as high, leaves included, and its axis,
-    without them, is upright and as thick as the stem over the same nodes. The fork is where the two have parted: a
+    without them, is upright and as thick as the stem over the same nodes. The fork is where the two separate: a
     skeleton can have two lines side by side within one stem.
     """
     base = skeleton.nodes[path[at]]
@@ -48,7 +41,7 @@ def fork_at(skeleton: Skeleton, path: NDArray[Any], organ: NDArray[Any], at: int
     if not len(beyond):
         return None
     rise = float(skeleton.nodes[beyond, 2].max() - base[2])
-    parted = []
+    forks = []
     for child in np.flatnonzero((skeleton.parent == path[at]) & (organ == BRANCH)):
         limb = _highest_path(skeleton, int(child))
         axis = limb[organ[limb] == BRANCH]
@@ -56,9 +49,9 @@ def fork_at(skeleton: Skeleton, path: NDArray[Any], organ: NDArray[Any], at: int
         higher = skeleton.nodes[limb[-1], 2] - base[2] >= _FORK_SHARE * rise
         thick = np.median(skeleton.radius[beyond[: len(axis)]])
         thicker = np.median(skeleton.radius[axis]) >= _FORK_SHARE * thick
-        if higher and thicker and lean < _FORK_LEAN:
-            parted.append(at + _side_by_side(skeleton, path[at:], axis))
-    return min(parted, default=None)
+        if higher and thicker and lean < _TURN:
+            forks.append(at + _side_by_side(skeleton, path[at:], axis))
+    return min(forks, default=None)
 
 
 def _side_by_side(skeleton: Skeleton, path: NDArray[Any], axis: NDArray[Any]) -> int:
@@ -66,7 +59,7 @@ def _side_by_side(skeleton: Skeleton, path: NDArray[Any], axis: NDArray[Any]) ->
     away, nearest = map(np.asarray, KDTree(skeleton.nodes[path]).query(skeleton.nodes[axis]))
     within = away <= 2 * stem_breadth(skeleton, path)
     last = len(axis) if within.all() else int(np.argmin(within))
-    return int(nearest[:last].max(initial=0)) if last > _TOGETHER else 0
+    return int(nearest[:last].max(initial=0)) if last > 3 else 0  # all limbs begin in the stem's own section
 
 
 def _highest_path(skeleton: Skeleton, start: int) -> NDArray[Any]:
@@ -90,25 +83,25 @@ def growth_end(skeleton: Skeleton, path: NDArray[Any], size: float) -> int:
     """Return how many nodes of the path belong to the stem (P11).
 
     A step is stem-like unless it turns from the growth axis (root to here), thins, or is a blade: planar, and broader
-    than the stem below. The stem ends where the length that is stem-like, less `_DOUBT` times the rest, is
-    largest: a leaf that touches the stem does not end it, but the blade after which nothing stem-like comes does.
+    than the stem below. The stem ends where the length that is stem-like, less twice the rest, is largest: a leaf that
+    touches the stem does not end it, but the blade after which nothing stem-like comes does.
 
     A stem bears limbs. What goes on above the last one bears nothing, so nothing shows that it is a stem: if any of it
-    is broader than the stem, or not stem-like, or if it is much longer than every internode, it is the youngest leaf,
-    however round its petiole, its neck or its rolled blade. If it is longer than every limb, or if `_FORKED` or more
-    limbs leave the path further on, limbs were missed: a leaf bears none.
+    is broader than the stem, or not stem-like, or 1.5 times as long as every internode, it is the youngest leaf,
+    however round its petiole, its neck or its rolled blade. If it is longer than every limb, or if two limbs or more
+    leave the path further on, limbs were missed: a leaf bears none, but a blade can have a second line.
     """
     nodes = skeleton.nodes[path]
     length = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
     arc = np.concatenate([[0], np.cumsum(length)])
     straight, slim, solid = _stem_like(skeleton, path, arc, _WINDOW * size)
-    gain = np.cumsum(length * np.where(straight & (slim | solid), 1.0, -_DOUBT))
+    gain = np.cumsum(length * np.where(straight & (slim | solid), 1.0, -2.0))
     end = int(np.argmax(gain)) + 2
     limbs, further, longest = _limbs(skeleton, path, end)
     last, bare = int(limbs[-1]), arc[end - 1] - arc[limbs[-1]]
-    believed = last > 0 and arc[last] >= SHORTEST * size and bare <= longest and further < _FORKED
-    stem_like = (straight & slim)[last:].all() and bare <= _LONGER * np.diff(arc[limbs]).max(initial=0)
-    return last + 1 if believed and not stem_like else end
+    reliable = last > 0 and arc[last] >= SHORTEST * size and bare <= longest and further < 2
+    stem_like = (straight & slim)[last:].all() and bare <= 1.5 * np.diff(arc[limbs]).max(initial=0)
+    return last + 1 if reliable and not stem_like else end
 
 
 def _limbs(skeleton: Skeleton, path: NDArray[Any], end: int) -> tuple[NDArray[np.int64], int, float]:

@@ -1,10 +1,10 @@
 """Which organ each skeleton node belongs to: main stem, branch or petiole, truss, or leaf. J nodes, F flowers.
 
-Four observations tell organs apart, whatever the plant and its size:
+Four observations distinguish organs, whatever the plant and its size:
 
 - An axis (stem, branch, petiole, peduncle) is about as thick as broad, and not broader than the main stem that carries
   it; a blade is broader than the stem and many times broader than thick.
-- An axis is some stem widths long; the lines of a blade may begin with a shorter piece that looks like one.
+- An axis is some stem widths long; the lines of a blade may begin with a shorter piece that resembles one.
 - Nothing grows out of a blade: the axes of a plant are a connected part of the tree that holds the root.
 - A limb of a leafy plant ends in leaves or flowers. One that carries flowers and no leaf is a truss; one that carries
   neither is itself a narrow leaf, a stump or an error of the skeleton, and counts as leaf.
@@ -26,31 +26,31 @@ STEM, BRANCH, TRUSS, LEAF = range(4)
 ORGAN_NAMES = ("stem", "branch", "truss", "leaf")
 """A petiole is a branch; peduncle and pedicels are truss; blade, midrib and veins are leaf, a rachis either."""
 
-PLANAR_BLADE, _PLANAR_DOUBT = 0.68, 0.25
-"""Where the skeleton's flatness (planarity of the surroundings) is the first, blade is as likely as axis; where it is
-less by the second there is no doubt (both read off the development plants)."""
-_NARROW = 4.0  # a section as broad as the main stem tells nothing, one narrower by this factor leaves no doubt
-_STUB = 2.5  # an axis that leaves another is leaf when it is shorter than this, relative to the stem's half width
-SPUR = 3.0  # a leaf that leaves the stem counts as attached when longer than this, relative to the stem's half width
-_TRUSS_BREADTH = 4.0  # only a node not broader than this times the stem bears flowers: pedicels broaden a truss
-_FLOWER_REACH = 0.03
-"""And only when it is so near to the flower's centre [m]: a pedicel (9 to 22 mm; facts: pollination), a few millimetres
-of flower, and half the distance between nodes."""
-_LEAF_PER_FLOWER = 0.02  # a limb is a truss when it bears more flowers than it has leaf, at so much length each [m]
+PLANAR_BLADE = 0.68
+"""Flatness at which a node is as likely on a blade as on an axis (read off the development plants)."""
+_NARROW = 4.0  # a section as broad as the main stem is no evidence, one narrower by this factor certainly an axis
+SPUR = 2.5
+"""Shorter limbs, relative to the stem's half width, are no axis; shorter leaves are not attached to the stem."""
+PEDICEL, LONGEST_PEDICEL = 0.015, 0.025
+"""Length of a pedicel and of the longest with its flower [m]: 9 to 22 mm (facts: pollination 2)."""
 
 
 def classify(skeleton: Skeleton, main: NDArray[Any], flowers_at: Array) -> NDArray[np.uint8]:
-    """Return (J,) the organ of every node, with the main stem's nodes and the centres of flowers (F, 3) [m] given."""
+    """Return (J,) the organ of every node, with the main stem's nodes and the centres of flowers (F, 3) [m] given.
+
+    A node bears flowers within two pedicels if it is at most four times as broad as the stem, as pedicels make a truss.
+    A limb is a truss when it has less than 20 mm of leaf for each of its flowers.
+    """
     breadth = skeleton.breadth / stem_breadth(skeleton, main)
-    bears, beside = _flower_bearers(skeleton.nodes, flowers_at, breadth < _TRUSS_BREADTH, _FLOWER_REACH)
+    bears, near_flower = _flower_bearers(skeleton.nodes, flowers_at, breadth < 4, 2 * PEDICEL)
     axis = _axes(skeleton, main, breadth)
     organ = np.where(axis, BRANCH, LEAF).astype(np.uint8)
     organ[main] = STEM
     length = edge_lengths(skeleton.nodes, skeleton.parent)
-    is_truss = sum_below(skeleton.parent, _LEAF_PER_FLOWER * bears - length * ((organ == LEAF) & ~beside)) > 0
+    is_truss = sum_below(skeleton.parent, 0.02 * bears - length * ((organ == LEAF) & ~near_flower)) > 0
     is_truss &= sum_below(skeleton.parent, bears) > 0
     is_bare = (organ == BRANCH) & (sum_below(skeleton.parent, organ == LEAF) == 0)
-    is_bare &= length[is_bare].sum() < length[organ == LEAF].sum()  # else the plant has lost its leaves
+    is_bare &= length[is_bare].sum() < length[organ == LEAF].sum()  # else the plant is leafless
     return _limbs_named(skeleton.parent, organ, is_truss, is_bare)
 
 
@@ -63,13 +63,13 @@ def _flower_bearers(
     nodes: Array, flowers_at: Array, may_bear: NDArray[np.bool_], reach: float
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Return (J,) how many flowers each node bears, being the nearest within reach, and which are in reach of one."""
-    bears, beside = np.zeros(len(nodes)), np.zeros(len(nodes), dtype=bool)
+    bears, near_flower = np.zeros(len(nodes)), np.zeros(len(nodes), dtype=bool)
     if len(flowers_at):
         some = np.flatnonzero(may_bear)
         away, nearest = map(np.asarray, KDTree(nodes[some]).query(flowers_at))
         np.add.at(bears, some[nearest[away <= reach]], 1)
-        beside[some] = KDTree(flowers_at).query(nodes[some])[0] <= reach
-    return bears, beside
+        near_flower[some] = KDTree(flowers_at).query(nodes[some])[0] <= reach
+    return bears, near_flower
 
 
 def _axes(skeleton: Skeleton, main: NDArray[Any], breadth: Array) -> NDArray[np.bool_]:
@@ -79,17 +79,17 @@ def _axes(skeleton: Skeleton, main: NDArray[Any], breadth: Array) -> NDArray[np.
     narrower it is than the stem, and how little its surroundings are a plane. The rooted part with the largest sum is
     found from the tips down, so a contact with a neighbouring leaf does not end a branch that goes on beyond it.
     """
-    if skeleton.width is None or skeleton.flatness is None:  # of another program: no leaf can be told
+    if skeleton.width is None or skeleton.flatness is None:  # of another program: its leaves are unknown
         return np.ones(len(breadth), dtype=bool)
     length = edge_lengths(skeleton.nodes, skeleton.parent)
     narrow = -np.log(breadth) / np.log(_NARROW)
-    gain = length * np.clip(narrow + (PLANAR_BLADE - skeleton.flatness) / _PLANAR_DOUBT, -1, 1)
+    gain = length * np.clip(narrow + 4 * (PLANAR_BLADE - skeleton.flatness), -1, 1)
     axis = np.isin(np.arange(len(gain)), main)
     for j in range(len(gain) - 1, 0, -1):
         gain[skeleton.parent[j]] += max(gain[j], 0)
     for j in range(1, len(gain)):
         axis[j] |= axis[skeleton.parent[j]] and gain[j] > 0
-    axis[_stubs(skeleton.parent, length, axis, _STUB * stem_breadth(skeleton, main))] = False
+    axis[_stubs(skeleton.parent, length, axis, SPUR * stem_breadth(skeleton, main))] = False
     axis[main] = True
     return axis
 

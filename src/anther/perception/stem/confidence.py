@@ -1,4 +1,4 @@
-"""How sure the main stem is, and what the plant says of it. J nodes, S stem samples."""
+"""Confidence of the main stem, and evidence for it from the whole plant. J nodes, S stem samples."""
 
 from __future__ import annotations
 
@@ -17,20 +17,6 @@ FITTED = (-1.20, 1.48, 5.43)
 DOUBTFUL = 0.75
 """Below this confidence of stem or grasp the summaries warn."""
 
-SECOND_APART, SECOND_LOW, SECOND_LENGTH, SECOND_LEAN = 0.1, 0.05, 0.06, 35.0
-"""A second stem stands so far from the first, its foot lies so low, and it is followed so far up (shares of the
-plant's size); it leans from the vertical by less than this [degrees]."""
-SECOND_THICK, SECOND_TAPER = 0.55, 0.85
-"""A second stem's last piece is so thick at least, over the first one's foot and over as much of itself above: a leaf
-that hangs down is thinner, or tapers to its tip. Set on leaves of two maize and a sorghum, made pairs, and two tomatoes
-in one capture."""
-
-LEAST_RISE = 0.02
-"""A stem that rises by less than this share of the plant's height is no more doubtful for it."""
-
-TOP = 0.12
-"""Share of the stem that counts as its top."""
-
 
 def stem_confidence(skeleton: Skeleton, node_ids: NDArray[Any]) -> float | None:
     """Return the probability that at least 95 % of the stem's length lies within 5 mm of the true main axis, that it
@@ -46,11 +32,11 @@ def stem_confidence(skeleton: Skeleton, node_ids: NDArray[Any]) -> float | None:
 def stem_evidence(skeleton: Skeleton, node_ids: NDArray[Any]) -> Array:
     """Return (2,), larger is better: the log-odds of the stem's mean confidence, and how straight its top is.
 
-    Straightness is 0 less the mean turn from one node to the next [rad]: most wrong stems are right up to their top,
-    where they run on into a leaf or a truss.
+    Straightness is 0 less the mean turn from one node to the next [rad] over the stem's upper eighth: most wrong stems
+    are right up to their top, where they run on into a leaf or a truss.
     """
     assert skeleton.confidence is not None
-    top = skeleton.nodes[node_ids[-max(int(TOP * len(node_ids)), 2) - 2 :]]
+    top = skeleton.nodes[node_ids[-max(int(0.12 * len(node_ids)), 2) - 2 :]]
     steps = np.diff(top, axis=0)
     steps /= np.linalg.norm(steps, axis=1, keepdims=True)
     bend = np.linalg.norm(np.diff(steps, axis=0), axis=1).mean() if len(steps) > 1 else 0.0
@@ -58,12 +44,12 @@ def stem_evidence(skeleton: Skeleton, node_ids: NDArray[Any]) -> Array:
 
 
 def plant_evidence(skeleton: Skeleton, node_ids: NDArray[Any]) -> Array:
-    """Return (3,), larger is better: what the whole plant says of its main stem.
+    """Return (3,), larger is better: evidence for the main stem from the whole plant.
 
-    The log-odds that it begins where the plant stands; the logarithm of the share of the plant's height that it rises
+    The log-odds that it begins at the base; the logarithm of the share of the plant's height that it rises
     by (a drooping leaf's tip is low and short); and of how thick its sections are for their breadth (a blade is thin).
     """
-    rise = max(rise_share(skeleton, node_ids), LEAST_RISE)
+    rise = max(rise_share(skeleton, node_ids), 0.02)
     thick = float(np.median(skeleton.radius[node_ids] / skeleton.breadth[node_ids]))
     return np.array([logit(skeleton.rooted), np.log(rise), np.log(thick)])
 
@@ -78,29 +64,29 @@ def doubt(confidence: float | None, what: str = "main stem") -> tuple[str, ...]:
     """Return a warning when the confidence of stem or grasp is below DOUBTFUL."""
     if confidence is None or confidence >= DOUBTFUL:
         return ()
-    return (f"{what}: confidence {confidence:.2f} is below {DOUBTFUL:g}; look at it before you trust it",)
+    return (f"{what}: confidence {confidence:.2f} is below {DOUBTFUL:g}; check it before use",)
 
 
-def second_stem(skeleton: Skeleton, node_ids: NDArray[Any]) -> tuple[str, ...]:
+def find_second_stem(skeleton: Skeleton, node_ids: NDArray[Any]) -> tuple[str, ...]:
     """Return a warning when the tree comes down to the soil a second time: two plants have grown into each other.
 
-    What comes down must be upright over its last piece, about as thick as the stem's foot, and not taper downwards:
-    drooping leaves are not, or do.
+    What comes down stands a tenth of the plant's size aside. Its last piece is upright within 35 degrees, at least half
+    as thick as the stem's foot, and does not taper downwards: drooping leaves are thinner, or do.
     """
     nodes, root = skeleton.nodes, skeleton.nodes[0]
     size = float(np.linalg.norm(np.ptp(nodes, axis=0)))
+    piece = 0.06 * size
     thick = float(np.median(skeleton.radius[node_ids[: max(len(node_ids) // 4, 3)]]))
-    low = nodes[:, 2] <= root[2] + SECOND_LOW * size
-    aside = np.linalg.norm(nodes[:, :2] - root[:2], axis=1) >= SECOND_APART * size
+    low = nodes[:, 2] <= root[2] + piece
+    aside = np.linalg.norm(nodes[:, :2] - root[:2], axis=1) >= 0.1 * size
     for tip in np.flatnonzero((skeleton.children_count == 0) & low & aside):
         path = skeleton.path_from_root(int(tip))
         away = np.linalg.norm(nodes[path] - nodes[tip], axis=1)
-        down = path[away <= SECOND_LENGTH * size]
-        above = path[(away > SECOND_LENGTH * size) & (away <= 2 * SECOND_LENGTH * size)]
+        down, above = path[away <= piece], path[(away > piece) & (away <= 2 * piece)]
         rise = nodes[down[0]] - nodes[tip]
-        upright = rise[2] >= np.cos(np.radians(SECOND_LEAN)) * max(SECOND_LENGTH * size * 0.8, np.linalg.norm(rise))
+        upright = rise[2] >= np.cos(np.radians(35)) * max(0.8 * piece, np.linalg.norm(rise))
         foot, higher = (np.median(skeleton.radius[part]) if len(part) else 0.0 for part in (down, above))
-        if upright and foot >= SECOND_THICK * thick and foot >= SECOND_TAPER * higher:
+        if upright and foot >= 0.55 * thick and foot >= 0.85 * higher:
             x, y = nodes[tip, :2]
             return (f"main stem: a second stem seems to stand at x, y = {x:.2f}, {y:.2f} m: two plants in one?",)
     return ()

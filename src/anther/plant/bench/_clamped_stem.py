@@ -12,15 +12,11 @@ from scipy.optimize import brentq, root_scalar
 from anther.core.checks import check_array, check_range
 from anther.core.errors import InputError, StageFailure, bad_input
 from anther.core.geometry import Array
+from anther.plant.limits import GRAVITY
 from anther.rods import Clamp, Rods, equilibrium, natural_frequencies
 
 Orientation = Literal["upright", "horizontal", "hanging", "weightless"]
 """How the stem is held. "weightless" leaves gravity out, as beam formulas do."""
-
-G = 9.81
-"""Acceleration of free fall [m/s^2], as in `anther.rods.GRAVITY`."""
-SIDEWAYS = 0.5
-"""A mode with more than this share of its motion out of the vertical plane is a sideways one [-]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,11 +121,11 @@ def first_frequency(stem: ClampedStem, youngs: float, density: float, orientatio
         StageFailure: kind "no_convergence": an upright stem that would buckle.
     """
     rods = stem.rods(youngs, density, orientation)
-    gravity = (0.0, 0.0, 0.0 if orientation == "weightless" else -G)
+    gravity = (0.0, 0.0, 0.0 if orientation == "weightless" else -GRAVITY)
     modes = natural_frequencies(rods, Clamp.root(rods), 2, gravity=gravity)
     frequencies, shapes = modes[0], modes[1]
     sideways = np.sum(shapes[0, :, 1] ** 2) / np.sum(shapes[0] ** 2)
-    return float(frequencies[1 if orientation == "horizontal" and sideways > SIDEWAYS else 0])
+    return float(frequencies[1 if orientation == "horizontal" and sideways > 0.5 else 0])
 
 
 def tip_deflections(stem: ClampedStem, youngs: float, density: float, tip_mass: ArrayLike) -> Array:
@@ -157,12 +153,6 @@ def tip_compliance(stem: ClampedStem) -> float:
 def droop(stem: ClampedStem, youngs: float, density: float) -> float:
     """Return how far the tip of the horizontal stem sinks under its own weight and leaves, over its length [-]."""
     return -_tip_height(stem, youngs, density) / stem.length
-
-
-FARTHEST = 4.0
-"""How far ln E is searched on either side of its small-deflection value [-]."""
-STRETCHED = 0.02
-"""A stem that its own weight would stretch by more than this is too soft to be searched [-]."""
 
 
 def youngs_from_first_mode(stem: ClampedStem, frequency: float, density: float, orientation: Orientation) -> float:
@@ -193,7 +183,8 @@ def youngs_from_first_mode(stem: ClampedStem, frequency: float, density: float, 
         except StageFailure:
             return -1.0  # it buckles: too soft
 
-    softest = G * _mass(stem, density) / (np.pi * float(stem.radius.min()) ** 2 * STRETCHED)
+    stretched = 0.02  # by its own weight: no such stem is searched
+    softest = GRAVITY * _mass(stem, density) / (np.pi * float(stem.radius.min()) ** 2 * stretched)
     low = high = light
     while excess(high) < 0:
         low, high = high, 2 * high
@@ -246,10 +237,10 @@ def youngs_from_deflection(
         raise bad_input(
             "deflection", given=f"{sunk.max():g} m", allowed=f"< {stem.length:g} m, the length", do="Units?"
         )
-    stiff = G * tip_compliance(stem) * float(mass @ sunk / (sunk @ sunk))
+    stiff = GRAVITY * tip_compliance(stem) * float(mass @ sunk / (sunk @ sunk))
 
     def model(log_ratio: float) -> Array:
-        if abs(log_ratio) > FARTHEST:
+        if abs(log_ratio) > 4:  # 55 times softer or stiffer than small deflections say
             raise _inexplicable(sunk)
         return tip_deflections(stem, stiff * float(np.exp(log_ratio)), density, mass)
 

@@ -90,7 +90,7 @@ def fitted_motion(fit: FreeVibration, times: ArrayLike, displacement: ArrayLike,
 def mean_vibration(fits: Sequence[FreeVibration]) -> FreeVibration:
     """Return the inverse-variance mean of several plucks of one stem.
 
-    Its errors are the larger of what the fits promise and what the scatter between the plucks shows (the fits' error
+    Its errors are the larger of the fits' own errors and the scatter between the plucks (the fits' error
     times the Birge ratio: Birge, Phys. Rev. 40, 207, 1932). `explained` is the least of the plucks.
     """
     if len(fits) == 1:

@@ -32,11 +32,7 @@ from anther.plant.model import TOMATO, Material
 
 SCHEMA = 1
 DISAGREEMENT = 2.0
-"""Estimates farther apart than so many standard errors of their difference are called in disagreement [-]."""
-LEAST_EXPLAINED = 0.7
-"""A fit that explains less of a trace's variance while it decays is warned about [-]."""
-LARGE_DROOP = 0.2
-"""A horizontal stem that hangs lower than this share of its length is warned about [-]."""
+"""Estimates farther apart than so many standard errors of their difference disagree [-]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,8 +91,8 @@ def disagreement(a: Quantity, b: Quantity) -> float:
 def combine(a: Quantity, b: Quantity) -> Quantity:
     """Return the geometric mean of two estimates that has the least variance.
 
-    The weights allow for shared errors and stay within 0 and 1. Where the two disagree, one of them has an error that
-    nobody stated: the weights are then equal, and half the distance is added as an error of its own.
+    The weights allow for shared errors and stay within 0 and 1. Where the two disagree, one of them has an unstated
+    error: the weights are then equal, and half the distance is added as an error of its own.
     """
     sources = a.shares.keys() | b.shares.keys()
     shared = sum(a.shares.get(s, 0.0) * b.shares.get(s, 0.0) for s in sources)
@@ -320,35 +316,35 @@ def _material(prior: Material, density: Quantity, vibration: FreeVibration | Non
 def _warnings(
     test: MaterialTest, density: Quantity, vibration: FreeVibration | None, estimates: tuple[Quantity, ...]
 ) -> list[str]:
-    said = []
+    warnings = []
     if len(estimates) == 2 and (apart := disagreement(*estimates)) > DISAGREEMENT:
         each = ", ".join(f"{e.value / 1e6:.3g} MPa from {e.name}" for e in estimates)
-        said.append(
+        warnings.append(
             f"the estimates of E disagree: {each}, {apart:.1f} standard errors apart. Leaves left out, the wrong "
             "orientation, a clamp that gives, or too few radii are the usual causes. The result lies halfway, half the "
             "distance being one more error."
         )
-    if vibration is not None and vibration.explained < LEAST_EXPLAINED:
-        said.append(
+    if vibration is not None and vibration.explained < 0.7:
+        warnings.append(
             f"the fit explains only {vibration.explained:.0%} of a trace: it is not one decaying oscillation. Cut off "
             "what lies before the release (--start), or pluck more gently."
         )
     if vibration is not None and vibration.damping_ratio < 1e-4 and np.isfinite(vibration.damping_error):
-        said.append(f"damping ratio {vibration.damping_ratio:.2g}: no decay was seen; the prior's damping is kept.")
+        warnings.append(f"damping ratio {vibration.damping_ratio:.2g}: no decay was seen; the prior's damping is kept.")
     if test.stem is not None and vibration is not None and test.orientation == "weightless":
-        said.append(
+        warnings.append(
             "gravity is left out, as beam formulas do; it slows an upright stem and hastens a hanging one. Say how the "
             "stem was held (--orientation)."
         )
     horizontal = test.orientation == "horizontal" or len(test.tip_mass) > 0
     if test.stem is not None and estimates and horizontal:
         sag = droop(test.stem, estimates[-1].value, density.value)
-        if sag > LARGE_DROOP:
-            said.append(
+        if sag > 0.2:
+            warnings.append(
                 f"held horizontal, the stem's tip hangs {sag:.0%} of its length low; its shape without weight is taken "
                 "as straight. Cut it shorter or take leaves off for a better test."
             )
-    return said
+    return warnings
 
 
 def write_material(path: Path | str, material: Material) -> None:

@@ -113,7 +113,7 @@ def _places(path: Path, line: int, header: list[str], columns: Sequence[Column])
         if column is not None and column.name in places:
             first = places[column.name][0]
             raise bad_input(
-                f"{path}, line {line}, column {place + 1}", given=f"'{title}' beside '{first}'", allowed="one of them",
+                f"{path}, line {line}, column {place + 1}", given=f"'{title}' and '{first}'", allowed="one of them",
                 do="Remove the other.",
             )  # fmt: skip
         if column is not None:

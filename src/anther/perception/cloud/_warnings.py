@@ -1,7 +1,7 @@
-"""What looks wrong: blind views, a plant cut off or left out, masks that hold the ground, and views that disagree.
+"""Warnings: blind views, a plant cut off or left out, masks that hold the ground, and views that disagree.
 
-Wrong intrinsics or poses put a view's points where other views see through. How much of that there is tells right
-captures from wrong ones; which change would make the views agree tells what is wrong with them.
+Wrong intrinsics or poses put a view's points where other views see through. Its share separates right captures
+from wrong ones; the change that would make the views agree names the cause.
 Every check returns a sentence for the user, or nothing. V views, H x W pixels, N points.
 """
 
@@ -19,49 +19,38 @@ from anther.core.geometry import Array, Box, Intrinsics, inverse, transform_poin
 from anther.perception.capture import OPENGL_TO_OPENCV, Capture
 from anther.perception.cloud._fusion import balances
 
-RANGE = (0.05, 10.0)
-"""Readings outside are no plant's [m]: a D455 measures from 0.3 m, a D405 from 0.09 m (facts: perception)."""
-BLIND = 0.3
-"""A view is blind when fewer pixels read a depth than this share of what the median view has."""
-NEAR, COVERED = 0.4, 0.15
-"""Something nearer than this share of the plant's distance blocks a view when it covers this share of the image."""
-EDGE, CUT = 0.004, 0.005
-"""A plant is cut off when this share of its points lies so near the workspace's faces [m]."""
-ONE_SIDE, FEW = 100.0, 4
-"""Views within so narrow an arc about the plant see it from one side [degrees]; fewer than so many are few."""
-SECOND, SECOND_SIZE = 0.03, 0.08
-"""What is left out is worth a word when it has this share of all points and this diagonal [m]."""
-SLAB, GROUND_POINTS, GROUND_AREA = 0.01, 0.25, 0.2
-"""A layer this thick [m] is ground when it holds this share of the points and of the workspace's area."""
 
+def warn_of_views(depth: NDArray[Any], labels: NDArray[Any]) -> tuple[str, ...]:
+    """Return which views are blind or blocked, by number, of depth (V, H, W) [m] and the masks' labels (V, H, W).
 
-def view_doubts(depth: NDArray[Any], labels: NDArray[Any]) -> tuple[str, ...]:
-    """Return which views are blind or blocked, by number, of depth (V, H, W) [m] and the masks' labels (V, H, W)."""
-    thin = depth[:, ::4, ::4]
-    usable = (thin > RANGE[0]) & (thin < RANGE[1])
+    A blind view has less than 0.3 of the median view's readings; in a blocked one something at less than 0.4 of the
+    plant's distance covers 0.15 of the image.
+    """
+    thin, nearest, farthest = depth[:, ::4, ::4], 0.05, 10.0  # a D405 measures from 0.09 m (facts: perception)
+    usable = (thin > nearest) & (thin < farthest)
     seen = usable.mean(axis=(1, 2))
     plant = thin[usable & (labels[:, ::4, ::4] > 0)]
-    close = NEAR * float(np.median(plant)) if len(plant) else 0.0
+    close = 0.4 * float(np.median(plant)) if len(plant) else 0.0
     near = ((thin > 0) & (thin < close)).mean(axis=(1, 2))
     blind = [
-        f"view {v}: the depth image is blind ({seen[v]:.0%} of it reads {RANGE[0]:g} to {RANGE[1]:g} m)"
-        for v in np.flatnonzero(seen < BLIND * np.median(seen))
+        f"view {v}: the depth image is blind ({seen[v]:.0%} of it reads {nearest:g} to {farthest:g} m)"
+        for v in np.flatnonzero(seen < 0.3 * np.median(seen))
     ]
     blocked = [
         f"view {v}: something nearer than {close:.2f} m covers {near[v]:.0%} of the image"
-        for v in np.flatnonzero(near > COVERED)
+        for v in np.flatnonzero(near > 0.15)
     ]
     return (*blind, *blocked)
 
 
-def coverage_doubts(centre: Array, T_world_cam: Array) -> tuple[str, ...]:
-    """Return whether the cameras (V, 4, 4) are few, or on one side only of the plant's centre (3,) [m]."""
-    if len(T_world_cam) < FEW:
+def warn_of_coverage(centre: Array, T_world_cam: Array) -> tuple[str, ...]:
+    """Return whether the cameras (V, 4, 4) are fewer than 4, or see the plant's centre (3,) [m] from one side only."""
+    if len(T_world_cam) < 4:
         return (f"only {len(T_world_cam)} views show the plant: how deep its organs are is half guessed",)
     away = T_world_cam[:, :2, 3] - centre[:2]
     azimuth = np.sort(np.degrees(np.arctan2(away[:, 1], away[:, 0])))
     arc = 360 - float(np.diff(azimuth, append=azimuth[0] + 360).max())
-    if arc >= ONE_SIDE:
+    if arc >= 100:  # a guess
         return ()
     return (
         f"the views see the plant from one side only, over {arc:.0f} degrees: how deep its organs are is half guessed",
@@ -72,15 +61,16 @@ def refuse_ground(points: Array, box: Box) -> None:
     """Refuse points (N, 3) [m] most of which are bench or soil.
 
     Raises:
-        StageFailure: `no_plant_found`, when a level layer holds GROUND_POINTS of the points and spreads over
-            GROUND_AREA of the workspace.
+        StageFailure: `no_plant_found`, when a level layer of 10 mm holds a quarter of the points and spreads over a
+            fifth of the workspace.
     """
-    level = np.floor((points[:, 2] - box.lower[2]) / SLAB).astype(np.int64)
+    slab = 0.01
+    level = np.floor((points[:, 2] - box.lower[2]) / slab).astype(np.int64)
     fullest = int(np.argmax(np.bincount(level)))
     within = points[level == fullest]
-    cells = np.unique(np.floor(within[:, :2] / SLAB), axis=0)
-    area = len(cells) * SLAB**2 / float(np.prod((box.upper - box.lower)[:2]))
-    if len(within) >= GROUND_POINTS * len(points) and area >= GROUND_AREA:
+    cells = np.unique(np.floor(within[:, :2] / slab), axis=0)
+    area = len(cells) * slab**2 / float(np.prod((box.upper - box.lower)[:2]))
+    if len(within) >= 0.25 * len(points) and area >= 0.2:
         raise StageFailure(
             "no_plant_found",
             f"cloud: {len(within) / len(points):.0%} of what the masks call plant is one level surface over {area:.0%} "
@@ -88,16 +78,18 @@ def refuse_ground(points: Array, box: Box) -> None:
         )
 
 
-def cloud_doubts(points: Array, kept: NDArray[np.bool_], box: Box) -> tuple[str, ...]:
-    """Return whether the workspace cuts the plant, the `kept` of all points (N, 3) [m], and what else stands in it."""
+def warn_of_cloud(points: Array, kept: NDArray[np.bool_], box: Box) -> tuple[str, ...]:
+    """Return whether the workspace cuts the plant, the `kept` of all points (N, 3) [m], and whether a second object is
+    in it."""
     return (*_cut(points[kept], box), *_left_out(points, kept))
 
 
 def _cut(plant: Array, box: Box) -> tuple[str, ...]:
+    """Return a note where 0.5 % of the plant's points lie within 4 mm of a face of the workspace."""
     faces = np.stack([plant - box.lower, box.upper - plant])
-    at_edge = (faces < EDGE).mean(axis=1)
+    at_edge = (faces < 0.004).mean(axis=1)
     side, axis = np.unravel_index(int(np.argmax(at_edge)), at_edge.shape)
-    if at_edge.max() < CUT:
+    if at_edge.max() < 0.005:
         return ()
     limit = (box.lower, box.upper)[side][axis]
     return (
@@ -107,37 +99,25 @@ def _cut(plant: Array, box: Box) -> tuple[str, ...]:
 
 
 def _left_out(points: Array, kept: NDArray[np.bool_]) -> tuple[str, ...]:
+    """Return a note where 3 % of the points, over 80 mm, are left out."""
     rest = points[~kept]
-    if len(rest) < SECOND * len(points):
+    if len(rest) < 0.03 * len(points):
         return ()
     centre = np.median(rest, axis=0)
     size = float(np.linalg.norm(np.subtract(*np.quantile(rest, [0.9, 0.1], axis=0))))
-    if size < SECOND_SIZE:
+    if size < 0.08:
         return ()
     return (
-        f"{len(rest) / len(points):.0%} of the points hang together less with the plant and were left out, around "
+        f"{len(rest) / len(points):.0%} of the points are loosely connected to the plant and were left out, around "
         f"x, y, z = {centre[0]:.2f}, {centre[1]:.2f}, {centre[2]:.2f} m: a second plant?",
     )
 
 
 MOST_SEEN_THROUGH = 0.12
-"""Share of what other views judge of a view's points that they see through, after registration, above which views
-disagree. Measured: right captures 0.03 to 0.065 (simulated tomato and pepper, also with three times the arm's errors; a
-real sorghum), focal lengths 20 % off 0.20 to 0.56 (docs/reports/confidence.md); this is the geometric middle of 0.065
-and 0.20.
-"""
-ENOUGH = 200
-"""Fewer judgements than this say nothing."""
+"""Views disagree where they see through a larger share of each other's points: between right captures, 0.065 at most,
+and focal lengths 20 % off, 0.20 at least (docs/reports/confidence.md)."""
 JUDGED = 600
-"""At most so many points of a view are judged."""
-GREY = 8
-"""Images whose channels differ by no more than this [grey levels] in 99 of 100 pixels have no colour."""
-FOCAL = (0.5, 0.667, 0.75, 0.8, 0.9, 1.111, 1.25, 1.333, 1.5, 2.0)
-"""Focal lengths that are tried, over the given one: a tenth to a third off, or of images of half or twice the size."""
-STEPS = (0.1, 0.25, 4.0, 10.0)
-"""Depths that are tried, over the given one: steps of 0.1 or 0.25 mm taken for 1 mm, or the other way round."""
-LEAST_GAIN = 0.1
-"""A change is the cause if it makes so much more of what the views could judge agree [-], and twice as much."""
+"""At most so many points of a view are judged: more take time."""
 
 
 def seen_through(
@@ -160,10 +140,10 @@ def seen_through(
     return (contradictions / count if count else 0.0), count
 
 
-def disagreement(
+def find_disagreement(
     capture: Capture, points_cam: Sequence[Array], poses: Array, used: NDArray[np.bool_]
 ) -> tuple[tuple[str, ...], float]:
-    """Return what to tell the user of views that disagree, and the share of `seen_through`; nothing and 0 else.
+    """Return notes on views that disagree, and the share of `seen_through`; nothing and 0 where they agree.
 
     Points of a view (N_v, 3) are in its camera frame [m]; the poses (V, 4, 4) are those after registration.
     """
@@ -172,10 +152,11 @@ def disagreement(
         return (), 0.0
     points = [points_cam[v] for v in views]
     share, count = seen_through(points, poses[views], capture.depth[views], capture.intrinsics)
-    if count >= ENOUGH and share <= MOST_SEEN_THROUGH:
+    enough = count >= 200  # judgements; fewer are no evidence
+    if enough and share <= MOST_SEEN_THROUGH:
         return (), 0.0
-    cause = likely_cause(capture, points_cam if count >= ENOUGH else None)
-    if count < ENOUGH:
+    cause = likely_cause(capture, points_cam if enough else None)
+    if not enough:
         return ((f"the views hardly see the same of the plant: none confirms another. {cause}",) if cause else ()), 0.0
     return (
         f"the views disagree: where one sees the plant, others see through it in {share:.0%} of all cases; at most "
@@ -185,10 +166,11 @@ def disagreement(
 
 
 def likely_cause(capture: Capture, points_cam: Sequence[Array] | None = None) -> str:
-    """Return what is probably wrong with a capture, as a sentence for the user, or nothing where nothing stands out.
+    """Return what is probably wrong with a capture, as a sentence for the user; "" where no cause is clear.
 
     The views are compared as given, with other focal lengths, with depth in other steps, with the camera's axes of the
-    other convention (OpenCV: y down, z forward; OpenGL: y up, z backward), and with each pose inverted.
+    other convention (OpenCV: y down, z forward; OpenGL: y up, z backward), and with each pose inverted. The cause is
+    what makes twice as many judgements agree, and a tenth more of all that there could be.
 
     Args:
         capture: the views, with the poses as given.
@@ -203,16 +185,17 @@ def likely_cause(capture: Capture, points_cam: Sequence[Array] | None = None) ->
     given = _agreement(capture, points)
     tried = [(_agreement(changed, scaled), words) for changed, scaled, words in _changes(capture, points)]
     best, words = max(tried, key=lambda found: found[0])
-    return words if best > max(2 * given, given + LEAST_GAIN) else ""
+    return words if best > max(2 * given, given + 0.1) else ""
 
 
 def _is_grey(rgb: NDArray[Any]) -> bool:
+    """Return whether the channels differ by no more than noise, 8 grey levels, in 99 of 100 pixels."""
     spread = np.ptp(rgb[:, ::4, ::4], axis=-1)
-    return bool((spread <= GREY).mean() > 0.99)
+    return bool((spread <= 8).mean() > 0.99)
 
 
 def _changes(capture: Capture, points: Sequence[Array]) -> Iterator[tuple[Capture, Sequence[Array], str]]:
-    """Yield captures and points as they would be without a common mistake, and what to tell the user of it."""
+    """Yield captures and points as they would be without a common mistake, and a note on it."""
     T, flip, k = capture.T_world_cam, OPENGL_TO_OPENCV, capture.intrinsics
     yield (
         replace(capture, T_world_cam=T @ flip),
@@ -226,7 +209,7 @@ def _changes(capture: Capture, points: Sequence[Array]) -> Iterator[tuple[Captur
             points,
             "They would agree if every pose were inverted: transform_matrix maps from the camera to the world.",
         )
-    for times in STEPS:
+    for times in (0.1, 0.25, 4.0, 10.0):  # steps of 0.1 or 0.25 mm taken for 1 mm, or the other way round
         try:
             scaled = replace(capture, depth=capture.depth * np.float32(times))
         except InputError:  # no plausible depth
@@ -235,9 +218,9 @@ def _changes(capture: Capture, points: Sequence[Array]) -> Iterator[tuple[Captur
             scaled,
             [p * times for p in points],
             f"They would agree if depth were {times:g} times what it is: is depth_unit_scale_factor in transforms.json "
-            "right? It says metres per step of the depth image, by default 0.001.",
+            "right? It gives metres per step of the depth image, by default 0.001.",
         )
-    for share in FOCAL:
+    for share in (0.5, 2 / 3, 0.75, 0.8, 0.9, 1 / 0.9, 1.25, 4 / 3, 1.5, 2.0):  # 2: of images of half the size
         yield (
             replace(capture, intrinsics=replace(k, fx=k.fx * share, fy=k.fy * share)),
             [p / [share, share, 1.0] for p in points],
