@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -33,18 +34,19 @@ class Eye(NamedTuple):
     lens: tuple[float, ...]
     pose: Any
 
-    def rays(self) -> Any:
-        """Return (H, W, 3) directions of all pixels, z = 1; NaN where the lens shows nothing."""
-        K = np.eye(3)
-        K[0, 0], K[1, 1] = (f * n for f, n in zip(self.unit[2:], self.whole, strict=True))
-        K[0, 2], K[1, 2] = (c * n - o - 0.5 for c, n, o in zip(self.unit[:2], self.whole, self.corner, strict=True))
-        grid = np.stack(np.meshgrid(*(np.arange(n, dtype=float) for n in self.size)), axis=-1).reshape(-1, 1, 2)
-        k1, k2, k3, k4, k5, k6 = self.lens
-        stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-10)
-        D = np.array([k1, k2, P1, P2, k3, k4, k5, k6])
-        flat = cv2.undistortPointsIter(grid, K, D, np.eye(3), np.eye(3), stop)
-        flat[~(np.linalg.norm(flat, axis=-1) < 1.7)] = np.nan
-        return np.concatenate([flat, np.ones_like(flat[..., :1])], axis=-1).reshape(*self.size[::-1], 3)
+
+@cache
+def rays(size: Any, whole: Any, corner: Any, unit: Any, lens: Any) -> Any:
+    """Return (H, W, 3) directions of all pixels of an `Eye`, z = 1; NaN where the lens shows nothing."""
+    K = np.eye(3)
+    K[0, 0], K[1, 1] = unit[2] * whole[0], unit[3] * whole[1]
+    K[0, 2], K[1, 2] = (c * n - o - 0.5 for c, n, o in zip(unit[:2], whole, corner, strict=True))
+    grid = np.stack(np.meshgrid(*(np.arange(n, dtype=float) for n in size)), axis=-1).reshape(-1, 1, 2)
+    k1, k2, k3, k4, k5, k6 = lens
+    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-10)
+    flat = cv2.undistortPointsIter(grid, K, np.array([k1, k2, P1, P2, k3, k4, k5, k6]), np.eye(3), np.eye(3), stop)
+    flat[~(np.linalg.norm(flat, axis=-1) < 1.7)] = np.nan
+    return np.concatenate([flat, np.ones_like(flat[..., :1])], axis=-1).reshape(*size[::-1], 3)
 
 
 P1, P2 = 8.1e-5, -5.1e-5
@@ -68,8 +70,7 @@ def pose(frame: int) -> Any:
 
 def seen(eye: Eye, T_world_eye: Any) -> tuple[Any, Any]:
     """Return (H, W) z-depth of the wall up to 3 m [m], 0 elsewhere, and (H, W, 3) its colours."""
-    rays = eye.rays()
-    turned = rays @ T_world_eye[:3, :3].T
+    turned = rays(*eye[:5]) @ T_world_eye[:3, :3].T
     depth = (OFFSET - NORMAL @ T_world_eye[:3, 3]) / (turned @ NORMAL)
     x = T_world_eye[0, 3] + depth * turned[..., 0]
     depth = np.where((depth > 0) & (depth < 3), depth, 0)

@@ -72,6 +72,12 @@ def straightened(image: NDArray[Any], maps: Maps | None, *, nearest: bool) -> ND
     return cv2.remap(image, *maps, cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR)
 
 
+def is_shown(maps: Maps, camera: Intrinsics) -> NDArray[np.bool_]:
+    """Return (H, W) whether pixels of the straight image lie within the distorted one, which is of `camera`'s size."""
+    halves = camera.width / 2, camera.height / 2
+    return np.logical_and(*(np.abs(at + 0.5 - half) <= half for at, half in zip(maps, halves, strict=True)))
+
+
 def laid_over(depth: NDArray[np.float32], of: Intrinsics, onto: Intrinsics, T_onto_of: Array) -> NDArray[np.float32]:
     """Return the depth image as another camera would see it: every pixel's footprint, the nearest one in front.
 

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.core.cameras import Maps, laid_over, straightened, straightening
+from anther.core.cameras import Maps, is_shown, laid_over, straightened, straightening
 from anther.core.checks import check_array, check_range
 from anther.core.errors import InputError, bad_input
 from anther.core.files import LARGEST_TEXT, understood
@@ -215,9 +215,7 @@ def _straight(what: str, camera: Intrinsics, D: Array, radius: float, *, wider: 
     maps[0][x**2 + y[:, None] ** 2 > radius**2] = -1  # outside of the image
     if not wider:
         return straight, maps
-    inside = (np.abs(maps[0] + 0.5 - camera.width / 2) <= camera.width / 2) & (
-        np.abs(maps[1] + 0.5 - camera.height / 2) <= camera.height / 2
-    )
+    inside = is_shown(maps, camera)
     rows, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
     if not len(rows):
         raise ValueError("a lens that shows nothing")
@@ -235,12 +233,15 @@ def _capture(
     camera = scaled(onto.intrinsics, (onto.intrinsics.width // finer, onto.intrinsics.height // finer))
     size = check_views(len(views), camera)
     T_onto_of = onto.T_camera_rig @ inverse(of.T_camera_rig)
+    shown = np.ones(size[::-1], bool) if onto.maps is None else is_shown(onto.maps, onto.intrinsics)
+    coloured = cv2.resize(shown.astype(np.float32), size, interpolation=cv2.INTER_AREA) == 1
     depths, colours = [], []
     for view in views:
         image = _depth(held, depth, held.frames[depth.number][view.depth])
         image = straightened(image, of.maps, nearest=True)
         if colour is not None:
             image = laid_over(image, of.intrinsics, camera, T_onto_of)
+            image[~coloured] = 0
             rgb = straightened(_colour(held, colour, held.frames[colour.number][view.color]), onto.maps, nearest=False)
             colours.append(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA))
         depths.append(image)

@@ -14,7 +14,7 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from anther.core.cameras import laid_over, straightened
+from anther.core.cameras import is_shown, laid_over, straightened
 from anther.core.errors import bad_input
 from anther.core.geometry import Array, inverse, transform_from_pose7
 from anther.core.records import Range, Record
@@ -134,7 +134,8 @@ def read_bag(path: Path | str, options: BagOptions | None = None) -> BagViews:
         check_motion(str(path), views)
     depth = [straightened(image, depth_camera.maps, nearest=True) for image, _ in images]
     if T_color_depth is not None:
-        depth = [laid_over(d, depth_camera.intrinsics, camera.intrinsics, T_color_depth) for d in depth]
+        coloured = camera.maps is None or is_shown(camera.maps, camera.intrinsics)
+        depth = [laid_over(d, depth_camera.intrinsics, camera.intrinsics, T_color_depth) * coloured for d in depth]
     capture = Capture(
         depth=np.stack(depth),
         intrinsics=camera.intrinsics,
