@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -65,7 +65,7 @@ def _image(draw: Callable[[bool], Figure], alt: str) -> str:
 def _embedded(figure: Figure, finer: float) -> str:
     """Return a figure as a PNG within an address, and free its memory."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110 * finer)
+    figure.savefig(buffer, format="png", dpi=110 * finer, bbox_inches="tight", pad_inches=0.05)
     figure.clear()
     return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"
 
@@ -242,7 +242,7 @@ def _steps(results: RunResults) -> str:
             ),
             quantity(step.median, "m/s2"),
             f"{np.isfinite(step.flowers).sum()} of {len(step.flowers)}",
-            f"{step.used:.0%} {step.binds}",
+            f"{step.used:.0%}, {step.binds}",
             f"{step.seconds:.2f} s",
             step.decided,
         ]
@@ -370,8 +370,19 @@ def _belief(material: Material, attribute: str, factor: float, unit: str) -> str
 
 
 def _notes(results: RunResults) -> str:
-    notes = results.notes()
-    return "<ul>" + "".join(f"<li>{escape(n)}</li>" for n in notes) + "</ul>" if notes else ""
+    return _list(results.notes())
+
+
+def _cell(results: RunResults) -> str:
+    """Return what was supposed of a cell file's machines where these were simulated."""
+    lines = () if results.visit is None else results.visit.simulated_as
+    cell = Path(str(results.params.get("cell", ""))).name
+    head = f"As {cell} says, with its {results.arm}. What the file lacks is supposed, and told here."
+    return f"<p>{escape(head)}</p>{_list(lines)}" if lines else ""
+
+
+def _list(lines: Sequence[str]) -> str:
+    return "<ul>" + "".join(f"<li>{escape(line)}</li>" for line in lines) + "</ul>" if lines else ""
 
 
 def _timing(results: RunResults) -> str:
@@ -427,6 +438,7 @@ SECTIONS = {
     "The shake, step by step": _steps,
     "How the flowers moved": _motion,
     "What was learned": _learned,
+    "The cell that was simulated": _cell,
     "What to know": _notes,
     "Where the time went": _timing,
     "Parameters": _parameters,

@@ -104,7 +104,10 @@ class RunResults:
     @property
     def subtitle(self) -> str:
         """When and with what."""
-        return f"{self.params.get('started', '')} · Anther {self.params.get('anther', '')} · {self.folder.name}"
+        parts = [self.params.get("started", ""), f"Anther {self.params.get('anther', '')}", self.folder.name]
+        if self.visit is not None:
+            parts.append(f"{self.arm}{', simulated' if self.simulated or self.visit.simulated_as else ''}")
+        return " · ".join(map(str, parts))
 
     @property
     def shaken(self) -> ShakePlan | None:
