@@ -84,6 +84,18 @@ def test_a_flower_has_amplitude_and_acceleration_from_the_same_look(tmp_path: Pa
     assert rows["Flower 4"] == ["not measured", "not measured"]
 
 
+def test_the_grasp_that_was_carried_out_is_marked_though_others_were_tried_before(tmp_path: Path) -> None:
+    """A later plan chooses among the grasps that are left: its index is not the rank."""
+    results = trial(tmp_path, attempts=("the grasp 20 cm up the stem is left for the next: nothing",))
+    assert results.shake is not None
+    held = results.shake.grasp
+    other = np.array(held.T_world_flange)
+    other[:3, 3] += 0.05
+    rows = said(replace(results, grasps=(replace(held, T_world_flange=other), held)), "The grasp", tmp_path)
+    assert [row[0] for row in rows] == ["Rank", "1", "2 (carried out)"]
+    assert "is left for the next: nothing</li>" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
 def test_what_a_negative_clearance_means_is_said_where_there_is_one(tmp_path: Path) -> None:
     results = trial(tmp_path)
     assert results.shake is not None

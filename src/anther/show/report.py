@@ -143,7 +143,7 @@ def _plant(results: RunResults) -> str:
 def _grasp(results: RunResults) -> str:
     if not results.grasps:
         return ""
-    held = None if results.shaken is None else results.shaken.grasp_index
+    held = results.held_rank
     listed = [(rank, g) for rank, g in enumerate(results.grasps) if rank < SHOWN or rank == held]
     rows = [
         [
@@ -161,7 +161,8 @@ def _grasp(results: RunResults) -> str:
     text = "<p>Confidence is the probability that the main stem closes between the pads, whatever is beside it."
     if any(g.clearance < 0 for _, g in listed):
         text += f" {CLEARANCE}"
-    return f"{text}</p>{_table(header, rows, chosen=None if held is None else min(held, SHOWN))}"
+    text += f"</p>{_list(results.attempts)}"
+    return f"{text}{_table(header, rows, chosen=None if held is None else min(held, SHOWN))}"
 
 
 CLEARANCE = (
