@@ -32,6 +32,19 @@ def test_a_stage_that_waits_uses_no_processor_and_one_that_fills_memory_says_how
         assert run.peak_mb["fill"] > run.peak_mb["wait"] + 150
 
 
+def test_what_is_done_again_takes_the_time_of_both_and_says_why(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with Run(tmp_path) as run:
+        for why in ("the grasp is left: nothing between the pads", None):
+            run.timed("execution", lambda _: time.sleep(0.2))
+            if why:
+                run.note_attempt(why)
+    assert run.seconds["execution"] >= 0.4
+    assert run.attempts == ["the grasp is left: nothing between the pads"]
+    assert capsys.readouterr().err.splitlines()[1] == run.attempts[0]
+
+
 def test_without_a_terminal_each_stage_prints_a_line_when_it_ends(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

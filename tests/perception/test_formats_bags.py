@@ -126,12 +126,14 @@ def test_poses_of_the_flange_with_a_calibration(tmp_path: Path) -> None:
     assert len(again.T_world_cam) == len(capture.T_world_cam)
 
 
-def realsense_bag(tmp_path: Path, *, aligned: bool = False) -> tuple[BagMaker, Intrinsics, np.ndarray]:
+def realsense_bag(
+    tmp_path: Path, *, aligned: bool = False, D: tuple[float, ...] = (0.0,) * 5
+) -> tuple[BagMaker, Intrinsics, np.ndarray]:
     """A librealsense recording of a wall 0.5 m in front of the depth camera, with its own topics, no poses."""
     depth_camera = CAMERA if aligned else Intrinsics(32, 24, 20.0, 20.0, 15.5, 11.5)
     T_color_depth = np.eye(4) if aligned else small_transform([0, 0, 0], [0.0125, 0, 0])
     maker = BagMaker()
-    maker.camera_info("/device_0/sensor_1/Color_0/info/camera_info", CAMERA, "0")
+    maker.camera_info("/device_0/sensor_1/Color_0/info/camera_info", CAMERA, "0", D=D)
     maker.camera_info("/device_0/sensor_0/Depth_0/info/camera_info", depth_camera, "0")
     maker.transform("/device_0/sensor_0/Depth_0/tf/0", START, np.eye(4))
     maker.transform("/device_0/sensor_1/Color_0/tf/0", START, T_color_depth)
@@ -139,7 +141,7 @@ def realsense_bag(tmp_path: Path, *, aligned: bool = False) -> tuple[BagMaker, I
     for i in range(3):
         time = START + i * PERIOD
         maker.image("/device_0/sensor_0/Depth_0/image/data", time, np.full((24, 32), 5000, np.uint16), "mono16", "0")
-        maker.image("/device_0/sensor_1/Color_0/image/data", time, np.full((24, 32, 3), i, np.uint8), "rgb8", "0")
+        maker.image("/device_0/sensor_1/Color_0/image/data", time, np.full((24, 32, 3), 9 + i, np.uint8), "rgb8", "0")
         maker.image("/device_0/sensor_0/Infrared_1/image/data", time, np.zeros((24, 32), np.uint8), "mono8", "0")
     rows = [[START + i * PERIOD, *pose7(look_at([1, 0.1 * i, 0.4], [0, 0, 0]))] for i in range(3)]
     np.savetxt(tmp_path / "poses.txt", rows, fmt="%.9f", header="time x y z qx qy qz qw")
@@ -160,6 +162,17 @@ def test_realsense_depth_is_laid_over_colour(tmp_path: Path) -> None:
         np.testing.assert_allclose(depth, np.where(inside, 0.5, 0), atol=1e-6)
     assert views.capture.intrinsics == CAMERA
     np.testing.assert_allclose(views.capture.T_world_cam[2], look_at([1, 0.2, 0.4], [0, 0, 0]), atol=1e-6)
+
+
+def test_no_depth_is_laid_where_a_lens_leaves_no_colour(tmp_path: Path) -> None:
+    """Where a pincushion's image is straight, its rim is black: points there would be black ones."""
+    realsense_bag(tmp_path, D=(0.3, 0, 0, 0, 0))[0].write(tmp_path / "a.bag")
+    capture = read_bag(tmp_path / "a.bag", BagOptions(poses=tmp_path / "poses.txt")).capture
+    assert capture.rgb is not None
+    black = (capture.rgb < 4).all(axis=-1)
+    assert black.mean() > 0.05
+    assert not capture.depth[black].any()
+    assert (capture.depth[~black] > 0).mean() > 0.9
 
 
 def test_realsense_without_poses_says_how_to_give_them(tmp_path: Path) -> None:

@@ -50,6 +50,8 @@ class NoFiles:
     def told(self, name: str, value: Any) -> None:
         pass
 
+    note_attempt = print
+
 
 class Meets(FakeGripper):
     """Meets something else at each attempt: widths in turn [m]. Closing after opening begins a new one."""
@@ -75,7 +77,11 @@ class Meets(FakeGripper):
     ],
 )
 def test_the_next_grasp_is_tried_until_one_holds(
-    widths: list[float], failure: str | None, tried: int, monkeypatch: pytest.MonkeyPatch
+    widths: list[float],
+    failure: str | None,
+    tried: int,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     plans = list[Plan]()
 
@@ -87,6 +93,7 @@ def test_the_next_grasp_is_tried_until_one_holds(
     assert done.trial.failure == failure
     assert [plan.grasp.point[2] for plan in plans] == list(HEIGHTS[:tried])
     assert done.trial.phases[-1] == "retreat"
+    assert capsys.readouterr().out.count("is left for the next: ") == tried - 1, "each is told with its reason"
     assert robot.gripper.state().opening == GRASPS[0].opening
 
 

@@ -16,6 +16,7 @@ from test_viewer import shaken
 from anther.plant.visit import TruthRecord, Visit
 from anther.pollination.execution import Step
 from anther.pollination.response import Response
+from anther.show.pictures.report import draw_steps
 from anther.show.report import write_report
 from anther.show.results import PARAMS, RunResults, read_run
 
@@ -83,6 +84,18 @@ def test_a_flower_has_amplitude_and_acceleration_from_the_same_look(tmp_path: Pa
     assert rows["Flower 4"] == ["not measured", "not measured"]
 
 
+def test_the_grasp_that_was_carried_out_is_marked_though_others_were_tried_before(tmp_path: Path) -> None:
+    """A later plan chooses among the grasps that are left: its index is not the rank."""
+    results = trial(tmp_path, attempts=("the grasp 20 cm up the stem is left for the next: nothing",))
+    assert results.shake is not None
+    held = results.shake.grasp
+    other = np.array(held.T_world_flange)
+    other[:3, 3] += 0.05
+    rows = said(replace(results, grasps=(replace(held, T_world_flange=other), held)), "The grasp", tmp_path)
+    assert [row[0] for row in rows] == ["Rank", "1", "2 (carried out)"]
+    assert "is left for the next: nothing</li>" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
 def test_what_a_negative_clearance_means_is_said_where_there_is_one(tmp_path: Path) -> None:
     results = trial(tmp_path)
     assert results.shake is not None
@@ -145,3 +158,28 @@ def test_each_picture_is_there_for_a_desk_and_for_a_phone(tmp_path: Path) -> Non
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert page.count("<picture>") == page.count("<source media='(max-width:640px)'") >= 3
     assert 'data-name="Predicted acceleration"' in page, "a card of a phone names its values"
+
+
+def test_what_a_simulated_cell_file_lacked_is_told_with_its_arm(tmp_path: Path) -> None:
+    visit = Visit("tomato", "1", held_unharmed=True)
+    write_report(tmp_path / "report.html", trial(tmp_path, visit=visit))
+    assert "The cell that was simulated" not in (tmp_path / "report.html").read_text(encoding="utf-8")
+    notes = ("no machine is contacted: arm, gripper and cameras are simulated", "wrist camera: no intrinsics")
+    asked = {"cell": "/home/me/mine.toml", "arm": "sawyer"}
+    results = trial(tmp_path, visit=replace(visit, simulated_as=notes), params=asked)
+    write_report(tmp_path / "report.html", results)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "As mine.toml says, with its sawyer." in page
+    assert all(f"<li>{note}</li>" in page for note in notes)
+    assert "sawyer, simulated</p>" in page
+
+
+@pytest.mark.filterwarnings("error:constrained_layout")
+def test_steps_keep_their_width_on_a_phone_beside_long_names_of_limits() -> None:
+    """A legend wider than the picture leaves its axes no room."""
+    steps = [replace(LAST, loads={word: 0.9}) for word in ("the bending of branch bases", "the bending of pedicels")]
+    figure = draw_steps(steps, 0.0, 30.0, narrow=True)
+    figure.canvas.draw()
+    width = figure.bbox.width
+    assert all(axes.get_window_extent().width > 0.6 * width for axes in figure.axes)
+    assert all(axes.get_legend().get_window_extent().x1 <= width for axes in figure.axes)

@@ -108,7 +108,7 @@ def test_each_of_the_three_results_is_counted_filtered_and_said(where: str, tmp_
     assert "40.0 % pollinated 2 held, flowers hardly moved or not measured 1 failed" in said["held"]
     assert "held, flowers hardly moved" in said["held"]
     assert "held, flowers not measured" in said["held"]
-    assert "40.0 % 20.0 %" in text_of(pages.get("/robots").text)
+    assert "40.0 % 40.0 % 20.0 %" in text_of(pages.get("/robots").text)
     trends = text_of(pages.get("/trends?days=7").text)
     for share in ("40.0 % pollinated: 2 of 5 visits", "40.0 % held, flowers hardly", "20.0 % failed: 1 of 5 visits"):
         assert share in trends
@@ -350,7 +350,7 @@ def serving(folder: Path) -> Iterator[str]:
     """Yield the address of `anther history serve` in a process of its own, with 61 visits of today."""
     record_trial(visit("row 1"), folder / "h.sqlite")
     for k in range(60):
-        record_trial(visit(f"row {k}, {EVIL}", k / 3600), folder / "h.sqlite")
+        record_trial(visit(f"row {k}, {EVIL}", k / 3600, flowers_moved=k % 3 > 0), folder / "h.sqlite")
     (folder / "token").write_text(TOKEN)
     words = [
         "history",

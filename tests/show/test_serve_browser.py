@@ -85,6 +85,15 @@ def test_what_is_in_sight_on_a_phone_is_whole(page: Any) -> None:
     assert overlaps == 0
 
 
+def test_no_word_of_a_visit_is_torn(page: Any) -> None:
+    """The longest result beside a plant's label: each in four lines at most, the time in one."""
+    page.goto("/")
+    row = page.locator("table.visits tbody tr", has_text="held, flowers hardly moved").first
+    cells = row.locator("td").all()
+    assert max(cell.bounding_box()["height"] for cell in cells) < 5 * 24, "pixels of a line"
+    assert cells[0].locator("a").evaluate("a => a.getClientRects().length") == 1
+
+
 def test_earlier_visits_are_added_without_a_new_page(page: Any) -> None:
     page.goto("/")
     rows = page.locator("table.visits tbody tr:not(#more)")

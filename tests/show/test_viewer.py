@@ -142,9 +142,8 @@ def pink(page: Any, time: float) -> Any:
     seen: list[Any] = []
     for _ in range(30):  # a busy machine draws late
         page.wait_for_timeout(1500)
-        image = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR).astype(int)[
-            :-60
-        ]  # without the legend
+        image = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR).astype(int)
+        image[:60] = image[-60:] = 255  # without the legend and the slider
         b, g, r = image[..., 0], image[..., 1], image[..., 2]
         rows, columns = np.nonzero((r > 120) & (b > 90) & (r > 2 * g) & (b > 1.5 * g))
         seen.append(np.array([columns.mean(), rows.mean()]) if len(rows) > 10 else np.full(2, np.nan))
@@ -180,6 +179,9 @@ def test_the_page_plays_in_a_browser_and_flowers_move_by_the_right_number_of_pix
         page.goto((tmp_path / "run.html").as_uri(), wait_until="commit")
         page.locator("input[inputmode=decimal]").wait_for()
         page.locator("button:left-of(input[inputmode=decimal])").last.click()  # pause
+        legend, slider = page.get_by_text("main stem").first, page.locator("input[inputmode=decimal]")
+        boxes = [part.bounding_box() for part in (legend, slider)]
+        assert boxes[0]["y"] + boxes[0]["height"] < boxes[1]["y"], "the legend lies on the slider"
         first, second = (pink(page, (k + 0.5) / RATE) for k in (i, j))
         expected = in_picture(flowers[[i, j]], results, page.locator("canvas").first.bounding_box()["height"])
         title = page.title()

@@ -1,4 +1,4 @@
-"""Kinect frames, COLMAP, RealSense and ROS bags, MCAP, Record3D, fused PLY -> a capture folder, or a cloud."""
+"""Views of Kinect, COLMAP, RealSense, ROS, MCAP, Record3D, Azure Kinect -> a capture folder; fused PLY -> a cloud."""
 
 from __future__ import annotations
 
@@ -26,6 +26,11 @@ def run(args: Args) -> None:
         from anther.perception.formats.record3d import read_record3d
 
         capture, notes = read_record3d(source, (args.bag or BagOptions()).views)
+    elif kind == ".mkv":
+        from anther.perception.formats.azure_kinect import read_azure_kinect
+
+        views = read_azure_kinect(source, args.bag or BagOptions())
+        capture, notes = views.capture, views.notes
     elif kind == ".ply" or (source.is_dir() and to_cloud):
         if not to_cloud:
             do = "A cloud has no views: name a .ply."
@@ -37,14 +42,10 @@ def run(args: Args) -> None:
         capture, left_out = read_colmap_capture(source, scale, up), without_depth(source)
         notes = (f"left out for want of a depth map: {', '.join(left_out)}",) if left_out else ()
     else:
-        allowed = "a folder of Kinect frames, a COLMAP folder, .ply, .bag, .mcap, .db3, .r3d, or a ROS 2 bag folder"
+        allowed = (
+            "a folder of Kinect frames, a COLMAP folder, .ply, .bag, .mcap, .db3, .r3d, .mkv, or a ROS 2 bag folder"
+        )
         do = "Other clouds: `anther skeletonize` reads them."
-        if kind == ".mkv":
-            do = (
-                "Export an Azure Kinect's views with Open3D, which lays depth over colour: python "
-                f"examples/python/reconstruction_system/sensors/azure_kinect_mkv_reader.py --input {source.name} "
-                "--output FRAMES, and write their poses into FRAMES/transforms.json (docs/capture.md)."
-            )
         raise bad_input(str(source), given=f"a '{source.suffix}' file", allowed=allowed, do=do)
     capture.save(args.out)
     camera, only = capture.intrinsics, ", depth only" if capture.rgb is None else ""

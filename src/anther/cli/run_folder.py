@@ -102,7 +102,7 @@ def open_run(folder: Path, args: Any, same: tuple[str, ...]) -> Iterator[Run]:
         try:
             yield run
         finally:
-            names = ("seconds", "cpu_seconds", "peak_mb")
+            names = ("seconds", "cpu_seconds", "peak_mb", "attempts")
             write_json(folder / TIMING, {name: getattr(run, name) for name in names})
 
 

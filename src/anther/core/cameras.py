@@ -26,8 +26,10 @@ Maps = tuple[NDArray[np.float32], NDArray[np.float32]]
 """(H, W) column and row of the distorted image for every pixel of the straight one."""
 
 
-def straightening(what: str, camera: Intrinsics, D: Array, model: str) -> Maps | None:
-    """Return where each pixel of an image without lens distortion lies in the one with it; None if there is none.
+def straightening(
+    what: str, camera: Intrinsics, D: Array, model: str, straight: Intrinsics | None = None
+) -> Maps | None:
+    """Return where each pixel of an image without lens distortion lies in the one with it; None if all stay.
 
     Distortion is Brown's (OpenCV's plumb_bob, rational_polynomial). librealsense's "Inverse Brown Conrady" is the same
     polynomial, straight to distorted: `rs2_project_point_to_pixel` of SDK 2.54 to 2.59 agrees with OpenCV's within
@@ -38,11 +40,13 @@ def straightening(what: str, camera: Intrinsics, D: Array, model: str) -> Maps |
         camera: the pinhole camera.
         D: coefficients in OpenCV's order.
         model: its name, in ROS's or librealsense's words.
+        straight: the camera of the image without distortion, perhaps larger; None: the same.
 
     Raises:
         InputError: an unknown distortion model.
     """
-    name, size, D = model.strip().lower(), (camera.width, camera.height), np.trim_zeros(D, "b")
+    name, D, onto = model.strip().lower(), np.trim_zeros(D, "b"), straight or camera
+    size = onto.width, onto.height
     if name not in _BROWN | _FISHEYE or len(D) > (4 if name in _FISHEYE else _SIZES[-1]):
         raise bad_input(
             what,
@@ -52,10 +56,10 @@ def straightening(what: str, camera: Intrinsics, D: Array, model: str) -> Maps |
         )
     if name in _FISHEYE:
         D = np.r_[D, np.zeros(4 - len(D))]
-        maps = cv2.fisheye.initUndistortRectifyMap(camera.matrix, D, np.eye(3), camera.matrix, size, cv2.CV_32FC1)
-    elif len(D):
+        maps = cv2.fisheye.initUndistortRectifyMap(camera.matrix, D, np.eye(3), onto.matrix, size, cv2.CV_32FC1)
+    elif len(D) or onto != camera:
         D = np.r_[D, np.zeros(next(n for n in _SIZES if n >= len(D)) - len(D))]
-        maps = cv2.initUndistortRectifyMap(camera.matrix, D, np.eye(3), camera.matrix, size, cv2.CV_32FC1)
+        maps = cv2.initUndistortRectifyMap(camera.matrix, D, np.eye(3), onto.matrix, size, cv2.CV_32FC1)
     else:
         return None
     return np.asarray(maps[0], np.float32), np.asarray(maps[1], np.float32)
@@ -66,6 +70,12 @@ def straightened(image: NDArray[Any], maps: Maps | None, *, nearest: bool) -> ND
     if maps is None:
         return image
     return cv2.remap(image, *maps, cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR)
+
+
+def is_shown(maps: Maps, camera: Intrinsics) -> NDArray[np.bool_]:
+    """Return (H, W) whether pixels of the straight image lie within the distorted one, which is of `camera`'s size."""
+    halves = camera.width / 2, camera.height / 2
+    return np.logical_and(*(np.abs(at + 0.5 - half) <= half for at, half in zip(maps, halves, strict=True)))
 
 
 def laid_over(depth: NDArray[np.float32], of: Intrinsics, onto: Intrinsics, T_onto_of: Array) -> NDArray[np.float32]:

@@ -53,9 +53,10 @@ class Run:
     "where-it-stopped", results of earlier stages are read from the folder instead of computed.
 
     Attributes:
-        seconds: stage -> time it took [s]; stages that were read back are absent.
+        seconds: stage -> time it took, all tries together [s]; stages that were read back are absent.
         cpu_seconds: stage -> processor time, of ended children too [s].
         peak_mb: stage -> the most memory the process held during it [MB]; absent where nothing tells.
+        attempts: what was tried before something else, and why it was not that, a line each.
         told: hears of every stage's name and result as it arises, and of what else there is to tell; never waits and
             raises nothing (`anther.show.log`).
 
@@ -73,6 +74,7 @@ class Run:
         self.seconds: dict[str, float] = {}
         self.cpu_seconds: dict[str, float] = {}
         self.peak_mb: dict[str, float] = {}
+        self.attempts: list[str] = []
         self.told: Callable[[str, Any], None] = lambda name, value: None
         self._restart_from = restart_from
         columns = (TextColumn("{task.description:<12}"), BarColumn(), TimeElapsedColumn())
@@ -125,13 +127,25 @@ class Run:
         start, cpu = time.perf_counter(), cpu_seconds()
         mark_memory()
         value = compute(lambda done, total: self._bars.update(bar, completed=done, total=total))
-        self.seconds[name], self.cpu_seconds[name] = time.perf_counter() - start, cpu_seconds() - cpu
+        took = time.perf_counter() - start
+        self.seconds[name] = self.seconds.get(name, 0.0) + took
+        self.cpu_seconds[name] = self.cpu_seconds.get(name, 0.0) + cpu_seconds() - cpu
         if (peak := peak_memory()) is not None:
-            self.peak_mb[name] = peak
-        if self._lines:
-            print(f"{name}: {self.seconds[name]:.1f} s", file=sys.stderr, flush=True)
+            self.peak_mb[name] = max(peak, self.peak_mb.get(name, 0.0))
+        self._say(f"{name}: {took:.1f} s")
         self._bars.update(bar, completed=1, total=1)
         return value
+
+    def note_attempt(self, why: str) -> None:
+        """Keep and tell what was tried, and why something else is tried next."""
+        self.attempts.append(why)
+        if not self._bars.disable:
+            self._bars.console.print(why, highlight=False, markup=False)
+        self._say(why)
+
+    def _say(self, line: str) -> None:
+        if self._lines:
+            print(line, file=sys.stderr, flush=True)
 
     def _note(self, stage: str, failure: FailureKind | None, message: str) -> None:
         write_json(self.folder / PROGRESS, {"stage": stage, "failure": failure, "message": message})

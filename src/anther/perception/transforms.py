@@ -195,9 +195,9 @@ def brought_to_one(cameras: list[Intrinsics], depth: NDArray[np.float32], rgb: N
         InputError: they are not one camera's.
     """
     size = depth.shape[2], depth.shape[1]
-    common = _scaled(_common(cameras), size)
+    common = scaled(_common(cameras), size)
     for view, camera in enumerate(cameras):
-        maps = _maps(common, _scaled(camera, size))
+        maps = _maps(common, scaled(camera, size))
         if maps is not None:
             depth[view] = cv2.remap(depth[view], *maps, cv2.INTER_NEAREST)
             if rgb is not None:
@@ -216,7 +216,7 @@ def _maps(common: Intrinsics, own: Intrinsics) -> tuple[NDArray[np.float32], NDA
     return maps[0], maps[1]
 
 
-def _scaled(camera: Intrinsics, size: tuple[int, int]) -> Intrinsics:
+def scaled(camera: Intrinsics, size: tuple[int, int]) -> Intrinsics:
     """Return the camera of the same images at another size (width, height)."""
     x, y = size[0] / camera.width, size[1] / camera.height
     cx, cy = (camera.cx + 0.5) * x - 0.5, (camera.cy + 0.5) * y - 0.5
@@ -237,9 +237,17 @@ def _number(key: str, value: Any) -> float:
 
 
 def _pose(view: int, frame: dict[str, Any]) -> Array:
-    """Return the (4, 4) camera-to-world matrix, its rotation freed of rounding (up to 1e-3)."""
-    name = f"frame {view} transform_matrix"
-    T = np.array(check_array(name, frame["transform_matrix"], (4, 4)))
+    """Return the (4, 4) camera-to-world matrix."""
+    return without_rounding(f"frame {view} transform_matrix", frame["transform_matrix"])
+
+
+def without_rounding(name: str, matrix: Any) -> Array:
+    """Return a (4, 4) rigid transform, its rotation freed of the rounding of files (up to 1e-3).
+
+    Raises:
+        InputError: no rigid transform.
+    """
+    T = np.array(check_array(name, matrix, (4, 4)))
     U, _, Vt = np.linalg.svd(T[:3, :3])
     nearest = U @ Vt
     if np.abs(nearest - T[:3, :3]).max() < 1e-3:

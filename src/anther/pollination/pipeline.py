@@ -256,13 +256,6 @@ def _shaken(
     actuator = shake.arm_shaker(arm_limit) if by_arm else shake.VIBRATING_GRIPPER
     robot, pressing = replace(cell.robot, motor=None) if by_arm else cell.robot, cell.limits.pressing
 
-    def told(advance: Advance) -> execution.Progress:
-        def begins(done: int, phases: int, phase: str) -> None:
-            advance(done, phases)
-            run.told("phase", phase)
-
-        return begins
-
     while True:
         offered = [g for g in grasps if g.score >= grasps[0].score - grasp.SLACK]
         try:
@@ -274,6 +267,7 @@ def _shaken(
         except StageFailure as failure:
             if failure.kind not in TRY_THE_NEXT or len(offered) == len(grasps):
                 raise
+            run.note_attempt(f"{len(offered)} grasps left: {failure}")
             grasps = grasps[len(offered) :]
             continue
         way = _watching(cell, rods, plan, seen, params)
@@ -287,7 +281,7 @@ def _shaken(
             "execution",
             Trial.load,
             lambda advance, plan=commanded, arrive=arrive, watched=watched: execution.execute(
-                planner, plan, robot, cell.limits, progress=told(advance), arrive=arrive, watched=watched
+                planner, plan, robot, cell.limits, progress=_progress(run, advance), arrive=arrive, watched=watched
             ),
         )
         arrive, planned = None, plan
@@ -296,6 +290,18 @@ def _shaken(
         grasps = [g for i, g in enumerate(grasps) if i != planned.grasp_index]
         if trial.failure not in TRY_THE_NEXT or len(trial.shake_times) or not grasps:
             return plan, trial, alone, planned
+        at = f"{100 * planned.grasp.arc_length:.0f} cm up the stem"
+        run.note_attempt(f"the grasp {at} is left for the next: {trial.stop_reason}")
+
+
+def _progress(run: Run, advance: Advance) -> execution.Progress:
+    """Return what hears of an execution's phases."""
+
+    def begins(done: int, phases: int, phase: str) -> None:
+        advance(done, phases)
+        run.told("phase", phase)
+
+    return begins
 
 
 def _watching(cell: Cell, rods: PlantModel, plan: ShakePlan, seen: Seen, params: Params) -> Escalation | str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -65,7 +65,7 @@ def _image(draw: Callable[[bool], Figure], alt: str) -> str:
 def _embedded(figure: Figure, finer: float) -> str:
     """Return a figure as a PNG within an address, and free its memory."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110 * finer)
+    figure.savefig(buffer, format="png", dpi=110 * finer, bbox_inches="tight", pad_inches=0.05)
     figure.clear()
     return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"
 
@@ -143,7 +143,7 @@ def _plant(results: RunResults) -> str:
 def _grasp(results: RunResults) -> str:
     if not results.grasps:
         return ""
-    held = None if results.shaken is None else results.shaken.grasp_index
+    held = results.held_rank
     listed = [(rank, g) for rank, g in enumerate(results.grasps) if rank < SHOWN or rank == held]
     rows = [
         [
@@ -161,7 +161,8 @@ def _grasp(results: RunResults) -> str:
     text = "<p>Confidence is the probability that the main stem closes between the pads, whatever is beside it."
     if any(g.clearance < 0 for _, g in listed):
         text += f" {CLEARANCE}"
-    return f"{text}</p>{_table(header, rows, chosen=None if held is None else min(held, SHOWN))}"
+    text += f"</p>{_list(results.attempts)}"
+    return f"{text}{_table(header, rows, chosen=None if held is None else min(held, SHOWN))}"
 
 
 CLEARANCE = (
@@ -242,7 +243,7 @@ def _steps(results: RunResults) -> str:
             ),
             quantity(step.median, "m/s2"),
             f"{np.isfinite(step.flowers).sum()} of {len(step.flowers)}",
-            f"{step.used:.0%} {step.binds}",
+            f"{step.used:.0%}, {step.binds}",
             f"{step.seconds:.2f} s",
             step.decided,
         ]
@@ -370,8 +371,19 @@ def _belief(material: Material, attribute: str, factor: float, unit: str) -> str
 
 
 def _notes(results: RunResults) -> str:
-    notes = results.notes()
-    return "<ul>" + "".join(f"<li>{escape(n)}</li>" for n in notes) + "</ul>" if notes else ""
+    return _list(results.notes())
+
+
+def _cell(results: RunResults) -> str:
+    """Return what was supposed of a cell file's machines where these were simulated."""
+    lines = () if results.visit is None else results.visit.simulated_as
+    cell = Path(str(results.params.get("cell", ""))).name
+    head = f"As {cell} says, with its {results.arm}. What the file lacks is supposed, and told here."
+    return f"<p>{escape(head)}</p>{_list(lines)}" if lines else ""
+
+
+def _list(lines: Sequence[str]) -> str:
+    return "<ul>" + "".join(f"<li>{escape(line)}</li>" for line in lines) + "</ul>" if lines else ""
 
 
 def _timing(results: RunResults) -> str:
@@ -427,6 +439,7 @@ SECTIONS = {
     "The shake, step by step": _steps,
     "How the flowers moved": _motion,
     "What was learned": _learned,
+    "The cell that was simulated": _cell,
     "What to know": _notes,
     "Where the time went": _timing,
     "Parameters": _parameters,

@@ -56,6 +56,7 @@ class RunResults:
         params: what the run was asked for (00_params.json).
         seconds, cpu_seconds: stage -> time it took, processor time [s].
         peak_mb: stage -> the most memory the process held [MB].
+        attempts: what was tried before something else, and why it was not that.
         shake: as it was planned.
         executed: as it was carried out; other than planned where it was watched.
         trial: the execution's record.
@@ -68,6 +69,7 @@ class RunResults:
     seconds: dict[str, float] = field(default_factory=dict)
     cpu_seconds: dict[str, float] = field(default_factory=dict)
     peak_mb: dict[str, float] = field(default_factory=dict)
+    attempts: tuple[str, ...] = ()
     capture: Capture | None = None
     masks: Masks | None = None
     cloud: Cloud | None = None
@@ -104,7 +106,10 @@ class RunResults:
     @property
     def subtitle(self) -> str:
         """When and with what."""
-        return f"{self.params.get('started', '')} · Anther {self.params.get('anther', '')} · {self.folder.name}"
+        parts = [self.params.get("started", ""), f"Anther {self.params.get('anther', '')}", self.folder.name]
+        if self.visit is not None:
+            parts.append(f"{self.arm}{', simulated' if self.simulated or self.visit.simulated_as else ''}")
+        return " · ".join(map(str, parts))
 
     @property
     def shaken(self) -> ShakePlan | None:
@@ -115,6 +120,14 @@ class RunResults:
     def grasp(self) -> Grasp | None:
         """The grasp that was carried out, or else the best one."""
         return next(iter(self.grasps), None) if self.shaken is None else self.shaken.grasp
+
+    @property
+    def held_rank(self) -> int | None:
+        """Which of the grasps, from 0, was carried out or planned; None where none of them was."""
+        if self.shaken is None:
+            return None
+        held = self.shaken.grasp.T_world_flange  # the shake was chosen among those that were not tried yet
+        return next((i for i, g in enumerate(self.grasps) if np.allclose(g.T_world_flange, held)), None)
 
     @property
     def crop(self) -> Crop | None:
@@ -245,6 +258,7 @@ def read_run(folder: Path | str) -> RunResults:
         folder=folder,
         params=read_object(folder / PARAMS),
         **{name: timing.get(name, {}) for name in ("seconds", "cpu_seconds", "peak_mb")},
+        attempts=tuple(timing.get("attempts", ())),
         grasps=tuple(there(FILES["grasp"], load_grasps, ())),
         capture=there(FILES["capture"], Capture.load),
         masks=there(FILES["masks"], Masks.load),

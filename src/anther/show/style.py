@@ -63,8 +63,11 @@ tr.chosen td { background:#eef6f0 } td { overflow-wrap:break-word }
   .cards, .cards tbody { display:block }
   .cards tr { display:block; padding:8px 0; border-bottom:1px solid var(--line) }
   .cards td { display:flex; justify-content:space-between; gap:16px; border:0; padding:2px 0; text-align:right }
-  .cards td:first-child { font-weight:600 } .cards td:empty { display:none } .cards tr:last-child { border-bottom:0 }
-  .cards td[data-name]::before { content:attr(data-name); color:var(--soft); font-weight:400; text-align:left } }
+  .cards td:first-child { font-weight:600; justify-content:flex-start; align-items:baseline; text-align:left;
+    overflow-wrap:anywhere }
+  .cards td:empty { display:none } .cards tr:last-child { border-bottom:0 }
+  .cards td[data-name]::before { content:attr(data-name); color:var(--soft); font-weight:400; text-align:left;
+    overflow-wrap:break-word } }
 @media print { body { background:none } section { border:0; padding:0; break-inside:avoid-page }
   details { display:none } }
 """

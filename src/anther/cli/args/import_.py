@@ -17,7 +17,7 @@ class Args(Overwrite):
 
     source: Given
     """Folder of Kinect frames with a poses.json (docs/capture.md), COLMAP workspace or model folder, fused .ply, .bag,
-    .mcap, .db3, Record3D's .r3d, or ROS 2 bag folder."""
+    .mcap, .db3, Record3D's .r3d, Azure Kinect's .mkv, or ROS 2 bag folder."""
     out: Annotated[Path, tyro.conf.Positional]
     """Capture folder to write; a .ply for clouds (fused .ply, or a COLMAP model without depth maps)."""
     scale: float | None = None
@@ -25,4 +25,4 @@ class Args(Overwrite):
     up: str | None = None
     """COLMAP and .ply: direction that points up in the model: x, y, z, or (with =) --up=-y, --up=0.1,-0.9,0.3."""
     bag: Stage = stage("anther.perception.formats.bags", "BagOptions", flat=True)
-    """Bags and .r3d: how many views. Bags: topics, poses, tolerance."""
+    """Bags, .mkv and .r3d: how many views. Bags and .mkv: poses, tolerance. Bags: topics."""

@@ -7,13 +7,14 @@ colour is laid over it (`alignment.laid_over`). Topics are found by their names 
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from anther.core.cameras import laid_over, straightened
+from anther.core.cameras import is_shown, laid_over, straightened
 from anther.core.errors import bad_input
 from anther.core.geometry import Array, inverse, transform_from_pose7
 from anther.core.records import Range, Record
@@ -94,7 +95,9 @@ class _Contents:
     unit: float = 1e-3
 
 
-class _FramePair(NamedTuple):
+class FramePair(NamedTuple):
+    """A depth and a colour frame (which they are of their streams), the depth's time [s] and the camera's pose."""
+
     depth: int
     color: int
     time: float
@@ -119,25 +122,32 @@ def read_bag(path: Path | str, options: BagOptions | None = None) -> BagViews:
         held = _first_pass(bag, topics)
         camera, depth_camera, T_color_depth = _cameras(str(path), topics, held)
         where, more = _where(str(path), topics, held, options, camera.frame)
-        views, notes = _matched(str(path), topics, held, where, options)
+        times = (held.times[stream.images] for stream in (topics.depth, topics.color))
+        views, notes = matched_views(str(path), *times, where, options)
         images = _images(bag, topics, held.unit, views)
     for image, color in images:
         check_size(topics.depth.images, image, depth_camera.intrinsics)
         check_size(topics.color.images, color, camera.intrinsics)
-    poses = np.stack([view.T_world_cam for view in views])
-    if len(poses) > 1 and options.world_frame is None and np.ptp(poses, axis=0).max() == 0:
-        do = "Record what moves it (/tf), or give --poses FILE."
-        raise bad_input(str(path), given="one and the same pose in all views", allowed="a camera that moves", do=do)
+    if options.world_frame is None:
+        check_motion(str(path), views)
     depth = [straightened(image, depth_camera.maps, nearest=True) for image, _ in images]
     if T_color_depth is not None:
-        depth = [laid_over(d, depth_camera.intrinsics, camera.intrinsics, T_color_depth) for d in depth]
+        coloured = camera.maps is None or is_shown(camera.maps, camera.intrinsics)
+        depth = [laid_over(d, depth_camera.intrinsics, camera.intrinsics, T_color_depth) * coloured for d in depth]
     capture = Capture(
         depth=np.stack(depth),
         intrinsics=camera.intrinsics,
-        T_world_cam=poses,
+        T_world_cam=np.stack([view.T_world_cam for view in views]),
         rgb=np.stack([straightened(image, camera.maps, nearest=False) for _, image in images]),
     )
     return BagViews(capture, np.array([view.time for view in views]), (*notes, *more))
+
+
+def check_motion(path: str, views: list[FramePair]) -> None:
+    """Refuse views that were all taken from one and the same place."""
+    if len(views) > 1 and np.ptp([view.T_world_cam for view in views], axis=0).max() == 0:
+        do = "Record what moves it (/tf), or give --poses FILE."
+        raise bad_input(path, given="one and the same pose in all views", allowed="a camera that moves", do=do)
 
 
 def _first_pass(bag: BagFile, topics: Topics) -> _Contents:
@@ -233,12 +243,11 @@ def _where(
     frame = (options.camera_frame or frame).lstrip("/")
     explicit = any(o is not None for o in (options.pose_topic, options.pose_frame, options.camera_in_pose))
     by_tf = held.frames.moves(frame) and not explicit
-    camera, notes = np.eye(4), ()
-    if options.camera_in_pose is not None:
-        camera = transform_from_pose7(options.camera_in_pose)
+    notes: tuple[str, ...] = ()
     if options.poses is not None:
-        where = read_trajectory(options.poses).at
-    elif held.poses and not by_tf:
+        return given_poses(options), notes
+    camera = _mount(options)
+    if held.poses and not by_tf:
         where = sorted_series(held.poses).at
         if options.camera_in_pose is None:
             camera, notes = _in_pose(topics.poses[0], held, options.pose_frame, frame)
@@ -252,12 +261,32 @@ def _where(
             allowed="a topic of PoseStamped, TransformStamped or Odometry, /tf, or a trajectory file",
             do="Record one, or give --poses FILE with rows: time x y z qx qy qz qw (camera in world).",
         )
+    return _carried(where, camera), notes
+
+
+def given_poses(options: BagOptions) -> Where:
+    """Return what tells the camera's pose by the trajectory file that is given.
+
+    Raises:
+        InputError: see `read_trajectory`.
+    """
+    assert options.poses is not None
+    return _carried(read_trajectory(options.poses).at, _mount(options))
+
+
+def _mount(options: BagOptions) -> Array:
+    """Return the camera's pose in the frame whose poses are given."""
+    return np.eye(4) if options.camera_in_pose is None else transform_from_pose7(options.camera_in_pose)
+
+
+def _carried(where: Where, camera: Array) -> Where:
+    """Return what tells the pose of a camera on what `where` tells the pose of."""
 
     def camera_at(time: float) -> tuple[Array, float]:
         T, off = where(time)
         return T @ camera, off
 
-    return camera_at, notes
+    return camera_at
 
 
 def _in_pose(topic: str, held: _Contents, given: str | None, frame: str) -> tuple[Array, tuple[str, ...]]:
@@ -281,11 +310,25 @@ def _in_pose(topic: str, held: _Contents, given: str | None, frame: str) -> tupl
     return np.eye(4), (f"{topic} is taken for the poses of the camera's optical frame; else see --camera-in-pose",)
 
 
-def _matched(
-    path: str, topics: Topics, held: _Contents, where: Where, options: BagOptions
-) -> tuple[list[_FramePair], tuple[str, ...]]:
-    """Return the views whose colour and pose are near enough in time, and notes on the others."""
-    color, depth = held.times[topics.color.images], held.times[topics.depth.images]
+def matched_views(
+    path: str,
+    depth: Sequence[float],
+    color: Sequence[float],
+    where: Where,
+    options: BagOptions,
+    clocks: str = "RealSense's own stamps are not ROS time",
+) -> tuple[list[FramePair], tuple[str, ...]]:
+    """Return the views whose colour and pose are near enough in time, and notes on the others.
+
+    Args:
+        path: for messages, as is what is to be known of the `clocks`.
+        depth, color: times of the frames [s].
+        where: tells the camera's pose at a time.
+        options: tolerance and views.
+
+    Raises:
+        InputError: there are none.
+    """
     if not color or not depth:
         given = f"{len(color)} colour and {len(depth)} depth frames"
         raise bad_input(path, given=given, allowed="some of both", do="Was the recording stopped early?")
@@ -298,14 +341,14 @@ def _matched(
         gap = (abs(float(stamps[k]) - time), pose_off)
         gaps.append(gap)
         if max(gap) <= options.tolerance:
-            views.append(_FramePair(i, int(order[k]), time, T))
+            views.append(FramePair(i, int(order[k]), time, T))
     if not views:
         off, pose = (min(column) for column in zip(*gaps, strict=True))
         raise bad_input(
             path,
             given=f"no depth frame with both near in time (nearest colour {off:.4g} s, nearest pose {pose:.4g} s)",
             allowed=f"within {options.tolerance:g} s",
-            do="Raise --tolerance, or check that all clocks are one (RealSense's own stamps are not ROS time).",
+            do=f"Raise --tolerance, or check that all clocks are one ({clocks}).",
         )
     lost = len(gaps) - len(views)
     notes = [f"{lost} of {len(gaps)} depth frames had no colour or pose within {options.tolerance:g} s"] if lost else []
@@ -315,7 +358,7 @@ def _matched(
     return views, tuple(notes)
 
 
-def _images(bag: BagFile, topics: Topics, unit: float, views: list[_FramePair]) -> list[tuple[Any, Any]]:
+def _images(bag: BagFile, topics: Topics, unit: float, views: list[FramePair]) -> list[tuple[Any, Any]]:
     """Return (depth [m], RGB) of every view, in a second pass that decodes only these."""
     depth, color = topics.depth.images, topics.color.images
     wanted = {depth: {v.depth for v in views}, color: {v.color for v in views}}

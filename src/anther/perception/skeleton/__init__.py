@@ -178,7 +178,8 @@ def skeletonize(cloud: Cloud, params: Params | None = None) -> Skeleton:
     hidden = distance_to_soil(curves.nodes[0], start_direction(curves), cloud.obstacles)
     if hidden > 0:
         curves = extend_to_soil(curves, hidden, spacing)
-        notes += (f"the lowest {hidden * 1e3:.0f} mm of the stem were not seen: taken straight down to the soil",)
+        if hidden > 5e-4:  # rounded to 1 mm or more
+            notes += (f"the lowest {hidden * 1e3:.0f} mm of the stem were not seen: taken straight down to the soil",)
     flatness = coarse.flatness[nearest(curves.nodes, coarse.nodes)[1]]
     confidence = node_confidence(curves.nodes, curves.parent, curves.radius, flatness, points)
     confidence = confidence * (1 - cloud.seen_through)  # it was fitted on views that agree

@@ -58,7 +58,7 @@ PROBED = 0.3
 BEGINS, FIRST = 0.6, 1 / 3
 """A tone at which no flower was seen begins at this share of what the model allows, another this share of the way, in
 logarithms, from there to what the probes promise: of many tones the one that promises most was up to twice too bold."""
-OUT_OF_SIGHT, NO_TIME = "flowers were lost from sight", "time"
+OUT_OF_SIGHT, NO_TIME = "flowers were lost from sight", "no time is left"
 UNPROVEN = "what was seen does not move as the gripper does"
 LASTING = (OUT_OF_SIGHT, NO_TIME)
 """What ends a raise at once; of anything else a second look is taken, since a swing that dies out can feign it."""
@@ -344,7 +344,7 @@ class Escalation:
         turned = np.degrees(np.arccos(min(abs(float(lines[self._line[shake]] @ lines[0])), 1.0)))
         words = (
             f"At {self._hertz[shake]:.3g} Hz, {turned:.0f}° from the plan's line, flowers may reach {most.flowers:.3g}"
-            f" m/s2 with {1e3 * most.amplitude:.2g} mm, more than otherwise; {most.binds} ends it there."
+            f" m/s² with {1e3 * most.amplitude:.2g} mm, more than otherwise; {most.binds} ends it there."
         )
         return self._only(shake, min(begin, most.amplitude), self._watch(shake), words)
 

@@ -160,8 +160,8 @@ def _reason(
     text = (
         f"Held {100 * arc_length:.0f} cm up the stem with {pressed:.2g} N and shaken"
         f" {1e3 * shake.amplitude:.2g} mm at {shake.frequency:.3g} Hz, the flowers should move"
-        f" {1e3 * np.median(done.amplitude):.2g} mm (median) with {acceleration:.3g} m/s2. Of all grasps, directions"
-        f" and frequencies compared this gives the most that three flowers of four should feel ({score:.3g} m/s2), over"
+        f" {1e3 * np.median(done.amplitude):.2g} mm (median) with {acceleration:.3g} m/s². Of all grasps, directions"
+        f" and frequencies compared this gives the most that three flowers of four should feel ({score:.3g} m/s²), over"
         f" {DRAWS} further drawings of the plant's stiffness and damping. {closest(done.limits[:-1], kept=kept)}"
     )
     if other is None:

@@ -173,8 +173,9 @@ def verified(
         done = steadily_shaken(plant, shake, springs)
     if not binding:
         return shake, done, ()
-    less = f"{1e3 * asked:.2g} to {1e3 * shake.amplitude:.2g} mm"
-    return shake, done, (f"shake: made smaller, from {less}, because the nonlinear solver passes a limit ({binding}).",)
+    less = f"{1e3 * asked:.3g} to {1e3 * shake.amplitude:.3g} mm"
+    passed = binding.removesuffix(" [-]")
+    return shake, done, (f"shake: made smaller, from {less}, because the nonlinear solver passes a limit ({passed}).",)
 
 
 def steadily_shaken(plant: PlantModel, drive: Drive, springs: Springs = RIGID) -> Shaken:

@@ -238,6 +238,7 @@ def press(limits: Sequence[LimitRow]) -> float:
 def closest(rows: Sequence[LimitRow], *, kept: bool = True) -> str:
     """Say which limit is the closest, or, of limits that are not kept, which is passed the furthest."""
     name, value, limit, share = max(rows, key=lambda row: row[3])
+    name = name.removesuffix(" [-]")
     if not kept:
         how = f"passed most is {name}" if share > 1 else f"nevertheless none is passed; the closest is {name}"
         return f"No limit of the plant is kept and slip is not prevented; {how}: {value:.3g} of {limit:.3g}."

@@ -122,4 +122,4 @@ def _close_up(plot: Axes, grasp: Grasp) -> None:
     for sign in (-1, 1):
         ends = centre + sign * aside + 2 * grasp.stem_diameter * np.array([[-1], [1]]) * along
         plot.plot(*ends.T, color=STEM_COLOR, lw=1, ls="--", zorder=20)
-    plot.set_title(f"at the grasp:\n{1e3 * grasp.stem_diameter:.1f} mm (dashed)")
+    plot.set_title(f"at the grasp:\n{1e3 * grasp.stem_diameter:.1f} mm (dashed)", fontsize=9)

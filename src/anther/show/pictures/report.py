@@ -24,6 +24,8 @@ mpl.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.righ
 SHOWN_VIEWS = 8
 NARROW = 3.6
 """Width of a figure for a phone [inches]."""
+LONG = 14
+"""More letters of a legend's entry leave no room beside it on a phone."""
 
 
 def draw_views(capture: Capture, masks: Masks | None, narrow: bool = False) -> Figure:
@@ -127,6 +129,7 @@ def draw_amplitudes(axes: Any, shake: ShakePlan, response: Response) -> None:
     if np.isfinite(bound).any():
         axes.plot(index + 0.2, bound, "v", mfc="none", color=ORANGE, label="moved less than this")
     axes.set(xlabel="flower", ylabel="amplitude [mm]", xticks=index, xticklabels=[str(i + 1) for i in index])
+    axes.tick_params(axis="x", labelsize=9 if len(index) <= 12 else 6)  # numbers of two digits touch on a phone
     axes.legend(frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
 
 
@@ -200,7 +203,9 @@ def draw_steps(steps: Sequence[Step], start: float, target: float | None = None,
     limits.set(xlabel="time since the shake began [s]", xlim=(0, None))
     for axes in (tones, flowers, limits):
         beside: Any = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5)}
-        above: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": 2, "columnspacing": 1.0}
+        longest = max(len(str(label)) for label in axes.get_legend_handles_labels()[1])
+        columns = 1 if longest > LONG else 2
+        above: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": columns, "columnspacing": 1.0}
         axes.legend(frameon=False, **(above if narrow else beside))
     return figure
 

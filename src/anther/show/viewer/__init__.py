@@ -64,13 +64,13 @@ OPENED = """<script>const waiting = setInterval(() => { if (document.querySelect
 def _entitled(page: str, title: str, legend: str) -> str:
     """Return a page of viser's with a title, a legend, and a word to those who wait for its scene."""
     font = "font:13px/1.5 system-ui,sans-serif;color:#1d2a22"
-    over = "position:fixed;left:10px;bottom:10px;right:10px;pointer-events:none;z-index:9"
-    middle = f"{over};top:10px;display:grid;place-items:center"
+    over = "position:fixed;left:10px;top:10px;right:10px;pointer-events:none;z-index:9"  # viser's slider is below
+    middle = f"{over};bottom:10px;display:grid;place-items:center"
     wait = f"<div id=opens style='{middle};{font}'>The scene opens …</div>{OPENED}"
-    below = f"<div style='{over};{font}'><span style='background:#fffc;padding:4px 8px'>{legend}</span></div>"
+    above = f"<div style='{over};{font}'><span style='background:#fffc;padding:4px 8px'>{legend}</span></div>"
     page = page.replace("<title>Viser</title>", f"<title>Anther: {html.escape(title)}</title>", 1)
     head, body, rest = page.partition("<body>")
-    return f"{head}{body}{wait}{below}{rest}"
+    return f"{head}{body}{wait}{above}{rest}"
 
 
 def serve(results: RunResults, port: int, *, exaggeration: float) -> None:
