@@ -30,11 +30,17 @@ def _drop_stale_kernels() -> None:
 
 _drop_stale_kernels()
 
-OPTIONS = {"cache": True, "error_model": "numpy", "nogil": True, "fastmath": {"contract", "reassoc", "arcp", "nsz"}}
+OPTIONS = {"cache": True, "_nrt": False, "no_cfunc_wrapper": True, "error_model": "numpy", "nogil": True, "fastmath": {"contract", "reassoc", "arcp", "nsz"}}
 compiled: Any = numba.njit(**OPTIONS)
 """How a kernel is compiled: kept on disk, sums may be reordered and fused, NaN and infinity keep their meaning."""
-merged: Any = numba.njit(forceinline=True, **OPTIONS)
+merged: Any = numba.njit(forceinline=True, no_cpython_wrapper=True, **OPTIONS)
 """For a part of a kernel: it becomes one with its caller, so that the compiler can vectorise the caller's loop."""
+
+inner: Any = numba.njit(no_cpython_wrapper=True, **OPTIONS)
+"""For a part of several kernels that is too long to be merged with each."""
+
+inlined: Any = numba.njit(inline="always", **OPTIONS)
+"""For a part of a kernel that stands in one place: it is only ever compiled there."""
 
 Vector = tuple[Any, Any, Any]
 
