@@ -25,7 +25,6 @@ from anther.rods._vectors import (
     halves,
     inlined,
     load,
-    merged,
     norm,
     put,
     put3,

@@ -30,7 +30,14 @@ def _drop_stale_kernels() -> None:
 
 _drop_stale_kernels()
 
-OPTIONS = {"cache": True, "_nrt": False, "no_cfunc_wrapper": True, "error_model": "numpy", "nogil": True, "fastmath": {"contract", "reassoc", "arcp", "nsz"}}
+OPTIONS = {
+    "cache": True,
+    "_nrt": False,
+    "no_cfunc_wrapper": True,
+    "error_model": "numpy",
+    "nogil": True,
+    "fastmath": {"contract", "reassoc", "arcp", "nsz"},
+}
 compiled: Any = numba.njit(**OPTIONS)
 """How a kernel is compiled: kept on disk, sums may be reordered and fused, NaN and infinity keep their meaning."""
 merged: Any = numba.njit(forceinline=True, no_cpython_wrapper=True, **OPTIONS)
