@@ -12,7 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import numba
+from anther.core.compiling import numba
 
 
 def _drop_stale_kernels() -> None:

@@ -11,11 +11,11 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, median_filter
 
+from anther.core.compiling import numba
 from anther.core.geometry import Array
 from anther.perception.skeleton.raw_tree import RawTree, chains
 from anther.perception.skeleton.voxel_solid import nearest

@@ -12,13 +12,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.ndimage import gaussian_filter1d
 from scipy.sparse.csgraph import dijkstra
 
+from anther.core.compiling import numba
 from anther.core.geometry import Array
 from anther.perception.skeleton.raw_tree import RawTree, chains, with_extents
 from anther.perception.skeleton.voxel_solid import Voxels, components, nearest

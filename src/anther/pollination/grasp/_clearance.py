@@ -7,10 +7,10 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from anther.core.compiling import njit
 from anther.core.geometry import Array
 from anther.perception.cloud import Cloud
 from anther.perception.masks import FLOWER

@@ -9,11 +9,11 @@ from functools import cache
 
 import numpy as np
 import scipy  # loads `scipy.stats`, which takes long, where it is used
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from anther.core.checks import check_transform
+from anther.core.compiling import njit
 from anther.core.geometry import Array
 from anther.robot.arm.model import ArmModel
 
