@@ -23,7 +23,7 @@ def compile_all() -> None:
             try:
                 with redirect_stdout(io.StringIO()):
                     work()
-            except (ImportError, MissingExtra) as error:
+            except ImportError as error:
                 missing = error if isinstance(error, MissingExtra) else missing_extra(error)
                 if missing is None:
                     raise
