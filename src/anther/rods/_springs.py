@@ -12,8 +12,6 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from anther.rods._vectors import (
     LANES,
     Vector,
@@ -37,24 +35,23 @@ from anther.rods._vectors import (
     twist_angle,
 )
 
-# Rows are NumPy's integers, since for each of Python's numba compiles what it is given to anew.
-EDGE_E, EDGE_F, DIRECTOR_E, DIRECTOR_F, SPEED_E, SPEED_F = np.array((0, 3, 6, 9, 12, 15))  # three rows each
-SPIN_E, SPIN_F, TWIST = np.array((18, 19, 20))
-JOINT, VISCOUS, CURVATURE_1, CURVATURE_2, NATURAL_TWIST = np.array((21, 27, 28, 29, 30))  # JOINT has six rows
-STRETCH, LENGTH, START_F = np.array((31, 32, 33))  # START_F has three rows
+EDGE_E, EDGE_F, DIRECTOR_E, DIRECTOR_F, SPEED_E, SPEED_F = 0, 3, 6, 9, 12, 15  # three rows each
+SPIN_E, SPIN_F, TWIST = 18, 19, 20
+JOINT, VISCOUS, CURVATURE_1, CURVATURE_2, NATURAL_TWIST = 21, 27, 28, 29, 30  # JOINT has six rows
+STRETCH, LENGTH, START_F = 31, 32, 33  # START_F has three rows
 """Input rows of the lanes, of a spring between edges e and f: geometry, then material."""
 
-FORCE_E, FORCE_F, MOMENT_E, MOMENT_F = np.array((36, 39, 42, 43))
-EE, FF, FE = np.array((44, 50, 56))  # symmetric: 00, 01, 11, 02, 12, 22; FE has nine rows: rows of f, columns of e
-SPIN_E_E, SPIN_E_F, SPIN_F_E, SPIN_F_F = np.array((65, 68, 71, 74))  # spin of one against the vector of the other
-SPINS = np.int64(77)  # of e with e, e with f, f with f
+FORCE_E, FORCE_F, MOMENT_E, MOMENT_F = 36, 39, 42, 43
+EE, FF, FE = 44, 50, 56  # symmetric: 00, 01, 11, 02, 12, 22; FE has nine rows: rows of f, columns of e
+SPIN_E_E, SPIN_E_F, SPIN_F_E, SPIN_F_F = 65, 68, 71, 74  # spin of one against the vector of the other
+SPINS = 77  # of e with e, e with f, f with f
 ROWS = 80
 """Output rows: gradient and Hessian by the vectors and the spins of both edges."""
 
-SINE, COSINE = np.array((36, 37))
+SINE, COSINE = 36, 37
 """Output rows for the twist: its sine and cosine."""
 
-OLD_EDGE, NEW_EDGE, OLD_DIRECTOR, TURN, NEW_DIRECTOR = np.array((0, 3, 6, 9, 10))
+OLD_EDGE, NEW_EDGE, OLD_DIRECTOR, TURN, NEW_DIRECTOR = 0, 3, 6, 9, 10
 """Rows for moving the frame of an edge: four inputs, one output."""
 
 

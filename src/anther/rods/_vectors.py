@@ -12,6 +12,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from numba.extending import register_jitable
+
 from anther.core.compiling import numba
 
 
@@ -38,12 +40,18 @@ OPTIONS = {
     "nogil": True,
     "fastmath": {"contract", "reassoc", "arcp", "nsz"},
 }
+"""How kernels are compiled: kept on disk, sums may be reordered and fused, NaN and infinity keep their meaning.
+
+They allocate nothing and are no callbacks of C: to be ready for either takes a third of the time of compiling.
+"""
+
 compiled: Any = numba.njit(**OPTIONS)
-"""How a kernel is compiled: kept on disk, sums may be reordered and fused, NaN and infinity keep their meaning."""
-merged: Any = numba.njit(forceinline=True, no_cpython_wrapper=True, **OPTIONS)
+"""For a kernel that is called from Python; the types of its arguments must not vary, each combination is compiled."""
+
+merged: Any = register_jitable(forceinline=True, **OPTIONS)
 """For a part of a kernel: it becomes one with its caller, so that the compiler can vectorise the caller's loop."""
 
-inner: Any = numba.njit(no_cpython_wrapper=True, **OPTIONS)
+inner: Any = register_jitable(**OPTIONS)
 """For a part of several kernels that is too long to be merged with each."""
 
 inlined: Any = numba.njit(inline="always", **OPTIONS)
