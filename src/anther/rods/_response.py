@@ -211,21 +211,22 @@ def observed_response(
     def solve_some(which: NDArray[Any]) -> None:
         n = len(system.free)
         dynamic, columns, M = new_blocks(n, np.complex128), np.zeros((2, n, 4, width)), np.empty((2, 4, 4))
-        (real, imaginary), motion = np.empty((2, n, 4, 8)), np.empty((n, 4, 8), np.complex128)
+        eight, motion = np.empty((2, n, 4, 8)), np.empty((n, 4, 8), np.complex128)
+        node, part = np.divmod(view.wanted, 4)
         for q in which:
             set_dynamic(system, 2 * np.pi * float(frequencies[q]), dynamic)
             factor(system.model, dynamic)
             for first in range(0, len(loads), width):
-                some = loads[first : first + width]
+                loaded, way = np.divmod(loads[first : first + width], 4)
                 columns[:, view.trunk] = 0
-                columns[0, some // 4, some % 4, np.arange(len(some))] = 1
+                columns[0, loaded, way, np.arange(len(loaded))] = 1
                 eliminate_columns(system.model, dynamic, view.trunk, *columns, M)
                 substitute_columns(system.model, dynamic, view.trunk, *columns, M)
-                moved = columns[:, view.wanted // 4, view.wanted % 4, : len(some)]
-                trunk[q, first : first + width] = (moved[0] + 1j * moved[1]).T
-            real[:], imaginary[:] = view.preset, 0
-            substitute_columns(system.model, dynamic, view.branches, real, imaginary, M)
-            motion.real, motion.imag = real, imaginary
+                some = trunk[q, first : first + width].T
+                some.real, some.imag = columns[:, node, part, : len(loaded)]
+            eight[0], eight[1] = view.preset, 0
+            substitute_columns(system.model, dynamic, view.branches, *eight, M)
+            motion.real, motion.imag = eight
             branch[q] = view.beyond @ motion.reshape(4 * n, 8)
 
     _on_all_cores(solve_some, len(frequencies))

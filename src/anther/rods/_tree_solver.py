@@ -16,12 +16,12 @@ Row = Any
 """Four numbers."""
 
 
-@inlined
+@merged
 def _row(A: Any, j: Any, i: int) -> Row:
     return (A[j, i, 0], A[j, i, 1], A[j, i, 2], A[j, i, 3])
 
 
-@inlined
+@merged
 def _put_row(A: Any, j: Any, i: int, row: Row) -> None:
     A[j, i, 0], A[j, i, 1], A[j, i, 2], A[j, i, 3] = row
 
@@ -258,7 +258,7 @@ def _take(real: Any, imaginary: Any, j: Any, i: int, size: complex, m: int) -> N
         imaginary[j, i, k] -= c * y + s * x
 
 
-@inlined
+@merged
 def _four(r: Any, j: Any) -> Row:
     return (r[j, 0], r[j, 1], r[j, 2], r[j, 3])
 
