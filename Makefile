@@ -14,7 +14,7 @@ demo: $(CORE)  ## install and run the main job: a simulated tomato is seen, gras
 	$(BIN)/anther trial --plant tomato --seed 2 --out runs/demo --overwrite || [ $$? -eq 1 ]  # 1: a part of its verdict failed
 
 test: $(DEV)  ## run the tests, four at a time: those of drivers mostly wait
-	$(BIN)/python examples/01_shake_a_cantilever.py  # compiles the rods once, not in each of the four
+	$(BIN)/anther doctor --compile  # once, not in each of the four
 	$(BIN)/python -m pytest -n 4
 
 slow: $(DEV)  ## run the slow tests

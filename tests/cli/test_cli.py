@@ -292,35 +292,6 @@ def test_a_missing_system_library_names_its_package(monkeypatch, capfd) -> None:
         main(["trial"])
 
 
-def test_compiling_is_told_once_and_only_what_takes_long(monkeypatch, capfd) -> None:
-    """The rest of the first use is no longer silent; what was compiled before is not told."""
-    import numba  # noqa: PLC0415 - not at the head: the command line must not need it
-
-    def compile_two() -> None:
-        for number in range(2):
-            numba.njit(lambda x, more=number: x + more)(1.0)
-
-    @dataclass
-    class Args:
-        wait: float = 0.0
-
-    def slow(args: Args) -> int:
-        time.sleep(args.wait)
-        compile_two()
-        return 0
-
-    monkeypatch.setattr(cli, "PATIENCE", 0.05)
-    monkeypatch.setattr(cli, "_module", lambda *_: SimpleNamespace(Args=Args, run=slow, __doc__="slow"))
-    assert main(["plan", "--wait", "0.5"]) == 0
-    assert capfd.readouterr().err.count("compiling for this machine") == 1
-    monkeypatch.undo()
-    monkeypatch.setattr(cli, "_module", lambda *_: SimpleNamespace(Args=Args, run=slow, __doc__="slow"))
-    monkeypatch.setattr(cli, "PATIENCE", 30.0)
-    assert main(["plan"]) == 0
-    compile_two()
-    assert "compiling" not in capfd.readouterr().err
-
-
 @pytest.mark.parametrize("name", ["reconstruct", "skeletonize", "plan", "view"])
 def test_missing_files(capfd, tmp_path, name) -> None:
     extra = ["--units", "m", "--up", "z"] if name == "skeletonize" else []

@@ -9,8 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from anther.cli import doctor
+from anther.cli import compile_all, doctor
 from anther.cli.main import main
+from anther.cli.sample_data import write_samples
+from anther.core.compiling import COMPILED
 
 EXTRAS = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]["optional-dependencies"]
 
@@ -86,3 +88,29 @@ def test_compiled_code_that_may_not_last(
     monkeypatch.setattr(doctor.tempfile, "gettempdir", lambda: str(tmp_path))
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
     assert findings(capsys)["compiled code"]["state"] == "absent"
+
+
+def test_compiling_ahead_leaves_out_what_an_extra_is_missing_for_and_nothing_else(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def lacking(module: str) -> None:
+        raise ModuleNotFoundError(f"No module named '{module}'", name=module)
+
+    monkeypatch.setattr(compile_all, "_work", lambda _: [("bags", lambda: lacking("mcap")), ("rest", lambda: None)])
+    compile_all.compile_all()
+    said = capsys.readouterr().out
+    assert "left out: this needs mcap" in said
+    assert "rest ... 0 kernels" in said
+    monkeypatch.setattr(compile_all, "_work", lambda _: [("bags", lambda: lacking("anther.nowhere"))])
+    with pytest.raises(ModuleNotFoundError):
+        compile_all.compile_all()
+
+
+@pytest.mark.slow
+def test_after_compiling_ahead_nothing_is_left_to_compile(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    compile_all.compile_all()
+    write_samples(tmp_path)
+    before = COMPILED.kernels
+    for name, source in (("skeletonize", "plant.ply"), ("plan", "skeleton.swc")):
+        assert main([name, str(tmp_path / source), "--out", str(tmp_path / name)]) == 0
+    assert COMPILED.kernels == before

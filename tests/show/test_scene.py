@@ -16,7 +16,7 @@ from test_viewer import shaken
 from anther.core.geometry import Box, Intrinsics, look_at
 from anther.robot.arm import sawyer
 from anther.robot.devices import Frame
-from anther.show import scene
+from anther.show import run_scene, scene
 from anther.show.film import save_film, with_robot
 from anther.show.log import _scene
 from anther.show.pictures.plant import draw_layers
@@ -27,7 +27,7 @@ from anther.show.viewer._scene import build_scene
 
 def test_viewer_log_and_pictures_draw_the_same_layers(tmp_path: Path) -> None:
     results = shaken(tmp_path)
-    layers = scene.layers_of(results)
+    layers = run_scene.layers_of(results)
     names = {layer.name for layer in layers}
     assert {"cloud", "main stem", "branches", "flowers", "grasp", "gripper", "arm"} <= names
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
@@ -45,7 +45,7 @@ def test_viewer_log_and_pictures_draw_the_same_layers(tmp_path: Path) -> None:
 @pytest.mark.parametrize("narrow", [False, True])
 def test_pictures_name_axes_with_units_and_keep_their_ticks_apart(narrow: bool, tmp_path: Path) -> None:
     results = shaken(tmp_path)
-    figure = draw_layers(scene.layers_of(results), results.grasp, narrow=narrow)
+    figure = draw_layers(run_scene.layers_of(results), results.grasp, narrow=narrow)
     figure.canvas.draw()
     for plot in figure.axes:
         assert plot.get_xlabel().endswith("[m]")
@@ -94,7 +94,7 @@ CAMERA = Intrinsics(60, 60, 60.0, 60.0, 29.5, 29.5)
 def test_the_robot_is_drawn_where_it_is_in_front_of_what_the_camera_saw(tmp_path: Path) -> None:
     results = shaken(tmp_path)
     assert results.trial is not None
-    arm = scene.arm_of(results)
+    arm = run_scene.arm_of(results)
     assert arm is not None
     hand = arm.forward(sawyer.NEUTRAL)[:3, 3]
     pose = look_at(hand + np.array([0.0, -1.0, 0.2]), hand)

@@ -28,7 +28,7 @@ from anther.pollination.response import Response
 from anther.pollination.shake import Pads
 from anther.robot.arm import sawyer
 from anther.show.results import RunResults
-from anther.show.scene import arm_of
+from anther.show.run_scene import arm_of
 from anther.show.viewer import write_html
 from anther.show.viewer._motion import RATE, motion_of
 from anther.show.viewer._scene import VIEW_FROM, build_scene

@@ -19,7 +19,7 @@ from anther.robot.arm.saved import save_arm
 from anther.robot.cells import CellFile
 from anther.robot.devices import JointTrajectory
 from anther.show.results import ARM, RunResults, read_run
-from anther.show.scene import arm_of
+from anther.show.run_scene import arm_of
 from anther.show.viewer._motion import motion_of
 from anther.sim.cell_file import foot_of, notes, read_simulated, simulate, wrist_lens
 from anther.sim.simulated_cell import PRESETS, SimulatedCell

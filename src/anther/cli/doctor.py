@@ -8,6 +8,7 @@ import platform
 import shutil
 import sys
 import tempfile
+from contextlib import redirect_stdout
 from importlib import metadata
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -55,7 +56,12 @@ class Examined(NamedTuple):
 
 
 def run(args: Args) -> int:
-    """Print the findings; return 1 if one of them is wrong."""
+    """Compile if that is asked, print the findings; return 1 if one of them is wrong."""
+    if args.compile:
+        from anther.cli.compile_all import compile_all
+
+        with redirect_stdout(sys.stderr if args.json else sys.stdout):
+            compile_all()
     core, extras = _requirements()
     looked = [_python(), _packages(core), *(_extra(name, needs) for name, needs in extras.items())]
     looked += [_gpu(), _compiled(), _cameras(), _disk(Path.cwd())]

@@ -13,7 +13,6 @@ import io
 import os
 import re
 import sys
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
@@ -23,8 +22,6 @@ from signal import SIGTERM, default_int_handler, signal
 from threading import current_thread, main_thread
 from types import ModuleType
 from typing import Any, get_type_hints
-
-PATIENCE = 2.0  # s
 
 COLLECT_EVERY = 100_000
 """Garbage is looked for after so many new objects: Python's 700 costs a fifth of the time of `anther skeletonize`."""
@@ -121,37 +118,17 @@ def _terminated_as_interrupted() -> Iterator[None]:
         signal(SIGTERM, before)
 
 
-@contextmanager
-def _compiling_told(name: str) -> Iterator[None]:
-    """Say so when a command that brought numba compiles after `PATIENCE`; it takes a minute, and is kept."""
-    if "numba" not in sys.modules:
-        yield
-        return
-    from numba.core import event
-
-    begin, told = time.monotonic(), list[str]()
-
-    class Once(event.Listener):
-        def on_start(self, event: Any) -> None:
-            if not told and time.monotonic() - begin > PATIENCE:
-                told.append(name)
-                print(f"anther {name}: compiling for this machine, once; about a minute ...", file=sys.stderr)
-
-        def on_end(self, event: Any) -> None:
-            pass
-
-    with event.install_listener("numba:compile", Once()):
-        yield
+def do(name: str, words: list[str]) -> int:
+    """Do one command, and return its exit code; errors are raised."""
+    args = _parsed(name, words)
+    return int(_module(name).run(args) or 0)
 
 
 def _run(name: str, words: list[str]) -> int:
     from anther.core.errors import AntherError, missing_extra
 
     try:
-        args = _parsed(name, words)
-        command = _module(name)
-        with _compiling_told(name):
-            return int(command.run(args) or 0)
+        return do(name, words)
     except (AntherError, ImportError) as error:
         told = error if isinstance(error, AntherError) else missing_extra(error)
         if told is None:

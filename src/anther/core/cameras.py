@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import cv2
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from anther.core.compiling import numba
 from anther.core.errors import bad_input
 from anther.core.geometry import Array, Intrinsics
 

@@ -9,9 +9,9 @@ from dataclasses import fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy  # loads `scipy.stats`, which takes long, where it is used
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
-from scipy.stats import theilslopes
 
 from anther.core.geometry import Array, occupied_cells
 from anther.perception.cloud import Cloud
@@ -213,7 +213,7 @@ def _smooth(skeleton: Skeleton, stem: Stem) -> Array:
 def _stem_taper(stem: Stem, radius: Array) -> Array:
     """Return the stem's radius (S,) as a line that does not grow upward and ends at a quarter of the base or more."""
     r, s = radius[stem.node_ids], stem.arc_length
-    fit: Any = theilslopes(r, s)
+    fit: Any = scipy.stats.theilslopes(r, s)
     line = fit.intercept + fit.slope * s if fit.slope < 0 else np.full_like(s, np.median(r))
     return np.maximum(line, max(0.25 * line.max(), LEAST_RADIUS))
 

@@ -23,8 +23,8 @@ from anther.rods._vectors import (
     get,
     get3,
     halves,
+    inlined,
     load,
-    merged,
     norm,
     put,
     put3,
@@ -101,7 +101,6 @@ def elastic_energy(model: Model, x: Any, frames: Frames) -> float:
     return total
 
 
-@compiled
 def assemble(model: Model, x_start: Any, x: Any, frames: Frames, velocity: Any, rate: float, blocks: Blocks) -> None:
     """Fill blocks with the gradient (minus the force) and Hessian by nodes; arguments as of `assemble_edges`."""
     assemble_edges(model, x_start, x, frames, velocity, rate, blocks)
@@ -120,12 +119,12 @@ def add_supports(model: Model, x: Any, blocks: Blocks) -> None:
             D[j, i, i] += stiffness
 
 
-@merged
+@inlined
 def _home(homes: Any, k: Any, first: Any) -> Any:
     return homes[k, first], homes[k, first + 1], homes[k, first + 2]
 
 
-@compiled
+@inlined
 def _add_turning_supports(model: Model, x: Any, m1: Any, blocks: Blocks) -> None:
     """Add the springs that hold the direction of edges to gradient and matrix by edges: each as a soil of its own."""
     supports, homes, parent, b = model.supports, model.homes, model.parent, blocks.lanes
@@ -234,7 +233,7 @@ def on_nodes(model: Model, blocks: Blocks) -> None:
         _less_own(U, D, j)
 
 
-@merged
+@inlined
 def _less_own(target: Any, D: Any, j: Any) -> None:
     """Subtract the symmetric block j, of which the upper triangle is kept, but for its last column."""
     for i in range(4):
@@ -242,7 +241,7 @@ def _less_own(target: Any, D: Any, j: Any) -> None:
             target[j, i, c] -= D[j, min(i, c), max(i, c)]
 
 
-@merged
+@inlined
 def _add_coupling(D: Any, U: Any, j: Any, m: Any, sign: float) -> None:
     """Add what the coupling of edge j with the near one means for node m, where they meet."""
     for i in range(3):
@@ -250,7 +249,7 @@ def _add_coupling(D: Any, U: Any, j: Any, m: Any, sign: float) -> None:
             D[m, i, c] += sign * (U[j, i, c] + U[j, c, i])
 
 
-@merged
+@inlined
 def _add_beyond(target: Any, U: Any, j: Any, m: Any) -> None:
     """Add the coupling of edge j with edge m before it to node m's with the node before that."""
     for i in range(3):
@@ -258,7 +257,7 @@ def _add_beyond(target: Any, U: Any, j: Any, m: Any) -> None:
             target[m, i, c] += U[j, i, c]
 
 
-@merged
+@inlined
 def _gather_springs(
     model: Model, x_start: Any, x: Any, frames: Frames, velocity: Any, b: Any, first: int, count: int
 ) -> None:
@@ -289,7 +288,7 @@ def _gather_springs(
         put(b, _springs.TWIST, i, twist[j])
 
 
-@merged
+@inlined
 def _gather(
     x: Any, m1: Any, velocity: Any, b: Any, j: Any, m: Any, start: Any, end: Any, edge: Any, sign: float, i: int
 ) -> None:
@@ -304,7 +303,7 @@ def _gather(
     put(b, _springs.SPIN_F, i, velocity[j, 3])
 
 
-@merged
+@inlined
 def _gather_soil(soil: Any, b: Any, j: Any, i: int) -> None:
     """Write the soil, which stands still or turns, as edge e into lane i."""
     edge, director = halves(soil, j)
@@ -314,14 +313,14 @@ def _gather_soil(soil: Any, b: Any, j: Any, i: int) -> None:
     put(b, _springs.SPIN_E, i, soil[j, 9])
 
 
-@merged
+@inlined
 def _clear(A: Any, j: Any) -> None:
     for r in range(4):
         for c in range(4):
             A[j, r, c] = 0
 
 
-@merged
+@inlined
 def _set_own(D: Any, g: Any, b: Any, j: Any, i: int) -> None:
     """Begin row j with what its own spring gives."""
     f, turn, spins = get3(b, _springs.FORCE_F, i), get3(b, _springs.SPIN_F_F, i), get3(b, _springs.SPINS, i)
@@ -332,7 +331,7 @@ def _set_own(D: Any, g: Any, b: Any, j: Any, i: int) -> None:
     D[j, 3, 3] = spins[2]
 
 
-@merged
+@inlined
 def _add_near(D: Any, U: Any, g: Any, b: Any, j: Any, a: Any, sign: float, i: int) -> None:
     """Add what the joint of edge j does to edge a, which runs towards it (sign 1) or, at the root, away (-1)."""
     spins = get3(b, _springs.SPINS, i)

@@ -93,7 +93,7 @@ class Tangent:
 
 def tangent(model: Model, free: Any, x: Array, frames: Frames, blocks: Blocks, shift: float = 0.0) -> Tangent:
     """Return the factored stiffness at positions x (N, 3), in the given blocks, with `shift` added to its diagonal."""
-    together = hangs_together(model, free)
+    together, x = hangs_together(model, free), np.array(x)
     assemble_edges(model, x, x, frames, np.zeros((len(x), 4)), 0.0, blocks)
     if together:
         model = by_edges(model)
@@ -338,7 +338,8 @@ def standing(rods: Rods, clamp: Clamp) -> Rods | None:
             natural = balancing_shape(rods, model, frames, free)
         except StageFailure:
             return None
-        model = model._replace(length=natural.length, curvature=natural.curvature, natural_twist=natural.twist)
+        own = map(np.array, (natural.length, natural.curvature, natural.twist))
+        model = model._replace(**dict(zip(("length", "curvature", "natural_twist"), own, strict=True)))
     if tangent(model, free, rods.nodes, frames, new_blocks(len(rods.nodes))).unstable:
         return None
     return rods if rods.natural is natural else replace(rods, natural=natural)

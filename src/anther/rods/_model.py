@@ -289,7 +289,7 @@ def build_model(rods: Rods, gravity: ArrayLike, planted: bool = False) -> tuple[
         supports=_supports(rods),
         homes=_homes(rods, frames),
     )
-    return Model(*(np.array(a) for a in model)), frames
+    return Model(*(np.array(a, order="C") for a in model)), frames
 
 
 def _planted(parent: NDArray[Any], far: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
@@ -370,7 +370,7 @@ def _rest_frames(
         )
     m1, curvature = np.zeros((len(nodes), 3)), np.zeros((len(nodes), 2))
     hub = int(np.flatnonzero((near == 0) & (far < 0))[0])
-    _carry_frames(nodes, parent, near, far, swapped, hub, m1, curvature)
+    _carry_frames(np.array(nodes), np.array(parent), near, far, swapped, hub, m1, curvature)
     return Frames(m1, np.zeros(len(nodes))), curvature
 
 
@@ -396,7 +396,7 @@ def _carry_frames(
         curvature[j, 0], curvature[j, 1] = kappa
 
 
-@compiled
+@merged
 def spring_edges(x: Any, parent: Any, near: Any, far: Any, swapped: Any, j: int) -> Any:
     """Return the edge vectors e (the parent edge, running towards edge j) and f (edge j) of spring j [m]."""
     e = subtract(load(x, near[j]), load(x, far[j]))

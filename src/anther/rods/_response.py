@@ -33,7 +33,7 @@ from anther.rods._motion import (
     unit_direction,
 )
 from anther.rods._rods import GRAVITY, Array, Rods
-from anther.rods._tree_solver import factor, solve_columns, substitute_columns
+from anther.rods._tree_solver import eliminate_columns, factor, substitute_columns
 from anther.rods._vectors import compiled
 
 COLUMNS = 128
@@ -210,25 +210,37 @@ def observed_response(
 
     def solve_some(which: NDArray[Any]) -> None:
         n = len(system.free)
-        dynamic, columns = new_blocks(n, np.complex128), np.zeros((2, n, 4, width))
+        dynamic, columns, M = new_blocks(n, np.complex128), np.zeros((2, n, 4, width)), np.empty((2, 4, 4))
+        eight, motion = np.empty((2, n, 4, 8)), np.empty((n, 4, 8), np.complex128)
+        node, part = np.divmod(view.wanted, 4)
         for q in which:
             set_dynamic(system, 2 * np.pi * float(frequencies[q]), dynamic)
             factor(system.model, dynamic)
             for first in range(0, len(loads), width):
-                some = slice(first, first + width)
-                _trunk_motion(system.model, dynamic, loads[some], view.trunk, view.wanted, columns, trunk[q, some])
-            _branch_motion(system.model, dynamic, view.branches, view.preset, view.beyond, branch[q])
+                loaded, way = np.divmod(loads[first : first + width], 4)
+                columns[:, view.trunk] = 0
+                columns[0, loaded, way, np.arange(len(loaded))] = 1
+                eliminate_columns(system.model, dynamic, view.trunk, *columns, M)
+                substitute_columns(system.model, dynamic, view.trunk, *columns, M)
+                some = trunk[q, first : first + width].T
+                some.real, some.imag = columns[:, node, part, : len(loaded)]
+            eight[0], eight[1] = view.preset, 0
+            substitute_columns(system.model, dynamic, view.branches, *eight, M)
+            motion.real, motion.imag = eight
+            branch[q] = view.beyond @ motion.reshape(4 * n, 8)
 
     _on_all_cores(solve_some, len(frequencies))
     shape = len(frequencies), len(held)
     vectors = np.empty((*shape, operator.shape[0] // 3, 3, 3), np.complex128)
+    seen = np.empty_like(vectors[:, 0], order="C")
     wrench, moved = np.empty((2, *shape, 6, 3), np.complex128)
     for g, (pad, unknowns) in enumerate(zip(grip_nodes, held, strict=True)):
         body = rigid_motion(rods.parent, system.state.x, np.asarray(pad))
         at, rows = np.searchsorted(view.wanted, unknowns), np.searchsorted(loads, unknowns)
         forces, wrench[:, g], moved[:, g] = _grasped(trunk[:, rows][:, :, at], body, springs)
         moves = np.swapaxes(trunk[:, rows], 1, 2) @ forces
-        _observe(branch, view.base, view.direct, moves, vectors[:, g])
+        _observe(branch, view.base, view.direct, np.ascontiguousarray(moves), seen)
+        vectors[:, g] = seen
     return Observed(vectors, wrench[:, :, :3], wrench[:, :, 3:], moved)
 
 
@@ -309,7 +321,7 @@ class _View(NamedTuple):
     wanted: NDArray[Any]  # (W,) unknowns of the trunk that are loaded, looked at, or move a branch that is
     branches: NDArray[Any]  # the other rows, root outward
     preset: Array  # (N, 4, 8) the motions of the trunk that T answers
-    beyond: tuple[Any, Any, Any]  # (3K, 4N) the part of the operator that looks at branches: CSR
+    beyond: Any  # (3K, 4N) the part of the operator that looks at branches, sparse
     base: NDArray[Any]  # (K, 8) which of the wanted unknowns move the branch, in the order of the columns
     direct: tuple[Any, Any, Any]  # (3K, W) the part that looks at the trunk: CSR
 
@@ -334,39 +346,8 @@ def _view(model: Model, loads: NDArray[Any], operator: Any) -> _View:
     wanted = np.unique(np.concatenate([loads, parts.col[~off], base.ravel()]))
     column = np.where(off, parts.col, np.searchsorted(wanted, parts.col))
     split = [csr_array((parts.data[s], (parts.row[s], column[s])), (len(base) * 3, 4 * n)) for s in (off, ~off)]
-    beyond, direct = ((m.indptr, m.indices, m.data) for m in split)
-    return _View(trunk, wanted, branches, preset, beyond, np.searchsorted(wanted, base), direct)
-
-
-@compiled
-def _trunk_motion(model: Model, dynamic: Any, loads: Any, trunk: Any, wanted: Any, columns: Any, out: Any) -> None:
-    """Write (L, W) the motion of the wanted unknowns per unit load; `columns` (2, N, 4, L or more) is scratch."""
-    real, imaginary = columns[0], columns[1]
-    for j in trunk:
-        real[j] = 0
-        imaginary[j] = 0
-    for k in range(len(loads)):
-        real[loads[k] // 4, loads[k] % 4, k] = 1
-    solve_columns(model, dynamic, trunk, real, imaginary)
-    for k in range(len(loads)):
-        for w in range(len(wanted)):
-            j, i = wanted[w] // 4, wanted[w] % 4
-            out[k, w] = complex(real[j, i, k], imaginary[j, i, k])
-
-
-@compiled
-def _branch_motion(model: Model, dynamic: Any, branches: Any, preset: Any, beyond: Any, out: Any) -> None:
-    """Write (3K, 8) what is seen of branches when the nodes of the trunk move one at a time."""
-    real, imaginary = preset.copy(), np.zeros_like(preset)
-    substitute_columns(model, dynamic, branches, real, imaginary)
-    start, unknown, share = beyond
-    for row in range(len(out)):
-        for c in range(8):
-            out[row, c] = 0
-        for k in range(start[row], start[row + 1]):
-            j, i = unknown[k] // 4, unknown[k] % 4
-            for c in range(8):
-                out[row, c] += share[k] * complex(real[j, i, c], imaginary[j, i, c])
+    direct = split[1].indptr, split[1].indices, split[1].data
+    return _View(trunk, wanted, branches, preset, split[0], np.searchsorted(wanted, base), direct)
 
 
 @compiled

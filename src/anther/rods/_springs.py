@@ -17,12 +17,12 @@ from anther.rods._vectors import (
     Vector,
     add,
     combine,
-    compiled,
     cross,
     dot,
     get,
     get3,
     get6,
+    inner,
     merged,
     norm,
     put,
@@ -357,7 +357,7 @@ def stretched(buffer: Any, i: int, rate: float, b: Bent, f: Vector, vf: Vector) 
     return force, _plus_identity(across, _both(b.tf, scale(0.5 * along, b.tf)))
 
 
-@compiled
+@inner
 def spring_lanes(buffer: Any, rate: float) -> None:
     """Fill the output rows of all lanes from their input rows; `rate` is d velocity / d position [1/s].
 

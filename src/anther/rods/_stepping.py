@@ -18,7 +18,7 @@ from anther.rods._assembly import Blocks, add_supports, assemble_edges, elastic_
 from anther.rods._model import Frames, Model
 from anther.rods._rods import Array
 from anther.rods._tree_solver import constrain, factor, solve
-from anther.rods._vectors import compiled, cross, dot, load, merged, norm, peak, scale, subtract, transport
+from anther.rods._vectors import compiled, cross, dot, inlined, load, merged, norm, peak, scale, subtract, transport
 
 POSITION_FLOOR = 1e-12
 """A Newton correction below this [m] is rounding noise: the step has converged."""
@@ -93,7 +93,7 @@ class Settings(NamedTuple):
     balance: bool  # whether a step that creates energy is refused, so that it is split
 
 
-@compiled
+@inlined
 def _add_rotary(model: Model, blocks: Blocks, old: State, new: State, rate: float) -> None:
     """Add the inertia of what turns with the edges to the residual (blocks.gradient) and to the matrix by edges."""
     g, D, parent, v, v_old, rotary = blocks.gradient, blocks.diagonal, model.parent, new.v, old.v, model.rotary
@@ -104,7 +104,7 @@ def _add_rotary(model: Model, blocks: Blocks, old: State, new: State, rate: floa
             D[j, i, i] += rotary[j] * rate * rate
 
 
-@compiled
+@inlined
 def _add_inertia(model: Model, blocks: Blocks, old: State, new: State, rate: float) -> None:
     """Add inertia, drag and weight to the residual (blocks.gradient) and to the matrix by nodes."""
     g, D, mass, drag, weight = blocks.gradient, blocks.diagonal, model.mass, model.drag, model.weight
@@ -130,7 +130,7 @@ def _largest_turn(parent: Any, x: Any, move: Any) -> float:
     return math.sqrt(worst)
 
 
-@merged
+@inlined
 def _residual(free: Any, g: Any, length: Any) -> float:
     """Return the norm of the forces on free positions, with moments on free spins counted over the edge length [N]."""
     total = 0.0
@@ -153,7 +153,7 @@ def _move(x: Any, turn: Any, correction: Any, share: float) -> None:
             x[j, i] -= share * correction[j, i]
 
 
-@compiled
+@inlined
 def _evaluate(model: Model, old: State, new: State, start: Any, turn: Any, rate: float, blocks: Blocks) -> None:
     """Fill frames and velocities of `new` from its positions and turns, and blocks with residual and matrix."""
     move_frames(model, old.x, old.frames.m1, new.x, turn, new.frames.m1, blocks.lanes)
@@ -169,7 +169,7 @@ def _evaluate(model: Model, old: State, new: State, start: Any, turn: Any, rate:
     _add_inertia(model, blocks, old, new, rate)
 
 
-@compiled
+@inlined
 def implicit_step(model: Model, free: Any, old: State, work: Work, h: float, settings: Settings) -> Any:
     """Solve one implicit Euler step of length h [s] from `old` for work.mid.
 
@@ -190,10 +190,8 @@ def implicit_step(model: Model, free: Any, old: State, work: Work, h: float, set
     g, parent, before, share, halved = blocks.gradient, model.parent, math.inf, 1.0, 0
     residual, largest = math.inf, math.inf
     for iteration in range(1, most + 1):
-        if settings.midpoint:
-            _evaluate(model, old, new, old.x, turn, 1 / h, blocks)
-        else:
-            _evaluate(model, old, new, new.x, turn, 1 / h, blocks)
+        start = old.x if settings.midpoint else new.x
+        _evaluate(model, old, new, start, turn, 1 / h, blocks)
         residual = _residual(free, g, model.length)
         if residual <= tolerance or (largest < POSITION_FLOOR and residual < 1e3 * tolerance):
             for j in range(len(g)):
@@ -231,7 +229,7 @@ def _copy(source: State, target: State) -> None:
         target.frames.twist[j] = source.frames.twist[j]
 
 
-@merged
+@inlined
 def _guess(free: Any, grip: Grip, old: State, work: Work, step: int, h: float, share: float) -> None:
     """Write Newton's first guess and what the gripper prescribes after a share of the step into work.mid and turn."""
     x, turn = work.mid.x, work.turn
@@ -249,7 +247,7 @@ def _guess(free: Any, grip: Grip, old: State, work: Work, step: int, h: float, s
             x[grip.nodes[k], i] = (1 - share) * grip.x[step, k, i] + share * grip.x[step + 1, k, i]
 
 
-@merged
+@inlined
 def _turn_gripped_edges(model: Model, grip: Grip, old: State, work: Work, step: int, share: float) -> None:
     """Prescribe the spin that takes the first director of each gripped edge to where the gripper holds it."""
     for q in range(len(grip.edges)):
@@ -264,7 +262,7 @@ def _turn_gripped_edges(model: Model, grip: Grip, old: State, work: Work, step: 
         work.turn[j] = 2 * math.tan(0.5 * angle)
 
 
-@compiled
+@inlined
 def _extrapolate(model: Model, free: Any, old: State, work: Work) -> None:
     """Turn the midpoint state into the state at the end of the step."""
     mid, end = work.mid, work.end
@@ -293,7 +291,7 @@ def energies(model: Model, state: State) -> tuple[float, float]:
     return stored, stored + raised
 
 
-@merged
+@inlined
 def _drive_speed(grip: Grip, state: State, step: int, dt: float) -> None:
     """Give the gripped nodes the speed of the drive at the end of the step, which the midpoint rule leaves out."""
     last = min(step + 2, len(grip.x) - 1)
@@ -302,7 +300,7 @@ def _drive_speed(grip: Grip, state: State, step: int, dt: float) -> None:
             state.v[grip.nodes[k], i] = (grip.x[last, k, i] - grip.x[step, k, i]) / ((last - step) * dt)
 
 
-@merged
+@inlined
 def _grip_work(grip: Grip, work: Work, step: int, midpoint: bool) -> float:
     """Return the work of the grip over the step [J]."""
     g, total = work.blocks.gradient, 0.0
@@ -314,7 +312,7 @@ def _grip_work(grip: Grip, work: Work, step: int, midpoint: bool) -> float:
     return total
 
 
-@compiled
+@inlined
 def _step(model: Model, free: Any, grip: Grip, state: State, work: Work, settings: Settings, step: int) -> Any:
     """Take one step from `state`, of which the end comes into work.mid.
 

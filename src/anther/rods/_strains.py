@@ -56,8 +56,8 @@ def strain_changes(rods: Rods, positions: Array, directors: Array, planted: bool
     """
     model, frames = build_model(rods, (0, 0, 0), planted)
     rest, out = np.zeros((1, len(rods.nodes), 3)), np.zeros_like(positions)
-    _strains(model, rods.nodes[None], frames.m1[None], rest)
-    _strains(model, positions, directors, out)
+    _strains(model, np.array(rods.nodes[None]), frames.m1[None], rest)
+    _strains(model, *(np.require(a, requirements="CW") for a in (positions, directors)), out)
     return out - rest
 
 
@@ -75,7 +75,7 @@ def joint_slopes(model: Model, x: Array, m1: Array) -> tuple[Array, NDArray[Any]
     """
     n = len(x)
     slopes, turning, j = np.zeros((n, 3, 11)), np.zeros((n, 3, 3)), np.arange(n)[:, None]
-    _slopes(model, x, m1, slopes, turning)
+    _slopes(model, np.array(x), m1, slopes, turning)
     o, p, a = (
         np.maximum(k, 0)[:, None] for k in (np.where(model.swapped, model.near, model.far), model.parent, model.near)
     )

@@ -8,11 +8,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from anther.rods._assembly import Blocks
 from anther.rods._model import Model
-from anther.rods._vectors import compiled, merged
+from anther.rods._vectors import compiled, inlined, inner, merged
 
 Row = Any
 """Four numbers."""
@@ -81,7 +79,7 @@ def factor(model: Model, blocks: Blocks) -> int:
     return 4 * len(order) - good
 
 
-@merged
+@inlined
 def _factor_block(D: Any, U: Any, V: Any, j: Any) -> int:
     """Turn the rows of block j into inverse pivots, unit factors above them, and L^-1 times U and V.
 
@@ -154,8 +152,8 @@ def solve(model: Model, blocks: Blocks, r: Any) -> None:
 
 
 @compiled
-def solve_columns(model: Model, blocks: Blocks, rows: Any, real: Any, imaginary: Any) -> None:
-    """Overwrite (N, 4, C) right-hand sides of a factored complex system by their solutions, side by side.
+def eliminate_columns(model: Model, blocks: Blocks, rows: Any, real: Any, imaginary: Any, M: Any) -> None:
+    """Begin the solution of a factored complex system for (N, 4, C) right-hand sides, side by side, in their place.
 
     Real and imaginary parts lie apart, so that the loops over columns reach the processor's vector units.
 
@@ -165,9 +163,9 @@ def solve_columns(model: Model, blocks: Blocks, rows: Any, real: Any, imaginary:
         rows: (R,) rows in rising elimination distance from the root, each after its near row. Other rows must be zero
             on the right-hand side, and are left alone.
         real, imaginary: (N, 4, C).
+        M: (2, 4, 4) scratch.
     """
     near, far, D, U, V = model.near, model.far, blocks.diagonal, blocks.near, blocks.far
-    M = np.zeros((2, 4, 4))
     for k in range(len(rows) - 1, -1, -1):
         j = rows[k]
         a, b = near[j], far[j]
@@ -178,14 +176,12 @@ def solve_columns(model: Model, blocks: Blocks, rows: Any, real: Any, imaginary:
         if b >= 0:
             _transposed(V, j, M)
             _less_matrix(real, imaginary, b, M, j)
-    substitute_columns(model, blocks, rows, real, imaginary)
 
 
 @compiled
-def substitute_columns(model: Model, blocks: Blocks, rows: Any, real: Any, imaginary: Any) -> None:
-    """Do the second half of `solve_columns`: what the rows do when those they hang on move as they stand there."""
+def substitute_columns(model: Model, blocks: Blocks, rows: Any, real: Any, imaginary: Any, M: Any) -> None:
+    """End it; alone, do what the rows do when those they hang on move as they stand there."""
     near, far, D, U, V = model.near, model.far, blocks.diagonal, blocks.near, blocks.far
-    M = np.zeros((2, 4, 4))
     for k in range(len(rows)):
         j = rows[k]
         a, b = near[j], far[j]
@@ -198,14 +194,14 @@ def substitute_columns(model: Model, blocks: Blocks, rows: Any, real: Any, imagi
         _substitute_columns(D, j, real, imaginary)
 
 
-@merged
+@inlined
 def _transposed(B: Any, j: Any, M: Any) -> None:
     for i in range(4):
         for m in range(4):
             M[0, m, i], M[1, m, i] = B[j, i, m].real, B[j, i, m].imag
 
 
-@merged
+@inlined
 def _with_pivots(B: Any, D: Any, j: Any, M: Any) -> None:
     for i in range(4):
         for m in range(4):
@@ -213,7 +209,7 @@ def _with_pivots(B: Any, D: Any, j: Any, M: Any) -> None:
             M[0, i, m], M[1, i, m] = value.real, value.imag
 
 
-@compiled
+@inner
 def _less_matrix(real: Any, imaginary: Any, at: Any, M: Any, source: Any) -> None:
     """Subtract M (real and imaginary part) times the rows of block `source` from those of block `at`."""
     for m in range(4):
@@ -231,7 +227,7 @@ def _less_matrix(real: Any, imaginary: Any, at: Any, M: Any, source: Any) -> Non
             imaginary[at, m, k] -= c0 * y0 + s0 * x0 + c1 * y1 + s1 * x1 + c2 * y2 + s2 * x2 + c3 * y3 + s3 * x3
 
 
-@compiled
+@inlined
 def _eliminate_columns(D: Any, j: Any, real: Any, imaginary: Any) -> None:
     """Apply L^-1 and the inverse pivots to the rows of block j."""
     for i in range(4):
@@ -244,7 +240,7 @@ def _eliminate_columns(D: Any, j: Any, real: Any, imaginary: Any) -> None:
             real[j, i, k], imaginary[j, i, k] = c * x - s * y, c * y + s * x
 
 
-@compiled
+@inlined
 def _substitute_columns(D: Any, j: Any, real: Any, imaginary: Any) -> None:
     """Apply L^-T to the rows of block j."""
     for i in range(2, -1, -1):

@@ -24,7 +24,7 @@ from anther.pollination.shake.choice import PRESS
 from anther.show.pictures.plant import draw_layers
 from anther.show.pictures.report import draw_motion, draw_response_map, draw_steps, draw_views
 from anther.show.results import FILM, RunResults, watched_words
-from anther.show.scene import layers_of
+from anther.show.run_scene import layers_of
 from anther.show.style import NARROW, NOT_MEASURED, STYLE, quantity
 
 SPREADS = {"youngs": "youngs_spread"} | {name: spread for name, spread in LEARNED.items() if name != "scanned_youngs"}

@@ -7,13 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any
 
+import lazy_loader
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
-from anther.core.errors import AntherError
 from anther.core.geometry import Array, Box, Intrinsics
 from anther.perception.capture import Capture
 from anther.perception.cloud import Cloud
@@ -21,15 +20,14 @@ from anther.perception.flowers import Flowers
 from anther.perception.skeleton import Skeleton
 from anther.perception.stem import BRANCH, LEAF, STEM, TRUSS, Stem
 from anther.pollination.grasp import Grasp
-from anther.pollination.shake import ShakePlan
-from anther.robot.arm import ArmName
-from anther.robot.arm.arms import in_simulated_cell, named
 from anther.robot.arm.model import ArmModel, Capsule, Tool
-from anther.robot.arm.saved import load_arm
-from anther.robot.cells import read_cell
-from anther.robot.devices import JointTrajectory
 from anther.show import style
-from anther.show.results import ARM, RunResults
+
+if TYPE_CHECKING:
+    from anther.pollination.shake import ShakePlan
+    from anther.robot.devices import JointTrajectory
+
+trimesh: Any = lazy_loader.load("trimesh")  # a third of a second, which a picture of a cloud does not need
 
 ORGANS = {
     STEM: ("main stem", style.STEM_COLOR, 0.005),
@@ -80,47 +78,6 @@ class Layer:
     poses: Array | None = None
     camera: Intrinsics | None = None
     shown: bool = True
-
-
-def layers_of(results: RunResults) -> list[Layer]:
-    """Return the layers of all that a run holds; its arm stands as it grasped."""
-    shake, grasp, tree = results.shaken, results.grasp, results.skeleton
-    arm = None if grasp is None else arm_of(results)
-    opening = grasp.opening if grasp is not None else 0.0
-    if results.trial is not None and len(results.trial.gripper):
-        opening = float(results.trial.gripper[0, 0])
-    found = [] if results.cloud is None else cloud(results.cloud)
-    if results.capture is not None:
-        found.append(views(results.capture))
-    if tree is not None:
-        found += organs(tree, results.stem)
-    if results.flowers is not None:
-        found.append(flowers(results.flowers))
-    if grasp is not None:
-        found.append(grasps("grasp", [grasp]))
-        if others := [g for g in results.grasps if not np.allclose(g.T_world_flange, grasp.T_world_flange)]:
-            found.append(grasps("other grasps", others, style.ROBOT_COLOR))
-    if arm is not None and grasp is not None:
-        found.append(gripper(arm.tool, grasp, opening))
-        if grasp.joints is not None:
-            found.append(arm_at(arm, grasp.joints, shown=results.trial is not None))
-    if shake is not None:
-        found.append(shaking(shake))
-    if (results.folder / ARM).exists() and (boxes := load_arm(results.folder / ARM)[1]):
-        found.append(keep_out(boxes))
-    return found
-
-
-def arm_of(results: RunResults) -> ArmModel | None:
-    """Return the run's arm: as it was kept, by its name, or from the run's cell file; None if that is gone."""
-    try:
-        if (results.folder / ARM).exists():
-            return load_arm(results.folder / ARM)[0]
-        if results.simulated:
-            return in_simulated_cell(results.arm)
-        return named(results.arm) if results.arm in get_args(ArmName) else read_cell(str(results.params["cell"])).model
-    except AntherError:
-        return None
 
 
 def cloud(found: Cloud) -> list[Layer]:

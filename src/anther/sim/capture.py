@@ -17,11 +17,11 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
 import cv2
-import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anther.core.checks import check_array, check_range, check_transform
+from anther.core.compiling import numba
 from anther.core.geometry import Array, Intrinsics, look_at, small_transform
 from anther.core.records import Range, Record
 from anther.perception.capture import Capture

@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
@@ -16,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import distance_transform_edt
 
 from anther.core.checks import check_array, check_transform
+from anther.core.compiling import numba
 from anther.core.geometry import Array, Intrinsics
 from anther.sim._greenhouse import Setting, repainted, surroundings
 from anther.sim.plant import Organ, SimPlant

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Args:
-    """Attributes: how to print."""
+    """Attributes: how to print, and what to do besides."""
 
     json: bool = False
     """Print the findings as JSON."""
+    compile: bool = False
+    """Compile all kernels for this machine first, about a minute, so that nothing waits for it later."""

@@ -11,13 +11,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
+from anther.core.compiling import numba
 from anther.core.geometry import Array, Box, Intrinsics, inverse, transform_points
 from anther.perception.capture import in_threads
 from anther.perception.masks import FLOWER, PLANT

@@ -12,11 +12,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from anther.core.compiling import numba
 from anther.core.geometry import Array, inverse, small_transform
 from anther.core.records import Range, Record
 from anther.perception.capture import in_threads

@@ -10,11 +10,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 from numpy.lib.recfunctions import unstructured_to_structured
 from numpy.typing import NDArray
 
+from anther.core.compiling import numba
 from anther.core.errors import bad_input
 from anther.core.files import LARGEST, LARGEST_TEXT, replacing, whole_file
 from anther.core.geometry import Array

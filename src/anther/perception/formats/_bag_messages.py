@@ -13,12 +13,12 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import cv2
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from anther.core.cameras import Maps, straightening
 from anther.core.checks import check_array
+from anther.core.compiling import numba
 from anther.core.errors import bad_input
 from anther.core.files import read_lines, understood
 from anther.core.geometry import Array, Intrinsics, inverse, transform_from_pose7

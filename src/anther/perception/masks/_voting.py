@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from anther.core.compiling import numba
 from anther.core.geometry import Array, Box, Intrinsics
 from anther.perception.masks._light import GREEN, GREEN_NO_DEPTH, OTHER, OUTSIDE, WHITE, YELLOW, ColourRule
 

@@ -7,14 +7,15 @@ beyond). Here each chain is resampled, every node is moved to the centre of the 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, median_filter
 
+from anther.core.compiling import numba
 from anther.core.geometry import Array
 from anther.perception.skeleton.raw_tree import RawTree, chains
 from anther.perception.skeleton.voxel_solid import nearest
@@ -291,92 +292,129 @@ def cross_sections(points: Array, nodes: Array, tangent: Array, before: NDArray[
     order = np.argsort(owner, kind="stable")
     start = np.searchsorted(owner[order], np.arange(len(nodes) + 1))
     around = np.stack([before, np.arange(len(nodes)), after], axis=1)
-    count, table = _measured(points[order], start, nodes, tangent, around)
+    count, table = np.zeros(len(nodes), np.int64), np.zeros((len(nodes), 8))
+    scratch = np.empty((2 * _ENOUGH, 2)), *np.empty((2, 2 * _ENOUGH))
+    _measured(points[order], start, nodes, tangent, around, count, table, *scratch)
     return CrossSections(count, table[:, :3], *table[:, 3:].T)
 
 
 @numba.njit(cache=True, nogil=True)
-def _measured(points, start, nodes, tangent, around):
-    """Return (J,) counts and (J, 8) rows of `CrossSections`; node j owns the points start[j] to start[j + 1]."""
-    counts, out = np.zeros(len(nodes), np.int64), np.zeros((len(nodes), 8))
-    flat, away = np.empty((2 * _ENOUGH, 2)), np.empty(2 * _ENOUGH)
+def _measured(points, start, nodes, tangent, around, counts, out, flat, away, some):
+    """Fill (J,) counts and (J, 8) rows of `CrossSections`; node j owns the points start[j] to start[j + 1].
+
+    The others are scratch: NumPy's own functions would take seconds to compile.
+    """
     for j in range(len(nodes)):
         total = 0
         for k in around[j]:
             total += start[k + 1] - start[k] if k >= 0 else 0
         step, seen, count = -(-total // _ENOUGH) if total else 1, 0, 0
-        one, two = _across(tangent[j])
+        (u, v, w), (a, b, c) = _across(tangent[j, 0], tangent[j, 1], tangent[j, 2])
         for k in around[j]:
             if k < 0:
                 continue
             for m in range(start[k], start[k + 1]):
                 if seen % step == 0:
-                    offset = points[m] - nodes[j]
-                    flat[count, 0], flat[count, 1] = offset @ one, offset @ two
+                    x, y, z = points[m, 0] - nodes[j, 0], points[m, 1] - nodes[j, 1], points[m, 2] - nodes[j, 2]
+                    flat[count, 0], flat[count, 1] = x * u + y * v + z * w, x * a + y * b + z * c
                     count += 1
                 seen += 1
         counts[j] = count
+        count = counts[j]  # for numba an int64, no longer what may be the literal 0
         if count >= 3:
-            x, y, r, residual = _circle(flat[:count], away)
-            out[j, :3] = x * one + y * two
-            out[j, 3], out[j, 4] = r, residual
-            out[j, 5], out[j, 6], out[j, 7] = _extents(flat[:count], away)
-    return counts, out
+            x, y, out[j, 3], out[j, 4] = _circle(flat, away, some, count)
+            out[j, 0], out[j, 1], out[j, 2] = x * u + y * a, x * v + y * b, x * w + y * c
+            out[j, 5], out[j, 6], out[j, 7] = _extents(flat, away, some, count)
 
 
 @numba.njit(cache=True, nogil=True)
-def _across(tangent):
-    """Return two unit vectors across a unit tangent."""
-    helper = np.zeros(3)
-    helper[np.argmin(np.abs(tangent))] = 1
-    one = np.cross(tangent, helper)
-    one /= max(np.sqrt(one @ one), 1e-12)
-    return one, np.cross(tangent, one)
+def _across(x, y, z):
+    """Return two unit vectors across a unit tangent: across it and the axis that it is the farthest from."""
+    if abs(x) <= abs(y) and abs(x) <= abs(z):
+        one = (0.0, z, -y)
+    elif abs(y) <= abs(z):
+        one = (-z, 0.0, x)
+    else:
+        one = (y, -x, 0.0)
+    size = max(math.sqrt(one[0] * one[0] + one[1] * one[1] + one[2] * one[2]), 1e-12)
+    a, b, c = one[0] / size, one[1] / size, one[2] / size
+    return (a, b, c), (y * c - z * b, z * a - x * c, x * b - y * a)
 
 
 @numba.njit(cache=True, nogil=True)
-def _circle(flat, away):
-    """Return (x, y, radius, median residual) of the circle through (M, 2) points (Kasa 1976), trimmed once."""
-    limit, x, y, r, residual = np.inf, 0.0, 0.0, 0.0, 0.0
+def _circle(flat, away, some, count):
+    """Return (x, y, radius, median residual) of the circle through `count` points (Kasa 1976), trimmed once.
+
+    The normal equations of 2 x X + 2 y Y + c = X^2 + Y^2 are solved by L D L^T.
+    """
+    limit, x, y, r, residual = math.inf, 0.0, 0.0, 0.0, 0.0
     for _ in range(2):
-        matrix, right = np.zeros((3, 3)), np.zeros(3)
-        for m in range(len(flat)):
-            if limit == np.inf or away[m] <= limit:
-                row = np.array((2 * flat[m, 0], 2 * flat[m, 1], 1.0))
-                square = flat[m, 0] ** 2 + flat[m, 1] ** 2
-                for a in range(3):
-                    right[a] += row[a] * square
-                    for b in range(3):
-                        matrix[a, b] += row[a] * row[b]
-        size = matrix[0, 0] + matrix[1, 1]
-        matrix[0, 0] += 1e-9 * size + 1e-30
-        matrix[1, 1] += 1e-9 * size + 1e-30
-        x, y, c = np.linalg.solve(matrix, right)
-        r = np.sqrt(max(c + x * x + y * y, 0))
-        for m in range(len(flat)):
-            away[m] = abs(np.sqrt((flat[m, 0] - x) ** 2 + (flat[m, 1] - y) ** 2) - r)
-        residual = np.median(away[: len(flat)])
+        xx = xy = yy = sx = sy = n = right_x = right_y = right = 0.0
+        for m in range(count):
+            if limit == math.inf or away[m] <= limit:
+                a, b = 2 * flat[m, 0], 2 * flat[m, 1]
+                square = 0.25 * (a * a + b * b)
+                xx, xy, yy, sx, sy, n = xx + a * a, xy + a * b, yy + b * b, sx + a, sy + b, n + 1
+                right_x, right_y, right = right_x + a * square, right_y + b * square, right + square
+        size = xx + yy
+        xx, yy = xx + 1e-9 * size + 1e-30, yy + 1e-9 * size + 1e-30
+        p, q = xy / xx, sx / xx
+        yy, sy, right_y = yy - p * xy, sy - p * sx, right_y - p * right_x
+        t = sy / yy
+        c = (right - q * right_x - t * right_y) / (n - q * sx - t * sy)
+        y = (right_y - sy * c) / yy
+        x = (right_x - xy * y - sx * c) / xx
+        r = math.sqrt(max(c + x * x + y * y, 0.0))
+        for m in range(count):
+            away[m] = abs(math.sqrt((flat[m, 0] - x) ** 2 + (flat[m, 1] - y) ** 2) - r)
+        residual = _median(away, some, count)
         limit = 2.5 * residual
     return x, y, r, residual
 
 
 @numba.njit(cache=True, nogil=True)
-def _extents(flat, away):
-    """Return (surface, thin, wide) of (M, 2) points about the node; on a circle, median |x| is r / sqrt(2)."""
-    n = len(flat)
+def _median(values, some, count):
+    """Return the median of the first `count` values (`some` is scratch): NumPy's takes seconds to compile."""
+    middle, low, high = count // 2, 0, count - 1
+    for k in range(count):
+        some[k] = values[k]
+    while low < high:  # quickselect
+        pivot, i, j = some[(low + high) // 2], low, high
+        while i <= j:
+            while some[i] < pivot:
+                i += 1
+            while some[j] > pivot:
+                j -= 1
+            if i <= j:
+                some[i], some[j] = some[j], some[i]
+                i, j = i + 1, j - 1
+        if j < middle < i:
+            break
+        low, high = (low, j) if middle <= j else (i, high)
+    below = some[middle]
+    if count % 2 == 0:
+        below = some[0]
+        for k in range(1, middle):
+            below = max(below, some[k])
+    return 0.5 * (below + some[middle])
+
+
+@numba.njit(cache=True, nogil=True)
+def _extents(flat, away, some, n):
+    """Return (surface, thin, wide) of n points about the node; on a circle, median |x| is r / sqrt(2)."""
     for m in range(n):
-        away[m] = np.sqrt(flat[m, 0] ** 2 + flat[m, 1] ** 2)
-    surface = np.median(away[:n])
+        away[m] = math.sqrt(flat[m, 0] ** 2 + flat[m, 1] ** 2)
+    surface = _median(away, some, n)
     xx = xy = yy = 0.0
     for m in range(n):
         if away[m] <= 2.5 * surface:
             xx, xy, yy = xx + flat[m, 0] ** 2, xy + flat[m, 0] * flat[m, 1], yy + flat[m, 1] ** 2
-    turn = 0.5 * np.arctan2(2 * xy, xx - yy)
-    c, s = np.cos(turn), np.sin(turn)
+    turn = 0.5 * math.atan2(2 * xy, xx - yy)
+    c, s = math.cos(turn), math.sin(turn)
     for m in range(n):
         away[m] = abs(c * flat[m, 0] + s * flat[m, 1])
-    one = np.median(away[:n])
+    one = _median(away, some, n)
     for m in range(n):
         away[m] = abs(c * flat[m, 1] - s * flat[m, 0])
-    two = np.median(away[:n])
-    return surface, np.sqrt(2.0) * min(one, two), np.sqrt(2.0) * max(one, two)
+    two = _median(away, some, n)
+    return surface, math.sqrt(2.0) * min(one, two), math.sqrt(2.0) * max(one, two)

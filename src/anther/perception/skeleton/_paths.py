@@ -12,13 +12,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.ndimage import gaussian_filter1d
 from scipy.sparse.csgraph import dijkstra
 
+from anther.core.compiling import numba
 from anther.core.geometry import Array
 from anther.perception.skeleton.raw_tree import RawTree, chains, with_extents
 from anther.perception.skeleton.voxel_solid import Voxels, components, nearest
@@ -80,14 +80,15 @@ def covering_paths(distance: Array, before: NDArray[Any], levels: LevelSets, sho
     Paths with less than `shortest` [m] of their own, in level sets that no path goes through, are left out.
     """
     tips = np.argsort(-distance, kind="stable")
-    chosen = np.flatnonzero(_walked(tips, before, levels.number, levels.way, shortest))
+    covered, on_tree = np.zeros(levels.number.max() + 1, np.bool_), np.zeros(len(levels.number), np.bool_)
+    _walk(tips, before, levels.number, levels.way, shortest, covered, on_tree)
+    chosen = np.flatnonzero(on_tree)
     return chosen[np.lexsort((chosen, distance[chosen]))]
 
 
 @numba.njit(cache=True, nogil=True)
-def _walked(tips, before, number, way, shortest):
-    """Return (N,) which voxels are on a path."""
-    covered, on_tree = np.zeros(number.max() + 1, np.bool_), np.zeros(len(number), np.bool_)
+def _walk(tips, before, number, way, shortest, covered, on_tree):
+    """Fill (N,) which voxels are on a path; `covered`, all False, are the level sets that one goes through."""
     for tip in tips:
         n = tip
         while n >= 0 and not covered[number[n]]:
@@ -98,7 +99,6 @@ def _walked(tips, before, number, way, shortest):
         while n >= 0 and not on_tree[n]:
             on_tree[n] = covered[number[n]] = True
             n = before[n]
-    return on_tree
 
 
 def centre_on_blades(tree: RawTree, gain: Array, voxels: Voxels, levels: LevelSets) -> RawTree:

@@ -7,10 +7,10 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from anther.core.compiling import njit
 from anther.core.geometry import Array
 from anther.perception.cloud import Cloud
 from anther.perception.masks import FLOWER
@@ -176,7 +176,9 @@ def clearance(poses: Array, surroundings: Surroundings, boxes: Array, closing: A
         order, start, cells = _cells(surroundings)
         s = surroundings
         balls = (s.centers[order], s.radius[order], s.kind[order], s.stiffness[order])
-        _meet(poses, *balls, start, cells, boxes, closing, TOUCH, distance, touched, enclosed, spread, push)
+        lower, upper = boxes[:, :3].min(axis=0, initial=np.inf), boxes[:, 3:].max(axis=0, initial=-np.inf)
+        found = distance, touched, enclosed, spread, push
+        _meet(poses, *balls, start, cells, boxes, closing, TOUCH, *found, lower, upper, np.empty(3))
     return Clearance(distance, touched, enclosed, spread, push)
 
 
@@ -210,12 +212,10 @@ def _meet(
     enclosed,
     spread,
     push,
+    lower,
+    upper,
+    local,
 ):
-    lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
-    for g in range(len(boxes)):
-        for a in range(3):
-            lower[a], upper[a] = min(lower[a], boxes[g, a]), max(upper[a], boxes[g, a + 3])
-    local = np.empty(3)
     for i in range(len(poses)):
         for c in range(len(cells)):
             if not _near(poses[i], cells[c], cells[c, 3] + FAR, lower, upper, local):

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy  # loads `scipy.stats`, which takes long, where it is used
 from numpy.typing import NDArray
-from scipy.stats import norm
 
 from anther.core.geometry import Array
 from anther.plant.belief import EarlierShake
@@ -157,7 +157,7 @@ def margined(values: Array, error: tuple[float | Array, float | Array], risk: fl
     """
     median, spread = error
     logs = np.log(np.maximum(values, 1e-12))
-    return median * np.exp(logs.mean(axis=0) + norm.isf(risk) * np.hypot(logs.std(axis=0), spread))
+    return median * np.exp(logs.mean(axis=0) + scipy.stats.norm.isf(risk) * np.hypot(logs.std(axis=0), spread))
 
 
 def best(found: Search, *, avoid: Place | None = None) -> Place:

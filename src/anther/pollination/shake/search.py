@@ -10,9 +10,9 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy  # loads `scipy.stats`, which takes long, where it is used
 from numpy.typing import NDArray
 from scipy.sparse import vstack
-from scipy.stats import qmc
 
 from anther.core.errors import StageFailure
 from anther.plant.limits import PEAKS
@@ -77,7 +77,9 @@ def scenarios(
 def deviates(plant: PlantModel, count: int, seed: int = 0) -> Array:
     """Return (count, 8 + B) standard normal deviates for `drawn_version`, B branches."""
     generator = np.random.default_rng(seed)
-    engine = qmc.MultivariateNormalQMC(np.zeros(8), engine=qmc.Halton(8, rng=generator), rng=generator)
+    engine = scipy.stats.qmc.MultivariateNormalQMC(
+        np.zeros(8), engine=scipy.stats.qmc.Halton(8, rng=generator), rng=generator
+    )
     shared = engine.random(count)
     return np.concatenate([shared, generator.normal(size=(count, len(plant.branch_bases)))], axis=1)
 

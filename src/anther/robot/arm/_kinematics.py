@@ -8,12 +8,12 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from numba import njit
+import scipy  # loads `scipy.stats`, which takes long, where it is used
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation, Slerp
-from scipy.stats import qmc
 
 from anther.core.checks import check_transform
+from anther.core.compiling import njit
 from anther.core.geometry import Array
 from anther.robot.arm.model import ArmModel
 
@@ -101,7 +101,7 @@ def _solve(arm: ArmModel, targets: Array, pose: NDArray[np.intp], q: Array) -> t
 @cache
 def _postures(arm: ArmModel) -> tuple[Array, Array]:
     """Return a fixed table of joints (4096, J) within limits and the flange poses (4096, 4, 4) they give."""
-    q = qmc.scale(qmc.Sobol(arm.count, scramble=False).random_base2(12), arm.lower, arm.upper)
+    q = scipy.stats.qmc.scale(scipy.stats.qmc.Sobol(arm.count, scramble=False).random_base2(12), arm.lower, arm.upper)
     return q, arm.forward(q)
 
 

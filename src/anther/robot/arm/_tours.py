@@ -9,9 +9,9 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from anther.core.compiling import njit
 from anther.core.geometry import Array
 from anther.robot.arm.model import ArmModel
 

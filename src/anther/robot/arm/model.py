@@ -12,9 +12,9 @@ from functools import cache
 from itertools import combinations
 
 import numpy as np
+import scipy  # loads `scipy.stats`, which takes long, where it is used
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
-from scipy.stats import qmc
 
 from anther.core.checks import check_array, check_transform
 from anther.core.errors import bad_input
@@ -321,9 +321,11 @@ OFTEN = 0.3  # share of the postures in which links one apart touch, from which 
 
 def completed(arm: ArmModel) -> ArmModel:
     """Return an arm with the shoulder, reach and neighbours that follow from its links."""
-    at, q = arm.link_poses(np.zeros(arm.count)), qmc.Sobol(arm.count, scramble=False).random_base2(12)
+    at, q = arm.link_poses(np.zeros(arm.count)), scipy.stats.qmc.Sobol(arm.count, scramble=False).random_base2(12)
     shoulder = np.array([0.0, 0.0, at[1, 2, 3]])
-    far = float(np.linalg.norm(arm.forward(qmc.scale(q, arm.lower, arm.upper))[:, :3, 3] - shoulder, axis=1).max())
+    far = float(
+        np.linalg.norm(arm.forward(scipy.stats.qmc.scale(q, arm.lower, arm.upper))[:, :3, 3] - shoulder, axis=1).max()
+    )
     links = [(f"link {link.name}", link.capsules) for link in arm.links]
     check_extent(arm.name, far, arm.floor - float(shoulder[2]), links, arm.base_capsules)
     return replace(arm, shoulder=shoulder, reach=1.01 * far, neighbours=_neighbours(arm))
@@ -338,7 +340,9 @@ def _neighbours(arm: ArmModel) -> tuple[tuple[str, str], ...]:
     tool = len(names) - 2
     joined = {*zip(names[:tool], names[1:tool], strict=False), (GRIPPER, CAMERA)}
     joined |= {(names[i], part) for i in (tool - 2, tool - 1) for part in (GRIPPER, CAMERA)}
-    samples = qmc.scale(qmc.Sobol(arm.count, scramble=False).random(POSTURES), arm.lower, arm.upper)
+    samples = scipy.stats.qmc.scale(
+        scipy.stats.qmc.Sobol(arm.count, scramble=False).random(POSTURES), arm.lower, arm.upper
+    )
     q = np.concatenate([[arm.ready, arm.waiting], samples])
     balls = _parts_at(arm, q)
     for i, j in combinations(range(len(names)), 2):

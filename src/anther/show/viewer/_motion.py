@@ -18,7 +18,7 @@ from anther.pollination.shake.pads import grip_rows, pad_nodes
 from anther.robot.arm.model import ArmModel
 from anther.rods import Drive, steady_motion
 from anther.show.results import RunResults
-from anther.show.scene import arm_of
+from anther.show.run_scene import arm_of
 
 RATE = 30.0
 """Pictures a second of play."""

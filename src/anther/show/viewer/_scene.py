@@ -15,7 +15,8 @@ from anther.core.geometry import Array
 from anther.perception.skeleton import Skeleton
 from anther.perception.stem import BRANCH, ORGAN_NAMES, STEM
 from anther.show.results import RunResults
-from anther.show.scene import ORGAN_COLORS, Layer, layers_of
+from anther.show.run_scene import layers_of
+from anther.show.scene import ORGAN_COLORS, Layer
 from anther.show.style import rgb
 
 

@@ -1,0 +1,46 @@
+"""What compiles says so, once, and only where it takes long."""
+
+from __future__ import annotations
+
+import gc
+import sys
+
+import pytest
+
+from anther.core import compiling
+from anther.core.compiling import COMPILED, njit
+
+
+def compile_two() -> None:
+    for number in range(2):
+        njit(lambda x, more=number: x + more)(1.0)
+
+
+def test_long_compiling_is_told_once(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(COMPILED, "_told", False)
+    monkeypatch.setattr(compiling, "PATIENCE", 0.0)
+    before = COMPILED.kernels, COMPILED.seconds
+    compile_two()
+    assert capsys.readouterr().err.count("compiling for this machine") == 1
+    assert COMPILED.kernels == before[0] + 2
+    assert COMPILED.seconds > before[1]
+    assert gc.isenabled()
+
+
+def test_short_compiling_is_not_told(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(COMPILED, "_told", False)
+    monkeypatch.setattr(compiling, "PATIENCE", 1e9)
+    compile_two()
+    assert capsys.readouterr().err == ""
+
+
+def test_a_terminal_sees_how_far_it_is_and_then_nothing(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(compiling, "PATIENCE", 0.0)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    compile_two()
+    said = capsys.readouterr().err
+    assert f"{COMPILED.kernels} kernels" in said
+    assert "\n" not in said
+    assert said.endswith("\r\033[K")
