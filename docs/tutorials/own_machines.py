@@ -141,5 +141,31 @@ except DeviceError:
 
 # %% [markdown]
 # Gripper and cameras are as small: [the Protocols](../api/robot.md). What the guard promises is on
-# [safety](../safety.md), and the conformance test in `tests/robot/test_devices.py` is the one that every machine of
-# Anther passes: add yours to its list.
+# [safety](../safety.md).
+#
+# ## Check your driver
+#
+# `anther.robot.testing` checks what the Protocols promise, behind a stand-in for your machine and never on metal: stale
+# and missing readings refused, braking without a jump, no motion after a pause. With pytest:
+#
+# ```python
+# import time, numpy as np, pytest
+# from anther.robot.testing import ARM_CHECKS, ARM_FAULT_CHECKS, ArmRig
+#
+# @pytest.mark.parametrize("check", [*ARM_CHECKS, *ARM_FAULT_CHECKS])
+# def test_my_arm(check):
+#     machine = MySimulator()
+#     faults = {"silence": machine.go_silent, "not a number": machine.tell_nan}
+#     check(ArmRig(lambda: MyArm(machine.address), time.monotonic, time.sleep, np.full(6, 5.0),
+#                  history=machine.history, commands=machine.count_commands, faults=faults))
+# ```
+#
+# Without `history` and `faults` the checks that need them are skipped. Here the arm of this page, on its own clock:
+
+# %%
+from anther.robot.testing import ArmRig, check_hold_at_rest, check_joined_motions, check_motion, check_watcher_error  # noqa: E402
+
+rig = ArmRig(lambda: MyArm(np.zeros(6)), clock=lambda: 0.0, sleep=lambda seconds: None, acceleration=np.full(6, 5.0))
+for check in (check_motion, check_watcher_error, check_hold_at_rest, check_joined_motions):
+    check(rig)
+    print(f"{check.__name__}: kept")

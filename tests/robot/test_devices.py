@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from inspect import isfunction
 
@@ -23,7 +23,6 @@ from anther.robot.arm.model import outline
 from anther.robot.cells import read_cell
 from anther.robot.devices import (
     Arm,
-    ArmSample,
     Camera,
     DeviceError,
     Gripper,
@@ -33,6 +32,15 @@ from anther.robot.devices import (
     SafetyLimits,
 )
 from anther.robot.safety import GuardedGripper, guard
+from anther.robot.testing import (
+    ArmRig,
+    CameraRig,
+    check_frames,
+    check_hold_at_rest,
+    check_motion,
+    check_recording,
+    check_watcher_error,
+)
 from anther.show.log._machines import heard
 from anther.sim.cell import Cell
 from anther.sim.robot import robot_of
@@ -119,52 +127,15 @@ def test_a_protocol_has_five_methods_at_most(protocol: type) -> None:
     assert 2 <= len(methods) <= 5
 
 
-def test_arm_goes_where_it_is_told_and_says_so(robot: Robot) -> None:
-    start = robot.arm.joints()
-    assert start.shape in ((6,), (7,))
-    goal = start + 0.05
-    record = robot.arm.follow(planner(robot).move(start, goal))
-    assert np.all(np.diff(record.times) > 0)
-    assert record.commanded.shape == record.measured.shape == (len(record.times), len(start))
-    assert record.commanded[-1] == pytest.approx(goal, abs=1e-6)
-    assert robot.arm.joints() == pytest.approx(goal, abs=2e-3)
-    again = robot.arm.follow(planner(robot).move(robot.arm.joints(), start))
-    assert again.times[0] >= record.times[-1]
+@pytest.mark.parametrize("check", [check_motion, check_watcher_error, check_hold_at_rest], ids=lambda c: c.__name__)
+def test_arm(check: Callable[[ArmRig], None], robot: Robot) -> None:
+    no_wait = lambda seconds: None  # noqa: E731
+    check(ArmRig(lambda: robot.arm, time.monotonic, no_wait, np.full(len(robot.arm.joints()), 5.0)))
 
 
-def test_arm_shows_its_readings_on_the_way(robot: Robot) -> None:
-    start, seen = robot.arm.joints(), list[ArmSample]()
-    record = robot.arm.follow(planner(robot).move(start, start + 0.05), seen.append)
-    times = np.array([s.time for s in seen])
-    assert np.all(np.diff(times) > 0)
-    assert np.diff(times).max() <= 0.0201
-    assert times[-1] == pytest.approx(record.times[-1], abs=0.02)
-    assert seen[-1].commanded == pytest.approx(record.commanded[-1], abs=1e-3)
-    assert max(np.abs(s.measured - s.commanded).max() for s in seen) < 0.02
-    assert all(s.force < 0.1 or np.isnan(s.force) for s in seen)
-
-
-@pytest.mark.parametrize("error", [DeviceError("enough"), KeyboardInterrupt()])
-def test_arm_stops_where_its_watcher_raises(robot: Robot, error: BaseException) -> None:
-    start = robot.arm.joints()
-    path = planner(robot).move(start, start + 0.2)
-
-    def watch(sample: ArmSample) -> None:
-        if np.abs(sample.measured - start).max() > 0.1:
-            raise error
-
-    with pytest.raises(type(error)):
-        robot.arm.follow(path, watch)
-    stopped = robot.arm.joints()
-    assert np.abs(stopped - start).max() == pytest.approx(0.1, abs=0.04)
-    robot.arm.hold()
-    assert robot.arm.joints() == pytest.approx(stopped, abs=2e-3)
-
-
-def test_arm_holds_where_it_is(robot: Robot) -> None:
-    before = robot.arm.joints()
-    robot.arm.hold()
-    assert robot.arm.joints() == pytest.approx(before, abs=1e-3)
+@pytest.mark.parametrize("check", [check_frames, check_recording], ids=lambda c: c.__name__)
+def test_camera(check: Callable[[CameraRig], None], camera: Camera) -> None:
+    check(CameraRig(lambda: camera, time.sleep))
 
 
 def test_gripper_opens_and_reports(robot: Robot) -> None:
@@ -172,32 +143,6 @@ def test_gripper_opens_and_reports(robot: Robot) -> None:
     assert state.opening == pytest.approx(0.03, abs=1e-3)
     assert not state.is_gripping
     assert robot.gripper.state() == state
-
-
-def test_camera_reads_and_records_frames_of_its_size(camera: Camera) -> None:
-    size = (camera.intrinsics.height, camera.intrinsics.width)
-    frame = camera.read()
-    assert frame.rgb.shape == (*size, 3)
-    assert frame.rgb.dtype == np.uint8
-    assert frame.depth.shape == size
-    assert frame.depth.dtype == np.float32
-    assert camera.rates
-    assert min(camera.rates) > 0
-    camera.start(max(camera.rates))
-    time.sleep(0.3)  # those that run in our time take frames meanwhile
-    frames = camera.stop()
-    assert all(f.depth.shape == size for f in frames)
-    assert np.all(np.diff([f.time for f in frames]) > 0)
-
-
-def test_a_camera_that_records_shows_what_it_has(camera: Camera) -> None:
-    since = camera.read().time
-    camera.start(20.0)
-    time.sleep(0.3)
-    early = camera.recorded(since)
-    assert np.all(np.diff([f.time for f in early]) > 0)
-    assert all(f.time >= early[-1].time for f in camera.recorded(early[-1].time))
-    assert len(camera.stop()) >= len(early)
 
 
 def test_camera_records_while_the_arm_moves(robot: Robot) -> None:

@@ -63,7 +63,7 @@ def test_after_a_pause_only_what_stands_is_sent_or_nothing(tells: bool) -> None:
 
 
 @pytest.mark.parametrize("reads", [np.inf, 0.1], ids=["well", "frozen"])
-def test_a_stop_without_a_pause_goes_on_from_what_was_told(reads: float) -> None:
+def test_a_stop_without_a_pause_goes_on_from_the_last_command(reads: float) -> None:
     """Also where readings froze: the arm shall not jump back to them."""
     arm = Leaping(0.0)
     arm.reads = reads
@@ -84,8 +84,8 @@ def test_braking_takes_no_more_than_the_acceleration() -> None:
     assert np.abs(np.diff(way.velocities, axis=0) / np.diff(way.times)[:, None]).max() == pytest.approx(5.0)
 
 
-def test_an_old_force_is_not_felt() -> None:
+def test_an_old_force_is_missing() -> None:
     arm = Leaping(0.0)
-    arm._feel(3.0, 0.0, 4.0)
-    assert arm._felt(arm.now + 0.09) == pytest.approx(5.0)
-    assert np.isnan(arm._felt(arm.now + 0.11))
+    arm._take_force(3.0, 0.0, 4.0)
+    assert arm._current_force(arm.now + 0.09) == pytest.approx(5.0)
+    assert np.isnan(arm._current_force(arm.now + 0.11))

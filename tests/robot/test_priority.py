@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from anther.robot.devices import LEAD, JointTrajectory
-from anther.robot.drivers._streamed import BESIDE, PRIORITY, Reference, served_first
+from anther.robot.drivers._streamed import PRIORITY, SHARED_PRIORITY, Reference, prioritize_thread
 
 
 @pytest.fixture(autouse=True)
 def _may_ask() -> None:
     if not hasattr(os, "sched_setscheduler"):
         pytest.skip("no real-time classes: not Linux")
-    with served_first():
+    with prioritize_thread():
         asked = os.sched_getparam(0).sched_priority
     if asked != PRIORITY:
         pytest.skip("no right to real-time classes: docs/real_robot.md")
@@ -38,30 +38,30 @@ def of_a_thread() -> tuple[int, int]:
 
 
 def test_a_thread_is_served_first_and_those_it_begins_are_not() -> None:
-    with served_first():
+    with prioritize_thread():
         assert os.sched_getparam(0).sched_priority == PRIORITY
         assert of_a_thread() == (os.SCHED_OTHER, 0)
     assert os.sched_getscheduler(0) == os.SCHED_OTHER
 
 
 def test_what_shares_the_lock_is_served_behind_it_and_stays_so() -> None:
-    with served_first(BESIDE, threads_too=True):
-        assert of_a_thread() == (os.SCHED_RR, BESIDE)
-        with served_first():
-            assert os.sched_getparam(0).sched_priority == PRIORITY > BESIDE
-        assert os.sched_getparam(0).sched_priority == BESIDE
+    with prioritize_thread(SHARED_PRIORITY, threads_too=True):
+        assert of_a_thread() == (os.SCHED_RR, SHARED_PRIORITY)
+        with prioritize_thread():
+            assert os.sched_getparam(0).sched_priority == PRIORITY > SHARED_PRIORITY
+        assert os.sched_getparam(0).sched_priority == SHARED_PRIORITY
 
 
 def test_who_asks_what_comes_next_is_served_like_the_process_and_not_behind_it() -> None:
     """It has the lock that the stream needs."""
     found: list[tuple[int, int]] = []
-    with served_first(BESIDE, threads_too=True):
+    with prioritize_thread(SHARED_PRIORITY, threads_too=True):
         motion = JointTrajectory.standstill(np.zeros(3), LEAD)
         reference = Reference(motion, lambda: found.append(of_this_thread()))
-        with served_first():
+        with prioritize_thread():
             until = time.monotonic() + 20
             while not reference.whole and time.monotonic() < until:
                 reference.look_ahead(0.0)
                 time.sleep(0.001)
         reference.close()
-    assert found == [(os.SCHED_RR, BESIDE)]
+    assert found == [(os.SCHED_RR, SHARED_PRIORITY)]

@@ -109,13 +109,6 @@ def test_its_faults_are_told_in_words(gripper: Robotiq2F, machine: FakeRobotiq, 
         gripper.move(0.01)
 
 
-def test_a_gripper_that_falls_silent_is_told(gripper: Robotiq2F, machine: FakeRobotiq) -> None:
-    gripper.enable()
-    machine.mute = True
-    with pytest.raises(DeviceError, match="no answer"):
-        gripper.move(0.01)
-
-
 def test_what_is_not_there_or_not_possible_is_refused(machine: FakeRobotiq) -> None:
     with pytest.raises(DeviceError, match=r"nothing answers at tcp://127.0.0.1:1\."):
         open_line("tcp://127.0.0.1:1")

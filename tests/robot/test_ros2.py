@@ -251,20 +251,6 @@ def test_when_the_network_comes_back_the_way_to_rest_does_not_begin_anew(
     assert np.abs(robot.q - robot.log[began][1]).max() > 1e-3  # it did go there
 
 
-def test_a_clock_that_jumps_is_not_believed(arm: ros2.JointTrajectoryArm, robot: FakeController) -> None:
-    robot.ahead -= 1.0
-    sleep(0.2)
-    with pytest.raises(DeviceError, match="old"):
-        arm.joints()
-
-
-def test_joints_that_are_no_numbers_are_not_believed(arm: ros2.JointTrajectoryArm, robot: FakeController) -> None:
-    robot.offset = np.full(6, np.nan)
-    sleep(0.1)
-    with pytest.raises(DeviceError, match="nan"):
-        arm.joints()
-
-
 @pytest.mark.parametrize(
     ("names", "message"),
     [

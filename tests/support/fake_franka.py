@@ -214,6 +214,7 @@ class Robot:
             if fake.mode is not RobotMode.Idle:
                 raise CommandException("libfranka: Move command rejected: command not possible in the current mode!")
             fake.mode, fake.missing, fake.command, fake.cycle = RobotMode.Move, 0, None, 0
+            self._seen = -1  # of a count that begins anew
             fake.v = fake.a = np.zeros(7)
             fake.calls.append("start")
         return ActiveControlBase(fake)

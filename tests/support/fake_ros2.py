@@ -17,7 +17,7 @@ import numpy as np
 from scipy.interpolate import BPoly
 
 from anther.core.geometry import Array
-from anther.robot.drivers._streamed import served_first
+from anther.robot.drivers._streamed import prioritize_thread
 
 CLOCK = 3.7  # s by which the robot's clock is ahead
 RATE = 200.0
@@ -76,7 +76,7 @@ class FakeController:
         return t[1:], np.abs(np.diff(q, axis=0)).max(axis=1) / np.diff(t)
 
     def _run(self) -> None:
-        with served_first():  # a robot's own computer is not busy with tests
+        with prioritize_thread():  # a robot's own computer is not busy with tests
             due = self.clock()
             while not self._over:
                 due += 1 / RATE
@@ -197,7 +197,7 @@ class RosNode:
         from rclpy.executors import ExternalShutdownException  # noqa: PLC0415
 
         try:
-            with served_first():
+            with prioritize_thread():
                 self._executor.spin()
         except ExternalShutdownException:
             pass

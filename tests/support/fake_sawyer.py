@@ -16,7 +16,7 @@ import numpy as np
 from anther.core.geometry import Array
 from anther.robot.arm import sawyer
 from anther.robot.devices import JointTrajectory
-from anther.robot.drivers._streamed import served_first
+from anther.robot.drivers._streamed import prioritize_thread
 from anther.robot.drivers.intera import types
 from anther.robot.drivers.ros1 import Node
 
@@ -95,7 +95,7 @@ class FakeSawyer:
             self.stopped = self.error = self.enabled = False
 
     def _run(self) -> None:
-        with served_first():  # a robot's own computer is not busy with tests
+        with prioritize_thread():  # a robot's own computer is not busy with tests
             self._go_on()
 
     def _go_on(self) -> None:

@@ -19,7 +19,7 @@ from small_planner import SmallPlanner
 from anther.core.geometry import Array
 from anther.robot.arm.arms import named
 from anther.robot.devices import Arm, JointTrajectory
-from anther.robot.drivers._streamed import served_first
+from anther.robot.drivers._streamed import prioritize_thread
 from anther.robot.drivers.ur_controller import Controller
 from anther.robot.drivers.ur_rtde import UniversalRobot
 
@@ -80,7 +80,7 @@ class FakeUR:
         return self._said[0]
 
     def _run(self) -> None:
-        with served_first():  # a controller is not busy with tests
+        with prioritize_thread():  # a controller is not busy with tests
             before = due = self.clock()
             while not self._over:
                 due += 1 / self.rate

@@ -26,7 +26,7 @@ import numpy as np
 
 from anther.core.geometry import Array
 from anther.robot.devices import LEAD, JointTrajectory
-from anther.robot.drivers._streamed import SETTLE, Reference, braking, served_first
+from anther.robot.drivers._streamed import SETTLE, Reference, braking, prioritize_thread
 
 CYCLE = 1e-3
 """Of the robot [s]."""
@@ -51,7 +51,7 @@ CALLED_OFF = "the motion was called off"
 IDLE = f"nobody looked at the arm's readings for {UNSEEN:g} s. Let nothing else run on this machine"
 
 
-class Told(NamedTuple):
+class RobotState(NamedTuple):
     """What the robot tells. J = 7.
 
     Attributes:
@@ -148,7 +148,7 @@ class Loop:
         lost = ""
         while not self._gone:
             try:
-                told = None if lost else self._told(self._robot.read_once())
+                told = None if lost else self._read_state(self._robot.read_once())
             except self._errors as error:
                 told, lost = None, words(error)
             while not self._gone and (lost or self._pipe.poll()):
@@ -192,7 +192,7 @@ class Loop:
             over = command.motion_finished = path.over
             control.writeOnce(command)
             if cycles % SHOWN == 0 or over:
-                self._say("state", self._told(state))
+                self._say("state", self._read_state(state))
             cycles += 1
             if path.asks():
                 self._say("more", None)
@@ -221,10 +221,10 @@ class Loop:
             return "failed", words(error)
         return "done", ""
 
-    def _told(self, state: Any) -> Told:
+    def _read_state(self, state: Any) -> RobotState:
         mode = state.robot_mode.name
         errors = state.last_motion_errors if mode == "Reflex" else state.current_errors
-        return Told(
+        return RobotState(
             stamp=state.time.to_sec(),
             arrival=self._clock(),
             joints=np.array(state.q, dtype=float),
@@ -281,5 +281,5 @@ def main(clock: Callable[[], float] = time.monotonic) -> None:
     if robot is not None:
         gc.freeze()
         gc.disable()  # nothing here makes cycles, and collecting takes milliseconds
-        with served_first():
+        with prioritize_thread():
             Loop(pipe, sdk, robot, acceleration, clock).serve()

@@ -1,9 +1,8 @@
 """Where a stop of a streamed arm begins: the one rule of every such driver's `hold`. J joints.
 
-What the robot was told a moment ago it still follows, whatever is read, since readings can be what failed: a stop goes
-on from there without a jump. After a silence longer than the robot's own time-out it has stopped by itself, and what it
-was told is void: then nothing is sent but where it is measured to stand, by readings that were taken since. What rests
-is told nothing.
+Within its time-out the robot still follows its last command, even if readings have failed: a stop starts from that
+command, without a jump. After a longer silence the robot has stopped by itself and the last command is void: the driver
+then sends only the measured rest position, from readings taken since, or nothing. An arm at rest is sent nothing.
 """
 
 from __future__ import annotations
@@ -26,8 +25,8 @@ class Late(DeviceError):
     """The robot waited for a command longer than it may."""
 
 
-class Told(NamedTuple):
-    """What the robot was told last: at `time` [s], infinite for a rest; joints and rates (J,) [rad], [rad/s]."""
+class LastCommand(NamedTuple):
+    """The last command: sent at `time` [s], infinite for a rest; joints and rates (J,) [rad], [rad/s]."""
 
     time: float
     joints: Array
@@ -35,12 +34,12 @@ class Told(NamedTuple):
 
     @property
     def rests(self) -> bool:
-        """Whether it was told to stay, and stays without being told again."""
+        """Whether it commands a rest, which the robot keeps without further commands."""
         return self.time == float("inf")
 
 
-def stands_at(heard: Readings, since: float) -> Array | None:
-    """Return where the arm is measured to stand by a reading not older than `since` [s]; None: not known, or moving."""
+def find_rest_joints(heard: Readings, since: float) -> Array | None:
+    """Return the joints (J,) of an arm at rest, by a reading not older than `since` [s]; None: unknown, or moving."""
     reading, speed = heard.last, heard.speed()
     if reading is None or speed is None or reading.time < since or np.abs(speed).max() > STANDS:
         return None

@@ -41,7 +41,7 @@ def check_fresh(age: float, stale: float = STALE) -> None:
         raise DeviceError(f"{given}. Check network, robot, and both clocks; then start anew.")
 
 
-def check_told(joints: Array) -> Array:
+def check_finite_joints(joints: Array) -> Array:
     """Return joints (J,) [rad] that are numbers."""
     if not np.isfinite(joints).all():
         raise DeviceError(f"joints: got {joints} rad. The arm does not tell where it is.")

@@ -1,7 +1,7 @@
-"""What arms have in common that are told again and again where to be: one loop that commands, reads and watches.
+"""The base of every arm driver that streams commands: one loop that commands, reads and watches.
 
-Threads that must not wait are served first; what a robot tells is put in order, on this machine's clock; what is to be
-done next is asked for in time. J joints.
+Its threads run with real-time priority, readings are put on this machine's clock, and the next motion is asked for in
+time. J joints.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from scipy.interpolate import CubicHermiteSpline
 
 from anther.core.geometry import Array
 from anther.robot.devices import LEAD, ArmRecord, ArmSample, DeviceError, JointTrajectory, More, Watch
-from anther.robot.drivers._holding import Late, Told, stands_at
+from anther.robot.drivers._holding import LastCommand, Late, find_rest_joints
 from anther.robot.drivers._readings import Readings
 
 PRIORITY = 20
 """Of Linux' real-time classes, 1 to 99: before all ordinary work, behind the kernel's own."""
-BESIDE = PRIORITY - 1
+SHARED_PRIORITY = PRIORITY - 1
 """Of all that shares Python's lock with such a thread: what has the lock and is not served keeps it waiting."""
 
 
 @contextmanager
-def served_first(priority: int = PRIORITY, *, threads_too: bool = False) -> Iterator[None]:
-    """Serve this thread before the machine's other work within the block, where the system allows it.
+def prioritize_thread(priority: int = PRIORITY, *, threads_too: bool = False) -> Iterator[None]:
+    """Run this thread with real-time priority within the block, where the system allows it.
 
     Linux asks for a limit `rtprio` (docs/real_robot.md) or root. Threads that are begun within are ordinary ones but
     for `threads_too`.
@@ -51,8 +51,8 @@ def served_first(priority: int = PRIORITY, *, threads_too: bool = False) -> Iter
 
 
 @contextmanager
-def quick_turns() -> Iterator[None]:
-    """Let Python's threads take turns every millisecond: commands do not wait for what thinks beside them."""
+def shorten_thread_turns() -> Iterator[None]:
+    """Let Python's threads take turns every millisecond: commands do not wait for other threads."""
     before = sys.getswitchinterval()
     sys.setswitchinterval(1e-3)
     try:
@@ -206,7 +206,7 @@ class StreamedArm(ABC):
         self._clock, self._sleep, self._shown = clock, sleep, shown
         self._timeout = silence if timeout is None else timeout
         self._force = (float("-inf"), float("nan"))  # when [s] and how much [N]
-        self._told: Told | None = None
+        self._last_command: LastCommand | None = None
         self._last = float("-inf")  # when a command was last in time [s]
 
     @abstractmethod
@@ -225,42 +225,42 @@ class StreamedArm(ABC):
     def _brake(self, q: Array, rate: Array) -> Array:
         """Command the way to rest from joints q (J,) at `rate`, each command by `_send`; return where it ends."""
 
-    def _deaf(self) -> bool:
-        """Return whether nothing may be said to the robot."""
+    def _refuses_commands(self) -> bool:
+        """Return whether the robot must not be sent anything."""
         return bool(self.cannot())
 
     def _stay(self, q: Array) -> None:
         """Command joints (J,) near which the arm stands."""
         self._rest(q)
 
-    def _follows(self, told: Told, now: float) -> Told:
-        """Return what the robot does now [s] of what it was told: on and on at the last rate."""
-        return Told(now, told.joints + told.rate * (now - told.time), told.rate)
+    def _extrapolate(self, told: LastCommand, now: float) -> LastCommand:
+        """Return the joints that the robot has reached now [s]: it goes on at the rate of the last command."""
+        return LastCommand(now, told.joints + told.rate * (now - told.time), told.rate)
 
     def hold(self) -> None:
-        """Brake if it moves, and hold, by the rule of `_holding`. What must not be told anything is left alone."""
-        if self._told is None or self._told.rests or self._deaf():
+        """Brake if it moves, and hold, by the rule of `_holding`. A robot that refuses commands is sent nothing."""
+        if self._last_command is None or self._last_command.rests or self._refuses_commands():
             return
-        begin = self._stop_from(self._told)
+        begin = self._stop_from(self._last_command)
         if begin is None:
-            self._told = None
+            self._last_command = None
             return
         q, rate = begin
         try:
             self._last = self._clock()
             self._stay(self._brake(q, rate) if np.any(rate) else q)
-        except Late:  # held up once more: what it was told is void
+        except Late:  # held up once more: the last command is void
             self.hold()
 
-    def _stop_from(self, told: Told) -> tuple[Array, Array] | None:
+    def _stop_from(self, told: LastCommand) -> tuple[Array, Array] | None:
         """Return joints and rates (J,) from which to stop; None: nothing is to be sent."""
         now = self._clock()
         if now - told.time <= self._timeout:
-            return self._follows(told, now)[1:]
+            return self._extrapolate(told, now)[1:]
         while self._clock() - now < COMES_TO_REST and not self.readings.trouble:
             with suppress(DeviceError):  # too old yet
                 self.joints()
-            here = stands_at(self.readings, now)
+            here = find_rest_joints(self.readings, now)
             if here is not None and self.readings.age() <= self._stale:
                 return here, np.zeros_like(here)
             self._sleep(self._period)
@@ -278,11 +278,11 @@ class StreamedArm(ABC):
         self._check_in_time()
         send()
         self._last = self._clock()
-        self._told = Told(self._last, q, rate)
+        self._last_command = LastCommand(self._last, q, rate)
 
     def _rests(self, q: Array) -> None:
-        """Note that the robot was told to stay at joints q (J,)."""
-        self._told = Told(float("inf"), q, np.zeros(len(q)))
+        """Note that the robot was commanded to stay at joints q (J,)."""
+        self._last_command = LastCommand(float("inf"), q, np.zeros(len(q)))
 
     def joints(self) -> Array:
         """Return the measured joint angles (J,) [rad]; refuse stale ones."""
@@ -293,10 +293,10 @@ class StreamedArm(ABC):
         samples, reference = list[ArmSample](), Reference(trajectory, more)
         try:
             self._begin(trajectory)
-            with quick_turns(), served_first():
+            with shorten_thread_turns(), prioritize_thread():
                 self._stream(reference, watch, samples)
         except BaseException:
-            with quick_turns(), served_first():
+            with shorten_thread_turns(), prioritize_thread():
                 self.hold()
             raise
         finally:
@@ -327,7 +327,7 @@ class StreamedArm(ABC):
             if reading is not None and reading.time > seen and (over or reading.time >= seen + self._shown):
                 seen = reading.time
                 wanted = reference.at(seen - begin)[0]
-                samples.append(ArmSample(seen, wanted, reading.joints, self._felt(now)))
+                samples.append(ArmSample(seen, wanted, reading.joints, self._current_force(now)))
                 if watch:
                     watch(samples[-1])
             if over:
@@ -336,12 +336,12 @@ class StreamedArm(ABC):
             self._sleep(max(due - self._clock(), 0))
         self._rest(reference.at(reference.ends)[0])
 
-    def _feel(self, x: float, y: float, z: float) -> None:
-        """Take a force that was told now [N]."""
+    def _take_force(self, x: float, y: float, z: float) -> None:
+        """Take a force that was measured now [N]."""
         self._force = (self._clock(), float(np.linalg.norm([x, y, z])))
 
-    def _felt(self, now: float) -> float:
-        """Return how much the arm feels [N]; NaN where it does not tell."""
+    def _current_force(self, now: float) -> float:
+        """Return the size of the measured force [N]; NaN where none is recent."""
         return self._force[1] if now - self._force[0] < 2 * self._stale else float("nan")
 
     def _seen(self) -> str:

@@ -20,7 +20,7 @@ from typing import Any
 from anther.core.errors import AntherError, InputError, MissingExtra, StageFailure
 from anther.core.geometry import Array
 from anther.robot.devices import ArmRecord, ArmSample, DeviceError, JointTrajectory, More, SafetyLimits, Watch
-from anther.robot.drivers._streamed import BESIDE, Coming, served_first
+from anther.robot.drivers._streamed import SHARED_PRIORITY, Coming, prioritize_thread
 from anther.robot.safety import GuardedArm
 
 UNSEEN = 1.0
@@ -219,7 +219,7 @@ def _serve(
     pipe: Connection, make: Callable[..., Any], options: dict[str, Any], limits: SafetyLimits, parent: int
 ) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to both: the other one asks for the stop
-    with served_first(BESIDE, threads_too=True):
+    with prioritize_thread(SHARED_PRIORITY, threads_too=True):
         try:
             arm = make(**options)
         except Exception as error:

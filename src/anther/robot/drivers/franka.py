@@ -25,9 +25,9 @@ import numpy as np
 from anther.core.errors import MissingExtra, bad_input
 from anther.core.geometry import Array
 from anther.robot.devices import ArmRecord, ArmSample, DeviceError, JointTrajectory, More, Watch
-from anther.robot.drivers._franka_loop import SHOWN, Told
-from anther.robot.drivers._readings import STALE, RobotClock, check_fresh, check_told
-from anther.robot.drivers._streamed import Coming, quick_turns, served_first
+from anther.robot.drivers._franka_loop import SHOWN, RobotState
+from anther.robot.drivers._readings import STALE, RobotClock, check_finite_joints, check_fresh
+from anther.robot.drivers._streamed import Coming, prioritize_thread, shorten_thread_turns
 
 JOINTS = 7
 BEGINS = "from anther.robot.drivers._franka_loop import main; main()"
@@ -97,7 +97,7 @@ class Franka:
         samples, coming = list[ArmSample](), Coming(more)
         try:
             self._check_start(trajectory)
-            with quick_turns(), served_first():
+            with shorten_thread_turns(), prioritize_thread():
                 self._say("move", trajectory, more is not None)
                 self._moves = True
                 self._until_it_ends(watch, coming, samples)
@@ -184,7 +184,7 @@ class Franka:
                     old = f"the newest joints are {1e3 * STALE:.0f} ms old, or older; allowed: {1e3 * STALE:.0f} ms"
                     raise DeviceError(f"{old}. Check network and robot; then start anew.")
 
-    def _take(self, told: Told, watch: Watch | None, samples: list[ArmSample]) -> None:
+    def _take(self, told: RobotState, watch: Watch | None, samples: list[ArmSample]) -> None:
         self._robot.hear(told.stamp, told.arrival)
         when = told.stamp + self._robot.offset
         self._believed(told)
@@ -200,23 +200,23 @@ class Franka:
             return _reason(self._read()) or said
         return said
 
-    def _read(self) -> Told:
+    def _read(self) -> RobotState:
         told = self._ask("read")
         self._robot.hear(told.stamp, told.arrival)
         return told
 
-    def _read_fresh(self) -> Told:
+    def _read_fresh(self) -> RobotState:
         until = self._clock() + PATIENCE
         while self._age(told := self._read()) > STALE and self._clock() < until:
             pass
         return self._believed(told)
 
-    def _age(self, told: Told) -> float:
+    def _age(self, told: RobotState) -> float:
         return self._clock() - told.stamp - self._robot.offset
 
-    def _believed(self, told: Told) -> Told:
+    def _believed(self, told: RobotState) -> RobotState:
         check_fresh(self._age(told))
-        check_told(told.joints)
+        check_finite_joints(told.joints)
         return told
 
     def _ask(self, *what: Any) -> Any:
@@ -303,7 +303,7 @@ def _wait(loop: subprocess.Popen[bytes]) -> None:
         loop.wait()
 
 
-def _reason(told: Told) -> str:
+def _reason(told: RobotState) -> str:
     why = MODES.get(told.mode, f"it is in the mode {told.mode}: look at Desk")
     if not why and told.errors:
         return MODES["Reflex"].format(errors=told.errors)

@@ -22,7 +22,7 @@ from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
 
 from anther.core.errors import MissingExtra, bad_input
 from anther.robot.devices import DeviceError
-from anther.robot.drivers._streamed import served_first
+from anther.robot.drivers._streamed import prioritize_thread
 
 PATIENCE = 3.0
 """The master and other nodes answer within this, or they are not there [s]."""
@@ -152,7 +152,7 @@ class Node:
             code, _, place = ask.requestTopic(self._name, topic, [["TCPROS"]])  # type: ignore[misc]
             if code != 1:  # type: ignore[comparison-overlap]
                 return
-            with socket.create_connection((place[1], place[2]), PATIENCE) as line, served_first():  # type: ignore[index]
+            with socket.create_connection((place[1], place[2]), PATIENCE) as line, prioritize_thread():  # type: ignore[index]
                 line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 _write_header(
                     line, {"callerid": self._name, "topic": topic, "tcp_nodelay": "1"} | _typed(self.types, kind)

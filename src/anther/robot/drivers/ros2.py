@@ -21,9 +21,9 @@ from anther.core.checks import check_array, check_range
 from anther.core.errors import MissingExtra, bad_input
 from anther.core.geometry import Array
 from anther.robot.devices import DeviceError
-from anther.robot.drivers._holding import NEAR, Told, stands_at
+from anther.robot.drivers._holding import NEAR, LastCommand, find_rest_joints
 from anther.robot.drivers._readings import STALE
-from anther.robot.drivers._streamed import Reference, StreamedArm, braking, served_first
+from anther.robot.drivers._streamed import Reference, StreamedArm, braking, prioritize_thread
 
 AHEAD = 0.03
 """A message holds so much of the motion before it brakes [s]; commands further apart than this end the motion."""
@@ -123,7 +123,7 @@ class Node:
             raise bad_input("topic", given=told, allowed="such as /joint_states", do="Correct it.") from error
 
     def _spin(self) -> None:
-        with served_first(), suppress(_module("rclpy.executors").ExternalShutdownException):
+        with prioritize_thread(), suppress(_module("rclpy.executors").ExternalShutdownException):
             self._executor.spin()
 
 
@@ -249,7 +249,11 @@ class JointTrajectoryArm(StreamedArm):
     def seen(self) -> list[str]:
         """Return in words what is heard of the robot."""
         why, others = self.cannot(), self.node.publishers(self._topic) - 1
-        felt = f"force {self._felt(self._clock()):.1f} N" if self._wrench else "no force is told: contact is not felt"
+        felt = (
+            f"force {self._current_force(self._clock()):.1f} N"
+            if self._wrench
+            else "no force is told: contact is not felt"
+        )
         said = [self._seen(), f"commands: {1 / self._period:g} a second to {self._topic}; {felt}"]
         if others > 0:
             said.append(f"{others} others can command it too: end them")
@@ -273,17 +277,17 @@ class JointTrajectoryArm(StreamedArm):
         self._rests(q)
 
     def _stay(self, q: Array) -> None:
-        here = stands_at(self.readings, self._clock() - self._stale)
+        here = find_rest_joints(self.readings, self._clock() - self._stale)
         if here is not None and np.abs(here - q).max() > NEAR:  # it met something: it shall not press on
             q = here
         self._commands.publish(self._message(still(q, GENTLE)))
         self._rests(q)
 
-    def _deaf(self) -> bool:
+    def _refuses_commands(self) -> bool:
         return not self._listens()
 
-    def _follows(self, told: Told, now: float) -> Told:
-        return Told(now, *self._plan.at(now - told.time))
+    def _extrapolate(self, told: LastCommand, now: float) -> LastCommand:
+        return LastCommand(now, *self._plan.at(now - told.time))
 
     def _say(self, plan: Plan) -> None:
         message = self._message(plan)
@@ -312,10 +316,10 @@ class JointTrajectoryArm(StreamedArm):
 
     def _hear_wrench(self, message: Any) -> None:
         force = message.wrench.force
-        self._feel(force.x, force.y, force.z)
+        self._take_force(force.x, force.y, force.z)
 
     def _feels(self, now: float) -> bool:
-        return bool(np.isfinite(self._felt(now)))
+        return bool(np.isfinite(self._current_force(now)))
 
     def _wait_for(self, done: Callable[[], bool], what: str) -> None:
         try:

@@ -84,7 +84,7 @@ class Sawyer(StreamedArm):
         ratio.publish(self._make("std_msgs/msg/Float64", speed_ratio))
         silence.publish(self._make("std_msgs/msg/Float64", SILENCE))
         self._wait(lambda: self.readings.last is not None and self._state is not None, "is not heard")
-        self._wait(lambda: bool(np.isfinite(self._felt(clock()))), "tells no force")
+        self._wait(lambda: bool(np.isfinite(self._current_force(clock()))), "tells no force")
         self._check_names()
         self._wait(lambda: self._commands.readers > 0, "does not listen to joint_command")
         first = self._message(np.zeros(len(self._names)))
@@ -110,7 +110,7 @@ class Sawyer(StreamedArm):
     def check_able(self) -> None:
         """Check that the arm can be moved, and tells its joints and, as every Sawyer does, its force."""
         super().check_able()
-        if not np.isfinite(self._felt(self._clock())):
+        if not np.isfinite(self._current_force(self._clock())):
             old = f"the force on {LIMB}endpoint_state is {2e3 * self._stale:.0f} ms old, or no number"
             raise DeviceError(f"{old}. Check the robot; then start anew.")
 
@@ -119,7 +119,7 @@ class Sawyer(StreamedArm):
         why = self.cannot()
         return [
             self._seen(),
-            f"commands: {self._mode}, {1 / self._period:g} a second; force {self._felt(self._clock()):.1f} N",
+            f"commands: {self._mode}, {1 / self._period:g} a second; force {self._current_force(self._clock()):.1f} N",
             f"cannot move: {why}" if why else "ready to move",
         ]
 
@@ -134,7 +134,7 @@ class Sawyer(StreamedArm):
             clear = lambda: not (self._state.stopped or self._state.error)  # noqa: E731
             self._wait(clear, "does not reset", lambda: self._reset.publish(empty))
         self._switch(True)
-        self._told = None
+        self._last_command = None
 
     def disable(self) -> None:
         """Switch the motors off: the brakes hold the arm."""
@@ -192,7 +192,7 @@ class Sawyer(StreamedArm):
 
     def _hear_force(self, message: Any) -> None:
         force = message.wrench.force
-        self._feel(force.x, force.y, force.z)
+        self._take_force(force.x, force.y, force.z)
 
     def _check_names(self) -> None:
         told = self.node.parameter("/robot_config/right_config/joint_names")

@@ -16,7 +16,7 @@ import numpy as np
 
 from anther.core.errors import MissingExtra
 from anther.robot.devices import DeviceError
-from anther.robot.drivers._readings import Reading, RobotClock, check_fresh, check_told
+from anther.robot.drivers._readings import Reading, RobotClock, check_finite_joints, check_fresh
 
 WAITING, POWERING = 5.0, 60.0
 """The controller answers within the first; motors are on and brakes released within the second [s]."""
@@ -83,7 +83,7 @@ class Controller:
         """Return what was measured last, joints (J,) and force on the hand (x, y, z) [N]; set the clocks by it."""
         stamp, joints, force = self._state()
         check_fresh(self._set_clocks(stamp) - stamp - self._robot.offset)
-        return Reading(stamp + self._robot.offset, check_told(np.array(joints, dtype=float))), force[:3]
+        return Reading(stamp + self._robot.offset, check_finite_joints(np.array(joints, dtype=float))), force[:3]
 
     def stopped(self) -> str:
         """Return what keeps the arm from moving at all; empty if nothing does."""

@@ -75,7 +75,7 @@ class UniversalRobot(StreamedArm):
         self._acceleration = acceleration
         self._lookahead, self._gain = lookahead, gain
         self._control: Any = None
-        self._told = None
+        self._last_command = None
         self._at = connect()
         try:
             self._check_model(model)
@@ -117,7 +117,7 @@ class UniversalRobot(StreamedArm):
 
     def hold(self) -> None:
         """Brake if it moves, and end the program; the controller then holds the arm. At rest nothing is to be done."""
-        if self._told is None:
+        if self._last_command is None:
             return
         try:
             with suppress(DeviceError):  # what went wrong first is what is reported
@@ -134,7 +134,7 @@ class UniversalRobot(StreamedArm):
 
     def seen(self) -> list[str]:
         """Return in words what is heard of the controller."""
-        reading, force = self._read(), self._felt(self._clock())
+        reading, force = self._read(), self._current_force(self._clock())
         why, version = self.cannot(), self._at.version
         return [
             f"{self._at.model}, PolyScope {version[0]}.{version[1]}; the newest joints are "
@@ -169,7 +169,7 @@ class UniversalRobot(StreamedArm):
             given = f"joints: the robot has {len(reading.joints)}; allowed: {len(self._names)}, the arm model's"
             raise DeviceError(f"{given}. Name the robot's model under [arm].")
         self.readings.take(reading)
-        self._feel(*force)
+        self._take_force(*force)
         return reading
 
     def _begin(self, trajectory: JointTrajectory) -> None:
@@ -209,7 +209,7 @@ class UniversalRobot(StreamedArm):
             self._sleep(self._period)
         return way.at(way.ends)[0]
 
-    def _deaf(self) -> bool:
+    def _refuses_commands(self) -> bool:
         return self._control is None or bool(self._halted())
 
     def _halted(self) -> str:
@@ -234,7 +234,7 @@ class UniversalRobot(StreamedArm):
 
     def _end(self) -> None:
         """End the motion's program, and its watchdog with it. One that is held up must not go on later."""
-        self._told = None
+        self._last_command = None
         state = self._at.receive.getRuntimeState()
         if state == PLAYING and self._control.isConnected():
             self._control.servoStop()
