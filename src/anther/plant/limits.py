@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,7 +10,6 @@ from numpy.typing import ArrayLike
 from anther.core.checks import check_range
 from anther.core.choices import Crop as Crop  # noqa: PLC0414 - the door gives it
 from anther.core.geometry import Array
-from anther.core.records import Range, Record
 
 GRAVITY = 9.81
 GUSTS = 5.0
@@ -28,39 +26,37 @@ PEAKS = {
 """The loads that a plant limits -> their names in the table of limits."""
 
 
-@dataclass(frozen=True, slots=True)
-class PlantLimits(Record):
-    """What a plant may be loaded with by a shake.
+class Believed(NamedTuple):
+    """A lognormal belief: its median, and the standard deviation of its logarithm."""
 
-    No elastic limit of a tomato or pepper organ was ever measured (facts: pollination 6). A breeze of 4 m/s gives the
-    same plants 0.4 to 1.7 % in their pedicels and adds 3 g at the bases of their leaves, and fields stand it; a pedicel
-    is probably elastic up to 1-3 %.
+    median: float
+    spread: float
 
-    Attributes:
-        stem_strain: largest bending strain of the main stem [-].
-        pedicel_strain: of pedicels [-].
-        base_strain: of the bases of branches, petioles and peduncles on the main stem [-].
-        leaf_load: largest torque at a leaf's base that a shake of up to `GUSTS` adds, in units of what 1 m/s2 gives
-            [m/s2].
-    """
+    @classmethod
+    def between(cls, low: float, high: float) -> Believed:
+        """Return the belief of which 5 % lie below `low`, and 5 % above `high`."""
+        return cls(float(np.sqrt(low * high)), float(np.log(high / low) / (2 * 1.6449)))
 
-    stem_strain: Annotated[float, Range(1e-9, 1)] = 0.01
-    pedicel_strain: Annotated[float, Range(1e-9, 1)] = 0.01
-    base_strain: Annotated[float, Range(1e-9, 1)] = 0.01
-    leaf_load: Annotated[float, Range(1e-9, 1e4, "m/s2")] = 2.0 * GRAVITY
-
-    def at(self, frequencies: ArrayLike) -> dict[str, float | Array]:
-        """Return by kind (`PEAKS`) the limit at frequencies [Hz]; leaves' have their shape, infinite above `GUSTS`."""
-        leaf = np.where(np.asarray(frequencies, dtype=np.float64) > GUSTS, np.inf, self.leaf_load)
-        return dict(zip(PEAKS, (self.stem_strain, self.pedicel_strain, self.base_strain, leaf), strict=True))
+    @property
+    def low(self) -> float:
+        """5 % lie below."""
+        return self.median * float(np.exp(-1.6449 * self.spread))
 
 
-PRESETS = {
-    "gentle": PlantLimits(0.005, 0.005, 0.005, 0.7 * GRAVITY),
-    "default": PlantLimits(),
-    "bold": PlantLimits(0.01, 0.02, 0.02, 3.0 * GRAVITY),
+TOLERANCE = {
+    "stem": Believed.between(0.015, 0.06),
+    "pedicel": Believed.between(0.01, 0.05),
+    "base": Believed.between(0.01, 0.05),
+    "leaf": Believed.between(1.2 * GRAVITY, 10 * GRAVITY),
 }
-"""Starting limits by name; a judgement (facts: pollination 6)."""
+"""What organs bear of one short shake before they stay bent: bending strain [-] of stem, pedicels and the bases of
+branches, petioles and peduncles; of leaves the torque at the base that a shake of up to `GUSTS` adds, in units of what
+1 m/s2 gives [m/s2]. No elastic limit of a tomato or pepper organ was ever measured (facts: limits 6)."""
+HALF_DOSE = Believed.between(4.0, 80.0)
+"""Peak acceleration of a flower that frees half of its pollen [m/s2]; no dose-response was ever measured (facts:
+pollination 6, limits 6)."""
+LOADED = dict(zip(PEAKS, TOLERANCE.values(), strict=True))
+"""Kind of load (`PEAKS`) -> what is believed of what bears it."""
 FLOWERS = "flower acceleration [m/s2]"
 WIND = np.array([2.0, 4.0, 6.0])
 """Local wind about the plant [m/s]."""
