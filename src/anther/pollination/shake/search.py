@@ -161,8 +161,8 @@ def motions(
 ) -> tuple[dict[str, ComplexArray], ComplexArray]:
     """Return what one metre of gripper motion along each axis does, (Q, G, K, 3, 3) by kind, and to the pads.
 
-    Without the material's gain. "flowers" and "points" [m/m]; of `PEAKS` what their length is the load of [1/m, leaves 1/s2], of
-    the grip its force, pivoting moment and twist, as `friction_force` takes them [N/m, N].
+    Without the material's gain. "flowers" and "points" [m/m]; of `PEAKS` what their length is the load of [1/m,
+    leaves 1/s2], of the grip its force, pivoting moment and twist, as `friction_force` takes them [N/m, N].
 
     Args:
         version: one scenario.
