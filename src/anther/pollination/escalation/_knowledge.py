@@ -240,15 +240,14 @@ def known(foresight: Foresight, hertz: float, one: Answer, late: float) -> Known
     deep = np.abs(one.flowers[:, 2]) >= least[:, 2]
     away = np.where(deep, one.flowers[:, 2], _away(moved, one.flowers[:, :2]))
     parts[seen] = np.column_stack([one.flowers[:, :2], away])[seen]
-    swing = one.peak * semi_major(
-        np.einsum("fa,fax->fx", parts, np.linalg.inv(one.axes))
-    )  # that would give this acceleration without overtones
+    flowers = np.einsum("fa,fax->fx", parts, np.linalg.inv(one.axes))
+    swing = one.peak * semi_major(flowers)  # that would give this acceleration without overtones
     answer = foresight.answer(one.members, hertz, one.peak)
     loads = {kind: _expected(kind, getattr(answer, kind), hertz) for kind in decision.COSTS}
     loads["joint_strain"] = _expected("pedicels", answer.pedicels.max(axis=-1, initial=0.0), hertz)
     picture = np.exp(-1j * omega * late) * parts
-    flowers = omega**2 * np.where(seen, swing, believed)
-    return Known(flowers, seen, omega**2 * may, loads, answer, followed, picture)
+    acceleration = omega**2 * np.where(seen, swing, believed)
+    return Known(acceleration, seen, omega**2 * may, loads, answer, followed, picture)
 
 
 def _expected(kind: str, members: Array, hertz: float) -> float:
