@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from anther.core.checks import check_array
 from anther.pollination import ObservedShake, Refinement
+from anther.pollination.decision import COSTS, error
 from anther.pollination.shake.observables import semi_major
 from anther.pollination.shake.pads import grip_rows, pad_nodes
 from anther.pollination.shake.params import FLOWER_SPREAD
@@ -76,9 +77,9 @@ def expect(
         moved = one.felt.moved if np.isfinite(one.felt.moved) else one.shake.amplitude
         seen = one.seen & (one.amplitude > 0)
         middle = np.where(seen, amplitude / moved * one.amplitude, middle)
-        error = np.hypot(one.uncertainty / np.where(seen, one.amplitude, 1.0), NOT_LINEAR)
+        unsure = np.hypot(one.uncertainty / np.where(seen, one.amplitude, 1.0), NOT_LINEAR)
         low, high = (
-            np.where(seen, middle * np.exp(side * NINETY * error), bound) for side, bound in ((-1, low), (1, high))
+            np.where(seen, middle * np.exp(side * NINETY * unsure), bound) for side, bound in ((-1, low), (1, high))
         )
         known |= seen
     return Expected(middle, np.stack([low, high], axis=1), known)
