@@ -118,7 +118,7 @@ def test_the_flags_change_what_is_watched_and_kept() -> None:
     assert not paper.escalate, "the paper's shake is not raised"
     assert not paper.shake.keeps_limits
     assert bold.escalate
-    assert bold.shake.plant.pedicel_strain > Params().shake.plant.pedicel_strain
+    assert bold.shake.price < Params().shake.price
 
 
 @pytest.mark.parametrize("words", [{"watch": False}, {"shake": "paper"}])

@@ -57,18 +57,16 @@ HALF_DOSE = Believed.between(4.0, 80.0)
 pollination 6, limits 6)."""
 LOADED = dict(zip(PEAKS, TOLERANCE.values(), strict=True))
 """Kind of load (`PEAKS`) -> what is believed of what bears it."""
-FLOWERS = "flower acceleration [m/s2]"
 WIND = np.array([2.0, 4.0, 6.0])
 """Local wind about the plant [m/s]."""
 BREEZE: dict[str, dict[Crop, Array]] = {
-    FLOWERS: {"tomato": np.array([5.0, 20.5, 46.5]), "pepper": np.array([2.5, 12.5, 28.5])},
     PEAKS["joint_strain"]: {"tomato": np.array([0.00325, 0.013, 0.0285]), "pepper": np.array([0.002, 0.008, 0.018])},
     PEAKS["leaf_load"]: {
         "tomato": GRAVITY * np.array([0.85, 3.35, 7.5]),
         "pepper": GRAVITY * np.array([0.7, 2.9, 6.5]),
     },
 }
-"""Name of a limit -> its load in a wind of `WIND`: the peak of flowers, the pedicel that is bent most, the load of leaf
+"""Name of a limit -> its load in a wind of `WIND`: the pedicel that is bent most, the load of leaf
 bases in a gust. Middles of the ranges in facts: pollination 6, computed by us on simulated tomatoes 10-13 and
 peppers 10-12 (true rods, canopy drag of Sase 2012, turbulence 35 %, peak = mean + 3.5 rms, linear: above 2 m/s too
 much). The main stem and the bases of branches were not computed."""
