@@ -63,7 +63,9 @@ def test_the_names_are_those_of_a_plans_limits() -> None:
 def test_a_belief_between_two_values_has_a_twentieth_on_either_side(low: float, times: float) -> None:
     belief = Believed.between(low, low * times)
     middle, spread = np.log(belief.median), belief.spread
-    assert norm.cdf(np.log([low, belief.median, low * times]), middle, spread) == pytest.approx([0.05, 0.5, 0.95], abs=1e-4)
+    assert norm.cdf(np.log([low, belief.median, low * times]), middle, spread) == pytest.approx(
+        [0.05, 0.5, 0.95], abs=1e-4
+    )
     assert belief.low == pytest.approx(low)
 
 

@@ -264,9 +264,7 @@ def test_what_was_not_seen_along_one_line_is_not_seen_along_a_sum() -> None:
     axes = [
         answered(foresight, look(w, direction=a), 1, 0.0) for w, a in zip((clear, partly), lines_across(2), strict=True)
     ]
-    seen = [
-        known(foresight, 4.0, summed(axes, parts), 0.0).seen[2] for parts in np.array([[1, 0], [0, 1], [0.6, 0.8]])
-    ]
+    seen = [known(foresight, 4.0, summed(axes, parts), 0.0).seen[2] for parts in np.array([[1, 0], [0, 1], [0.6, 0.8]])]
     assert seen == [True, False, False]
 
 
@@ -301,9 +299,7 @@ def test_one_flower_that_swings_unlike_all_others_is_taken_for_something_else() 
         assert after.seen.tolist() == [measured or k != 2 for k in range(FLOWERS)]
     assert after.loads == pytest.approx(before.loads, rel=0.1), "nothing is concluded from what is mistaken"
     all_of_them = at.swings._replace(phasors=20 * at.swings.phasors)
-    assert told(foresight, at._replace(swings=all_of_them), 1, 0.0).seen.all(), (
-        "a plant may answer unlike its model"
-    )
+    assert told(foresight, at._replace(swings=all_of_them), 1, 0.0).seen.all(), "a plant may answer unlike its model"
 
 
 def test_what_a_decision_is_told_is_what_the_narrowed_members_say() -> None:

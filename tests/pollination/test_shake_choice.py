@@ -85,7 +85,9 @@ def weighed(
     given |= {kind: np.reshape(values, given[kind].shape) for kind, values in loads.items()}
     response = Gains(flower[:, None, :, None], **given)
     count = flower.shape[1]
-    grips = Grips([], np.zeros(count), np.zeros(count, int), np.tile(np.eye(3)[:1], (count, 1, 1)), np.full((count, 1), 10.0))
+    grips = Grips(
+        [], np.zeros(count), np.zeros(count, int), np.tile(np.eye(3)[:1], (count, 1, 1)), np.full((count, 1), 10.0)
+    )
     machine = arm_shaker(lambda g, d, f: np.full(len(f), reach))
     found = search(response, grips, (grasps * count)[:count], np.array([2.0]), machine, params)
     return found, response
