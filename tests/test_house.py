@@ -30,7 +30,7 @@ BEHIND = {
     "evaluation/perception/masks.py",
     "evaluation/perception/real/grown.py",
     "evaluation/perception/registration.py",
-    "evaluation/prediction/loads.py",
+    "evaluation/prediction/belief.py",
     "evaluation/prediction/shaken_plant.py",
     "evaluation/prediction/vibration_models.py",
     "evaluation/prediction/vibration_plant.py",

@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from anther.core.checks import check_array
 from anther.pollination import ObservedShake, Refinement
+from anther.pollination.decision import COSTS, error
 from anther.pollination.shake.observables import semi_major
 from anther.pollination.shake.pads import grip_rows, pad_nodes
-from anther.pollination.shake.params import FLOWER_SPREAD, LOAD_ERROR
+from anther.pollination.shake.params import FLOWER_SPREAD
 from anther.pollination.shake.search import flower_motion, gains
 from anther.rods import Array, unit_direction
 
@@ -76,9 +77,9 @@ def expect(
         moved = one.felt.moved if np.isfinite(one.felt.moved) else one.shake.amplitude
         seen = one.seen & (one.amplitude > 0)
         middle = np.where(seen, amplitude / moved * one.amplitude, middle)
-        error = np.hypot(one.uncertainty / np.where(seen, one.amplitude, 1.0), NOT_LINEAR)
+        unsure = np.hypot(one.uncertainty / np.where(seen, one.amplitude, 1.0), NOT_LINEAR)
         low, high = (
-            np.where(seen, middle * np.exp(side * NINETY * error), bound) for side, bound in ((-1, low), (1, high))
+            np.where(seen, middle * np.exp(side * NINETY * unsure), bound) for side, bound in ((-1, low), (1, high))
         )
         known |= seen
     return Expected(middle, np.stack([low, high], axis=1), known)
@@ -107,15 +108,17 @@ def _flower_logs(learned: Refinement, points: Array, direction: Array, frequenci
 def loads_at(learned: Refinement, points: Array, direction: Array, frequencies: Array) -> dict[str, Array]:
     """Return, by kind, (G, Q, 3) the 5 %, 50 % and 95 % quantile of a plant's largest loads per metre of motion.
 
-    Kinds are those of `shake.params.LOAD_ERROR`; arguments as of `flowers_at`.
+    Kinds are those of `anther.plant.limits.PEAKS` and "grip_force"; arguments as of `flowers_at`.
     """
     held = grips(learned, points)
     ways = np.broadcast_to(direction, (len(held), 1, 3))
-    answer = gains(learned.members, held, np.ascontiguousarray(ways), frequencies)
-    return {
-        kind: median * np.moveaxis(_quantiles(_log(getattr(answer, kind)[..., 0]), spread), 1, 0)
-        for kind, (median, spread) in LOAD_ERROR.items()
-    }
+    answer = gains(learned.members, held, np.ascontiguousarray(ways), frequencies).answer(frequencies)
+    loads = {kind: getattr(answer, kind) for kind in COSTS} | {"joint_strain": answer.pedicels.max(axis=-1)}
+    found = {}
+    for kind, values in loads.items():
+        mean, spread = error("pedicels" if kind == "joint_strain" else kind, frequencies[:, None])
+        found[kind] = np.moveaxis(_quantiles(_log(values[..., 0]) + mean, spread), 1, 0)
+    return found
 
 
 def _same(one: ObservedShake, point: Array, direction: Array, frequency: float) -> bool:
@@ -129,7 +132,7 @@ def _log(values: Array) -> Array:
     return np.log(np.maximum(values, 1e-12))
 
 
-def _quantiles(logs: Array, spread: float) -> Array:
+def _quantiles(logs: Array, spread: float | Array) -> Array:
     """Return (..., 3) quantiles of values with these logarithms (M, ...), of which each errs by `spread` besides."""
     mean, deviation = logs.mean(axis=0), np.sqrt(logs.var(axis=0) + spread**2)
     return np.exp(mean[..., None] + NINETY * deviation[..., None] * np.array([-1.0, 0.0, 1.0]))

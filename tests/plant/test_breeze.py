@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from sample_plants import branched, grasps_on
+from scipy.stats import norm
 
 from anther.core.errors import InputError
-from anther.plant.limits import BREEZE, PEAKS, PRESETS, WIND, Crop, breeze, like_breeze
+from anther.plant.limits import BREEZE, LOADED, PEAKS, TOLERANCE, WIND, Believed, Crop, breeze, like_breeze
 from anther.plant.model import TOMATO, build_plant
 from anther.pollination.shake import Params, plan_shake
 
@@ -58,10 +59,21 @@ def test_the_names_are_those_of_a_plans_limits() -> None:
     assert set(BREEZE) <= {name for name, *_ in plan.limits}
 
 
-def test_bolder_presets_are_more_wind() -> None:
-    for crop in CROPS:
-        winds = [
-            breeze(PEAKS["joint_strain"], PRESETS[name].pedicel_strain, crop) or 0
-            for name in ("gentle", "default", "bold")
-        ]
-        assert winds[0] < winds[1] < winds[2]
+@given(st.floats(1e-3, 10.0), st.floats(1.1, 30.0))
+def test_a_belief_between_two_values_has_a_twentieth_on_either_side(low: float, times: float) -> None:
+    belief = Believed.between(low, low * times)
+    middle, spread = np.log(belief.median), belief.spread
+    assert norm.cdf(np.log([low, belief.median, low * times]), middle, spread) == pytest.approx(
+        [0.05, 0.5, 0.95], abs=1e-4
+    )
+    assert belief.low == pytest.approx(low)
+
+
+def test_every_load_that_a_plant_limits_has_what_bears_it() -> None:
+    assert LOADED == {
+        "stem_strain": TOLERANCE["stem"],
+        "joint_strain": TOLERANCE["pedicel"],
+        "base_strain": TOLERANCE["base"],
+        "leaf_load": TOLERANCE["leaf"],
+    }
+    assert set(LOADED) == set(PEAKS)

@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 from sample_plants import branched
 
+from anther.plant.limits import PEAKS
 from anther.plant.model import TOMATO, PlantModel, build_plant
+from anther.pollination.decision import error
 from anther.pollination.learning import Felt, ObservedShake, Params, Refinement, refine
 from anther.pollination.shake import PADS, Pads, ShakePlan
 from anther.pollination.shake.observables import semi_major
 from anther.pollination.shake.pads import grip_rows, pad_nodes
-from anther.pollination.shake.params import FLOWER_SPREAD, LOAD_ERROR
+from anther.pollination.shake.params import FLOWER_SPREAD
 from anther.pollination.shake.search import Version, flower_motion, gains
 from anther.rods import Array
 from evaluation.prediction.expectation import expect, flowers_at, loads_at
@@ -150,12 +152,14 @@ def test_expected_loads_are_the_plants_own_and_as_uncertain_as_each_kind_is(
 ) -> None:
     pitches = np.array([2.0, PITCH])
     told = loads_at(sure, point[None], WAY, pitches)
-    assert set(told) == set(LOAD_ERROR)
+    assert set(told) == {*PEAKS, "grip_force"}
     own = gains([Version(plant, FIRM)], pad_nodes(plant, grip_rows(plant, point[None])), WAY[None, None], pitches)
-    for kind, (median, spread) in LOAD_ERROR.items():
-        low, middle, high = np.moveaxis(told[kind], -1, 0)
-        assert middle == pytest.approx(median * np.maximum(getattr(own, kind)[0, :, :, 0].T, 1e-12), rel=1e-4)
-        assert np.log(high / low) == pytest.approx(np.full((1, 2), 2 * NINETY * spread))
+    loads = own._asdict() | {"joint_strain": own.pedicel.max(axis=-1)}
+    for kind, found in told.items():
+        mean, spread = error(kind.replace("joint_strain", "pedicels"), pitches)
+        low, middle, high = np.moveaxis(found, -1, 0)
+        assert middle == pytest.approx(np.exp(mean) * np.maximum(loads[kind][0, :, :, 0].T, 1e-12), rel=1e-4)
+        assert np.log(high / low) == pytest.approx(2 * NINETY * spread[None])
 
 
 def test_slowly_shaken_branches_are_loaded_by_their_inertia_and_the_stem_by_how_far_it_is_bent(

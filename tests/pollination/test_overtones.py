@@ -52,7 +52,7 @@ def test_a_flower_whose_acceleration_is_sharper_feels_more_and_bends_its_pedicel
     shown = np.asarray(members[3, foresight.where["flowers"]])
     axes, std = np.repeat(np.eye(3)[None], FLOWERS, axis=0), np.full((FLOWERS, 3), 1e-6)
     plain, sharp = (
-        known(foresight, float(TONES[0]), Answer(members, shown, std, axes, np.full(FLOWERS, peak)), 0.0, 0.05)
+        known(foresight, float(TONES[0]), Answer(members, shown, std, axes, np.full(FLOWERS, peak)), 0.0)
         for peak in (1.0, 2.5)
     )
     assert sharp.flowers == pytest.approx(2.5 * plain.flowers)
@@ -60,4 +60,6 @@ def test_a_flower_whose_acceleration_is_sharper_feels_more_and_bends_its_pedicel
     assert {k: v for k, v in sharp.loads.items() if k != "joint_strain"} == pytest.approx(
         {k: v for k, v in plain.loads.items() if k != "joint_strain"}
     )
+    assert sharp.answer.flowers == pytest.approx(2.5 * plain.answer.flowers)
+    assert sharp.answer.pedicels == pytest.approx(2.5 * plain.answer.pedicels)
     assert sharp.picture == pytest.approx(plain.picture), "where it is looked for next is where it swings"

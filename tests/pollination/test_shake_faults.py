@@ -16,7 +16,6 @@ from anther.cli.run_folder import SUMMARY, remember
 from anther.core.errors import InputError, StageFailure
 from anther.core.files import replacing, write_json
 from anther.history import starting_material
-from anther.plant.limits import PlantLimits
 from anther.plant.model import TOMATO, Material, build_plant
 from anther.plant.model import Params as PlantParams
 from anther.pollination.learning import ObservedShake, refine
@@ -53,11 +52,11 @@ def test_a_plant_that_buckles_is_stiffened_with_a_note_or_refused_before_anythin
     assert told.value.kind == "no_convergence"
 
 
-def test_no_shake_within_the_limits_names_the_limit() -> None:
+def test_where_no_shake_is_worth_its_cost_the_closest_limit_is_named() -> None:
     skeleton, stem, flowers = branched()
     plant = build_plant(skeleton, stem, flowers, None, replace(TOMATO, youngs=2e8))
-    with pytest.raises(StageFailure, match=r"no shake of .* is allowed.* The limit that binds is") as told:
-        plan_shake(plant, grasps_on(skeleton, stem, [8]), params=replace(QUICK, plant=PlantLimits(pedicel_strain=1e-8)))
+    with pytest.raises(StageFailure, match=r"no shake of .* is worth its cost.* The closest limit is") as told:
+        plan_shake(plant, grasps_on(skeleton, stem, [8]), params=replace(QUICK, price=1e4, pad_friction=1e-6))
     assert told.value.kind == "limits_exceeded"
 
 

@@ -118,7 +118,7 @@ def test_the_flags_change_what_is_watched_and_kept() -> None:
     assert not paper.escalate, "the paper's shake is not raised"
     assert not paper.shake.keeps_limits
     assert bold.escalate
-    assert bold.shake.plant.pedicel_strain > Params().shake.plant.pedicel_strain
+    assert bold.shake.price < Params().shake.price
 
 
 @pytest.mark.parametrize("words", [{"watch": False}, {"shake": "paper"}])
@@ -147,7 +147,7 @@ def test_the_report_draws_each_step_and_what_was_decided(tmp_path: Path) -> None
 
 
 def test_the_picture_has_a_line_for_each_tone_and_a_bar_for_each_step() -> None:
-    tones, flowers, limits = draw_steps(STEPS, 10.0, 20.0).axes
+    tones, flowers, limits = draw_steps(STEPS, 10.0).axes
     assert tones.get_legend_handles_labels()[1] == ["3 Hz", "8 Hz"]
     bars: list[Any] = list(limits.patches)
     assert [(bar.get_x(), bar.get_height()) for bar in bars] == [(0.5, pytest.approx(30)), (2.5, 80), (4.0, 80)]

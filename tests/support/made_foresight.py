@@ -11,6 +11,7 @@ from fake_robot import horizontal_grasp
 from numpy.typing import NDArray
 
 from anther.core.geometry import Array, Intrinsics, look_at
+from anther.plant.limits import PEAKS
 from anther.pollination.escalation import Escalation, Params
 from anther.pollination.escalation._foresight import Foresight
 from anther.pollination.response.points import Swings
@@ -18,13 +19,14 @@ from anther.pollination.shake import Params as Limits
 from anther.pollination.shake import ResponseMap, ShakePlan
 from anther.pollination.shake._plan import Tones
 from anther.pollination.shake.observables import ComplexArray, semi_major
-from anther.pollination.shake.params import LOADS
 from anther.robot.devices import LEAD, ArmSample, Frame
 from anther.robot.swing import Swing
 
 TONES = np.array([2.5, 4.0, 6.3])
 FLOWERS, POINTS, MEMBERS = 6, 20, 32
-ROWS = {"flowers": FLOWERS, "points": POINTS, **dict.fromkeys(LOADS, 2), "grip_force": 3}
+KINDS = (*PEAKS, "grip_force")
+"""Of load."""
+ROWS = {"flowers": FLOWERS, "points": POINTS, **dict.fromkeys(KINDS, 2), "grip_force": 3}
 SIZES = {"flowers": 1.5, "points": 1.0, "stem_strain": 0.2, "joint_strain": 0.3, "base_strain": 0.2, "leaf_load": 300.0}
 T_WORLD_CAM = look_at(np.array([0.3, -0.5, 0.2]), np.array([0.0, 0.0, 0.1]))
 AXES = (
@@ -185,7 +187,7 @@ class World:
 
     def loads(self, tone: int, direction: Array = ALONG) -> dict[str, float]:
         """Return each kind's load in truth, per metre."""
-        return {kind: float(self.foresight.load(kind, self.answer(tone, direction)[None])[0]) for kind in LOADS}
+        return {kind: float(self.foresight.load(kind, self.answer(tone, direction)[None])[0]) for kind in KINDS}
 
     def flowers(self, tone: int, direction: Array = ALONG) -> Array:
         """Return (F,) accelerations in truth, per metre [1/s2]."""

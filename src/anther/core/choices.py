@@ -10,7 +10,7 @@ Axis = Literal["x", "y", "z"]
 Crop = Literal["tomato", "pepper"]
 """Crops whose material and limits are described (`anther.plant`)."""
 Preset = Literal["gentle", "default", "bold", "paper"]
-"""How boldly a plant may be loaded (`anther.plant.limits.PRESETS`)."""
+"""What a lost flower counts (`anther.pollination.decision.PRICES`); "paper" asks for none."""
 ArmName = Literal["sawyer", "ur5e", "fr3", "xarm7"]
 """The arms that are described (`anther.robot.arm.arms.named`); a cell file may describe another."""
 ActuatorName = Literal["arm", "gripper"]

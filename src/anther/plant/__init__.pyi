@@ -3,7 +3,7 @@
 from .belief import EarlierShake
 from .bench import ClampedStem, MaterialTest, fit_free_vibration, identify, read_material, write_material
 from .imported import main_stem, read_source
-from .limits import Crop, PlantLimits, moved
+from .limits import Crop, moved
 from .model import PEPPER, TOMATO, Material, PlantModel, build_plant
 from .visit import GraspRecord, ShakeRecord, Visit
 
@@ -16,7 +16,6 @@ __all__ = [
     "GraspRecord",
     "Material",
     "MaterialTest",
-    "PlantLimits",
     "PlantModel",
     "ShakeRecord",
     "Visit",

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,7 +10,6 @@ from numpy.typing import ArrayLike
 from anther.core.checks import check_range
 from anther.core.choices import Crop as Crop  # noqa: PLC0414 - the door gives it
 from anther.core.geometry import Array
-from anther.core.records import Range, Record
 
 GRAVITY = 9.81
 GUSTS = 5.0
@@ -28,51 +26,47 @@ PEAKS = {
 """The loads that a plant limits -> their names in the table of limits."""
 
 
-@dataclass(frozen=True, slots=True)
-class PlantLimits(Record):
-    """What a plant may be loaded with by a shake.
+class Believed(NamedTuple):
+    """A lognormal belief: its median, and the standard deviation of its logarithm."""
 
-    No elastic limit of a tomato or pepper organ was ever measured (facts: pollination 6). A breeze of 4 m/s gives the
-    same plants 0.4 to 1.7 % in their pedicels and adds 3 g at the bases of their leaves, and field plants endure it; a
-    pedicel is probably elastic up to 1-3 %.
+    median: float
+    spread: float
 
-    Attributes:
-        stem_strain: largest bending strain of the main stem [-].
-        pedicel_strain: of pedicels [-].
-        base_strain: of the bases of branches, petioles and peduncles on the main stem [-].
-        leaf_load: largest torque at a leaf's base that a shake of up to `GUSTS` adds, in units of what 1 m/s2 gives
-            [m/s2].
-    """
+    @classmethod
+    def between(cls, low: float, high: float) -> Believed:
+        """Return the belief of which 5 % lie below `low`, and 5 % above `high`."""
+        return cls(float(np.sqrt(low * high)), float(np.log(high / low) / (2 * 1.6449)))
 
-    stem_strain: Annotated[float, Range(1e-9, 1)] = 0.01
-    pedicel_strain: Annotated[float, Range(1e-9, 1)] = 0.01
-    base_strain: Annotated[float, Range(1e-9, 1)] = 0.01
-    leaf_load: Annotated[float, Range(1e-9, 1e4, "m/s2")] = 2.0 * GRAVITY
-
-    def at(self, frequencies: ArrayLike) -> dict[str, float | Array]:
-        """Return by kind (`PEAKS`) the limit at frequencies [Hz]; leaves' have their shape, infinite above `GUSTS`."""
-        leaf = np.where(np.asarray(frequencies, dtype=np.float64) > GUSTS, np.inf, self.leaf_load)
-        return dict(zip(PEAKS, (self.stem_strain, self.pedicel_strain, self.base_strain, leaf), strict=True))
+    @property
+    def low(self) -> float:
+        """5 % lie below."""
+        return self.median * float(np.exp(-1.6449 * self.spread))
 
 
-PRESETS = {
-    "gentle": PlantLimits(0.005, 0.005, 0.005, 0.7 * GRAVITY),
-    "default": PlantLimits(),
-    "bold": PlantLimits(0.01, 0.02, 0.02, 3.0 * GRAVITY),
+TOLERANCE = {
+    "stem": Believed.between(0.015, 0.06),
+    "pedicel": Believed.between(0.01, 0.05),
+    "base": Believed.between(0.01, 0.05),
+    "leaf": Believed.between(1.2 * GRAVITY, 10 * GRAVITY),
 }
-"""Starting limits by name; a judgement (facts: pollination 6)."""
-FLOWERS = "flower acceleration [m/s2]"
+"""What organs bear of one short shake before they stay bent: bending strain [-] of stem, pedicels and the bases of
+branches, petioles and peduncles; of leaves the torque at the base that a shake of up to `GUSTS` adds, in units of what
+1 m/s2 gives [m/s2]. No elastic limit of a tomato or pepper organ was ever measured (facts: pollination 6)."""
+HALF_DOSE = Believed.between(4.0, 80.0)
+"""Peak acceleration of a flower that frees half of its pollen [m/s2]; no dose-response was ever measured (facts:
+pollination 6)."""
+LOADED = dict(zip(PEAKS, TOLERANCE.values(), strict=True))
+"""Kind of load (`PEAKS`) -> what is believed of what bears it."""
 WIND = np.array([2.0, 4.0, 6.0])
 """Local wind about the plant [m/s]."""
 BREEZE: dict[str, dict[Crop, Array]] = {
-    FLOWERS: {"tomato": np.array([5.0, 20.5, 46.5]), "pepper": np.array([2.5, 12.5, 28.5])},
     PEAKS["joint_strain"]: {"tomato": np.array([0.00325, 0.013, 0.0285]), "pepper": np.array([0.002, 0.008, 0.018])},
     PEAKS["leaf_load"]: {
         "tomato": GRAVITY * np.array([0.85, 3.35, 7.5]),
         "pepper": GRAVITY * np.array([0.7, 2.9, 6.5]),
     },
 }
-"""Name of a limit -> its load in a wind of `WIND`: the peak of flowers, the pedicel that is bent most, the load of leaf
+"""Name of a limit -> its load in a wind of `WIND`: the pedicel that is bent most, the load of leaf
 bases in a gust. Middles of the ranges in facts: pollination 6, computed by us on simulated tomatoes 10-13 and
 peppers 10-12 (true rods, canopy drag of Sase 2012, turbulence 35 %, peak = mean + 3.5 rms, linear: above 2 m/s too
 much). The main stem and the bases of branches were not computed."""

@@ -232,9 +232,8 @@ def _steps(results: RunResults) -> str:
     if results.trial is None or not results.trial.steps:
         return text
     steps, start = results.trial.steps, float(results.trial.shake_times[0])
-    target = results.params.get("params", {}).get("escalation", {}).get("target")
     alt = "commanded, measured and allowed, step by step"
-    picture = _image(lambda narrow: draw_steps(steps, start, target, narrow), alt)
+    picture = _image(lambda narrow: draw_steps(steps, start, narrow), alt)
     rows = [
         [
             f"{step.begin - start:.1f} to {step.end - start:.1f} s",

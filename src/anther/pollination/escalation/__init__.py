@@ -28,7 +28,7 @@ from anther.pollination.escalation._knowledge import (
     settled,
     summed,
 )
-from anther.pollination.escalation._option import SHORTEST, WORDS, Option, Params, limits_of, risk
+from anther.pollination.escalation._option import SHORTEST, TOO_FAR, WORDS, Option, Params, limits_of
 from anther.pollination.execution import Line, Step
 from anther.pollination.response.points import likeness, sight, swings
 from anther.pollination.response.thresholds import overtones
@@ -65,8 +65,12 @@ LASTING = (OUT_OF_SIGHT, NO_TIME)
 RAISED, HOLD = 2.0, 1.2
 """A step is at most so many times the one before; the last one goes on so long [s]: a flower approaches what it can
 free within 0.6 s."""
-BETTER = 1.6
-"""Another tone or line is turned to for so many times the motion: of many promises the largest is too large."""
+BETTER = 1.25
+"""Another tone or line is turned to when it is worth so many times as much: turning takes seconds, and of many promises
+the largest is too large."""
+ADDED = 15.0
+"""A step adds no more to any flower that is seen [m/s2]: half of what bends one pedicel in twenty by 1 % (facts: pollination
+6)."""
 ENOUGH = 1.05
 """A raise by less is not worth its time, nor is going back to what moved the flowers more."""
 LOST = 0.5  # a shake is ended when fewer than this share of the points followed in the probe still are
@@ -86,7 +90,7 @@ class Escalation:
     A gentle mixture of tones is watched first, along the plan's line and then across it: what it does to flowers, stem
     and leaves corrects what the model says of each tone at this grip (`_foresight.narrowed`), and along any other line
     the plant does the sum of both. The tone and line are taken with which the flowers can be moved most, and raised in
-    steps, each watched, until they feel `Params.target` or a limit is near. Where the camera sees nothing, the plan is
+    steps, each watched, until more would cost more than it adds. Where the camera sees nothing, the plan is
     done as it is.
 
     Attributes:
@@ -124,7 +128,7 @@ class Escalation:
         self._tone, self._line = (part.ravel() for part in np.indices(tones.reach.shape))
         self._hertz = tones.frequencies[self._tone]
         self._limits = [limits_of(limits, plan.press, hertz) for hertz in self._hertz.tolist()]
-        self._risk = risk(limits.risk)
+        self._held, self._price = limits.held(plan.press), limits.price
         self._answers: list[list[Answer]] = []
         self._options: list[Option] = []
         self._late, self._in_sight, self._last = 0.0, 0, False
@@ -266,14 +270,14 @@ class Escalation:
         return Look(self._tone[active], direction, commanded, gripper, doubt, seen)
 
     def _known(self, shake: int, answer: Answer) -> Known:
-        return known(self._foresight, float(self._hertz[shake]), answer, self._late, self._risk)
+        return known(self._foresight, float(self._hertz[shake]), answer, self._late)
 
     def _looked_at(self, shake: int, one: Known) -> None:
         """Learn of a shake that was done alone. By what its promise is not kept, those of the others count less too."""
         kept = self._options[shake].looked_at(one)
         for option in self._options:
             if not option.alone:
-                option.may = option.may._replace(flowers=kept * option.may.flowers)
+                option.may = option.may._replace(flowers=kept * option.may.flowers, net=kept * option.may.net)
 
     def _after_probe(self, borne: float) -> Next:
         """Return what follows a probe: the next one, or the shake with which flowers can be moved most.
@@ -291,19 +295,18 @@ class Escalation:
         for shake, (tone, line) in enumerate(zip(self._tone, self._line, strict=True)):
             answer = summed([along[tone] for along in self._answers], tones.parts(int(line)))
             known_of, hertz = self._known(shake, answer), float(self._hertz[shake])
-            option = Option(hertz, self._limits[shake], planned[shake], reach[shake], self.params, known_of)
+            option = Option(hertz, self._held, self._price, planned[shake], reach[shake], known_of)
             self._options.append(option)
         return self._decided(0) if len(self._hertz) == 1 else self._turned_to(self._best())
 
     def _best(self) -> int:
-        """Return the shake that may move the flowers most."""
-        promised = [option.promised for option in self._options]
-        return max(range(len(promised)), key=lambda n: (min(promised[n], self.params.target), promised[n]))
+        """Return the shake that is worth most."""
+        return max(range(len(self._options)), key=lambda n: self._options[n].promised)
 
     def _decided(self, now: int) -> Next:
         """Return what follows a shake that was looked at."""
         amplitude, option = float(self._piece.amplitudes[now]), self._options[now]
-        lost = option.lost(amplitude, self.params.most)
+        lost = option.lost(amplitude, TOO_FAR)
         if not (lost or self._proofs[-1]):
             return self._raised(now, amplitude)
         if lost and not self._doubted and self._fits(now):  # most are found again: they had not swung too far
@@ -318,12 +321,12 @@ class Escalation:
         if told:  # flowers that are followed and do not seem to move move little
             self._sure = amplitude
         elif stays:
-            option.may = option.may._replace(flowers=0.0)  # another shake may show them
+            option.may = option.may._replace(flowers=0.0, net=0.0)  # another shake may show them
         else:  # as two did not, a third would not: what the model allows
             for one in blind:
                 one.keep_to_plan(OUT_OF_SIGHT)
         best = self._best()
-        if self._options[best].promised > BETTER * option.may.flowers and self._fits(best):
+        if self._options[best].promised > BETTER * option.promised and self._fits(best):
             return self._turned_to(best)
         return self._raised(now, amplitude, lost=stays)
 
@@ -349,9 +352,9 @@ class Escalation:
         return self._only(shake, min(begin, most.amplitude), self._watch(shake), words)
 
     def _adding(self, shake: int) -> float:
-        """Return the amplitude that adds half the target to the flower seen that feels the most [m]."""
+        """Return the amplitude that adds `ADDED` to the flower seen that feels the most [m]."""
         one = self._options[shake].told
-        return 0.5 * self.params.target / max(float(one.flowers[one.seen].max(initial=0.0)), 1e-12)
+        return ADDED / max(float(one.flowers[one.seen].max(initial=0.0)), 1e-12)
 
     def _raised(self, shake: int, now: float, *, lost: bool = False) -> Next:
         """Return a larger shake, or the last one; `lost`: a flower that was followed no longer is.

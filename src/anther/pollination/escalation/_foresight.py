@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from anther.core.geometry import Array
 from anther.plant.model import PlantModel
-from anther.pollination.shake.observables import ComplexArray, observables, semi_major
+from anther.pollination.decision import Answer
+from anther.pollination.shake.observables import ComplexArray, by_flower, hanging, semi_major
 from anther.pollination.shake.pads import PADS, Pads, friction_force, grip_rows, pad_nodes
 from anther.pollination.shake.params import FLOWER_SPREAD
 from anther.pollination.shake.search import held_radius, motions, scenarios
@@ -68,40 +69,15 @@ class Foresight(NamedTuple):
             return friction_force(*sizes.T, radius=self.radius, width=self.pad_width)
         return sizes.max(axis=1, initial=0.0)
 
-    def pedicels(
-        self, vectors: ComplexArray, shown: Array, most: Array | float = np.nan, unknown: float = 0.0
-    ) -> Array:
-        """Return (M,) the largest strain of pedicels of vectors (M, S, 3), where flowers swing as they were seen to.
+    def answer(self, vectors: ComplexArray, hertz: float, peak: Array | float = 1.0) -> Answer:
+        """Return what a decision asks for of vectors (M, S, 3) of one shake.
 
-        A pedicel is bent by its own flower's inertia, so its strain follows what that flower does, whatever moves it.
-        Flowers that are not seen swing as much more than the members say as the others do.
-
-        Args:
-            vectors: of one shake.
-            shown: (F,) swing of each flower, as the members have it; NaN where it was not seen.
-            most: (F,) a flower in sight that is too still to be seen swings at most so far; else NaN.
-            unknown: if not 0, as many flowers hang unknown beside the known ones (ten views find 45 to 51 % of them, 74
-                simulated plants), and how much more than the members say they and those that are not seen swing
-                spreads by this about the others [ln].
+        `peak`: (F,) of each flower's acceleration over what it would be without overtones.
         """
-        strain, swing = (semi_major(vectors[:, self.where[kind]]) for kind in ("joint_strain", "flowers"))
-        if np.isfinite(shown).any():
-            more, still = shown / np.maximum(swing, 1e-12), most / np.maximum(swing, 1e-12)
-            more = np.where(np.isnan(more), np.minimum(still, _usual(more)), more)
-            hidden = _usual(more)
-            if unknown:
-                spread = unknown * np.sqrt(1 + 1 / np.isfinite(more[0]).sum())
-                drawn = hidden * np.exp(spread * np.random.default_rng(0).normal(size=more.shape))
-                more = np.fmax(more, drawn)
-            else:
-                more = np.where(np.isfinite(more), more, np.maximum(hidden, 1.0))
-            strain = strain * more[:, self.hangs]
-        return strain.max(axis=1, initial=0.0)
-
-
-def _usual(more: Array) -> Array:
-    """Return (M, 1) the geometric mean of (M, F) over the flowers that are not NaN."""
-    return np.asarray(np.exp(np.nanmean(np.log(np.maximum(more, 1e-12)), axis=1, keepdims=True)))
+        flowers = peak * semi_major(vectors[:, self.where["flowers"]])
+        pedicels = by_flower(semi_major(vectors[:, self.where["joint_strain"]]), self.hangs, flowers.shape[1])
+        loads = (self.load(kind, vectors) for kind in ("base_strain", "stem_strain", "leaf_load", "grip_force"))
+        return Answer((2 * np.pi * hertz) ** 2 * flowers, peak * pedicels, *loads)
 
 
 def foresee(
@@ -129,19 +105,7 @@ def foresee(
     vectors = np.array(
         [np.moveaxis(np.concatenate([part[:, 0] for part in one.values()], axis=1), -1, 1) for one in found]
     )
-    return Foresight(tones, vectors, where, _hanging(plant), float(held_radius(plant, grip)[0]), pads.width)
-
-
-def _hanging(plant: PlantModel) -> NDArray[np.int64]:
-    """Return `Foresight.hangs`."""
-    look, parent = observables(plant), plant.rods.parent
-    flower = np.full(len(parent), -1)
-    for f, tip in enumerate(plant.flower_nodes):
-        node = int(tip)
-        while plant.is_pedicel[node]:
-            flower[node] = f
-            node = int(parent[node])
-    return flower[look.edges[look.joint_strain - look.strains[0]]]
+    return Foresight(tones, vectors, where, hanging(plant), float(held_radius(plant, grip)[0]), pads.width)
 
 
 def watch_points(plant: PlantModel) -> NDArray[np.int64]:

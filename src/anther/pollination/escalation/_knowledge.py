@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from anther.core.geometry import Array
 from anther.core.oscillation import peak
+from anther.pollination import decision
 from anther.pollination.escalation._foresight import (
     SIGNIFICANCE,
     Foresight,
@@ -23,35 +24,9 @@ from anther.pollination.escalation._foresight import (
     stand,
 )
 from anther.pollination.response.points import Swings
-from anther.pollination.shake.choice import margined
 from anther.pollination.shake.observables import ComplexArray, semi_major
-from anther.pollination.shake.params import FAST, FLOWER_SPREAD, LOADS, blended, fastness, load_error
+from anther.pollination.shake.params import FAST, FLOWER_SPREAD
 from anther.robot.devices import ArmSample
-
-SEEN_ERROR = {
-    "stem_strain": (0.9, 0.42),
-    "joint_strain": (1.1, 0.6),
-    "base_strain": (1.5, 0.72),
-    "leaf_load": (1.3, 0.43),
-    "grip_force": (0.5, 0.55),
-}
-"""True over narrowed largest load of each kind: median, and standard deviation of ln beside what the members explain,
-as `shake.params.LOAD_ERROR` but after the camera has seen a tone. Measured by us on 34 simulated plants (seeds
-500-519; the stem's spread also on 9600-9607) whose truth no stage believes, two grips, seven tones from 2 to 11 Hz,
-points seen with an error of 12 %: 5 % of the loads pass what they say at that risk. Of pedicels (`Foresight.pedicels`):
-190 shakes in the whole cell, by the arm and by a motor (9900-9959), of which 6 % bend one further than is said at a
-risk of 7.5 %. Of bases: 129 such shakes; by the linear equations alone they would be 0.65 and 1.1, which 54 % of the
-arm's slow shakes passed. Of the grip's force: that of the model."""
-
-FAST_SEEN_ERROR = SEEN_ERROR | {"joint_strain": (0.45, 0.45), "base_strain": (1.9, 0.85)}
-"""The same from `RINGING` on, as `shake.params.FAST_LOAD_ERROR`; of pedicels beside what unknown flowers may do
-(`Foresight.pedicels`)."""
-
-FEW = 6
-"""Of F known flowers pedicels count as bent sqrt(FEW / F) times as far as the members and `SEEN_ERROR` say: hidden ones
-hang on pedicels that may be softer. In 25 shakes of the whole cell with up to 4 known flowers 8 bent a pedicel further
-than was said, in 30 with more 1 did; with this factor 4 and 4 had. 53 other plants (MuJoCo's linear equations), with
-`WATCHED` 3 instead of 2: 7.2 instead of 7.6 m/s2 (geometric mean), harm 0.9 instead of 1.4 %."""
 
 UNSEEN = 0.2
 """A flower that is not seen counts with this quantile of what the members say, and with no more than would have been
@@ -92,7 +67,9 @@ class Known(NamedTuple):
         flowers: (F,) peak acceleration [1/s2]; of those that are not seen, what is believed with a margin.
         seen: (F,) whether the camera measured it.
         most: (F,) acceleration above which the camera would have measured it [1/s2]; NaN where it was not followed.
-        loads: kind (`LOADS`) -> largest load, with the margin.
+        loads: kind of load -> the largest, as expected.
+        answer: what members say that it does.
+        followed: (F,) flowers that the camera followed.
         picture: (F, 3) phasors of the flowers as `Swings` has them, on the camera's clock [m/m].
     """
 
@@ -100,6 +77,8 @@ class Known(NamedTuple):
     seen: NDArray[np.bool_]
     most: Array
     loads: Mapping[str, float]
+    answer: decision.Answer
+    followed: NDArray[np.bool_]
     picture: ComplexArray
 
 
@@ -240,7 +219,7 @@ def summed(answers: Sequence[Answer], parts: Array) -> Answer:
     )
 
 
-def known(foresight: Foresight, hertz: float, one: Answer, late: float, risk: float) -> Known:
+def known(foresight: Foresight, hertz: float, one: Answer, late: float) -> Known:
     """Return what is known of a shake for which the plant's answer is.
 
     Args:
@@ -248,7 +227,6 @@ def known(foresight: Foresight, hertz: float, one: Answer, late: float, risk: fl
         hertz: frequency of the shake [Hz].
         one: the answer.
         late: see `lateness`.
-        risk: share of shakes in which a load may be larger than is said.
     """
     own, omega = foresight.where["flowers"], 2 * np.pi * hertz
     moved = np.einsum("mfx,fxa->mfa", one.members[:, own], one.axes)
@@ -264,18 +242,17 @@ def known(foresight: Foresight, hertz: float, one: Answer, late: float, risk: fl
     parts[seen] = np.column_stack([one.flowers[:, :2], away])[seen]
     flowers = np.einsum("fa,fax->fx", parts, np.linalg.inv(one.axes))
     swing = one.peak * semi_major(flowers)  # that would give this acceleration without overtones
-    members = {kind: foresight.load(kind, one.members) for kind in LOADS if kind != "joint_strain"}
-    unknown = FLOWER_SPREAD * float(fastness(hertz))  # `SEEN_ERROR` of slower tones contains it
-    shaken = np.where(seen, swing, np.nan) if seen.any() else np.where(followed, shown, np.nan)  # at least as far
-    members["joint_strain"] = foresight.pedicels(one.members, shaken, may, unknown)
-    errors = dict(seen_error(hertz))
-    if not np.isfinite(shaken).any():  # the model alone speaks of pedicels
-        median, spread = load_error("joint_strain", hertz)
-        errors["joint_strain"] = float(median), float(spread)
-    members["joint_strain"] = members["joint_strain"] * np.sqrt(FEW / max(len(swing), 1))
-    loads = {kind: float(margined(members[kind], errors[kind], risk)) for kind in LOADS}
+    answer = foresight.answer(one.members, hertz, one.peak)
+    loads = {kind: _expected(kind, getattr(answer, kind), hertz) for kind in decision.COSTS}
+    loads["joint_strain"] = _expected("pedicels", answer.pedicels.max(axis=-1, initial=0.0), hertz)
     picture = np.exp(-1j * omega * late) * parts
-    return Known(omega**2 * np.where(seen, swing, believed), seen, omega**2 * may, loads, picture)
+    acceleration = omega**2 * np.where(seen, swing, believed)
+    return Known(acceleration, seen, omega**2 * may, loads, answer, followed, picture)
+
+
+def _expected(kind: str, members: Array, hertz: float) -> float:
+    """Return the median of what is expected of a load, of which members have (M,)."""
+    return float(np.exp(np.log(np.maximum(members, 1e-12)).mean() + decision.error(kind, hertz, seen=True)[0]))
 
 
 def _measured(motion: ComplexArray, std: Array) -> NDArray[np.bool_]:
@@ -309,12 +286,6 @@ def _away(members: ComplexArray, across: ComplexArray) -> ComplexArray:
     return np.asarray(
         np.fmin(share, 1.0) * away_size * np.exp(1j * np.angle(members[..., 2].mean(axis=0))), dtype=np.complex128
     )
-
-
-def seen_error(hertz: float) -> Mapping[str, tuple[float, float]]:
-    """Return `SEEN_ERROR` of a tone."""
-    errors = {kind: blended(SEEN_ERROR[kind], FAST_SEEN_ERROR[kind], hertz) for kind in SEEN_ERROR}
-    return {kind: (float(median), float(spread)) for kind, (median, spread) in errors.items()}
 
 
 def _members(foresight: Foresight, look: Look, i: int) -> ComplexArray:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from anther.core.checks import check_range
 from anther.core.geometry import Array
 from anther.core.records import Range, Record
+from anther.plant.limits import GUSTS, LOADED
+from anther.pollination.decision import COSTS, worth
 from anther.pollination.escalation._knowledge import JUMP, Known
 from anther.pollination.shake import Params as Limits
 
@@ -18,32 +18,22 @@ SHORTEST = 10.0
 """What two probes, a step, a hold and coming to rest take [s]."""
 
 
+TOO_FAR = 45.0
+"""A flower that is out of sight may feel no more [m/s2]: pedicels were bent by 0.5 % at 23 to 55 (facts: pollination
+6)."""
+
+
 @dataclass(frozen=True, slots=True)
 class Params(Record):
     """How a watched shake is raised.
 
     Attributes:
-        target: median acceleration of the flowers at which it is enough [m/s2]: half of their pollen is free at about
-            20, between 5 and 80 (facts: pollination 6).
-        most: no flower that is seen shall feel more [m/s2]; pedicels were bent by 0.5 % at 23 to 55 (the same), so by
-            1 % at 46 to 110.
         most_seconds: of the whole shake [s], within the cell's `SafetyLimits.shake_duration`. Of simulated shakes that
             were given 12 most were ended by time (docs/reports/shaking.md).
     """
 
-    target: Annotated[float, Range(0.1, 1000, "m/s2")] = 30.0
-    most: Annotated[float, Range(0.1, 10_000, "m/s2")] = 45.0
     most_seconds: Annotated[float, Range(SHORTEST, 60, "s")] = 20.0
 
-    def _check(self) -> None:
-        check_range("most", self.most, self.target, 10_000, "m/s2")
-
-
-WATCHED = 3.0
-"""So many times the plan's risk is allowed once the camera has seen the shake: a load that passes what is said of it
-seldom passes what the plant bears. By the arm, 53 plants (MuJoCo's linear equations, with `FEW`): with 2, 3 and 4 the
-median flower felt 6.4, 7.2 and 7.9 m/s2 (geometric mean) and 0.6, 0.9 and 1.4 % were harmed. By the motor, 40 plants of
-the whole cell: with 8 times 4 were harmed."""
 
 WORDS = {
     "stem_strain": "the bending of the stem",
@@ -54,27 +44,23 @@ WORDS = {
 }
 """The kinds of load, for people."""
 
-SLOW, SLOW_KEPT = 5.0, 0.6
-"""Below so many hertz a promise counts so much until that shake was watched alone: of such promises five plants of
-linear equations felt 0.54 and 13 of the whole cell 0.5; of those at 5 to 9 Hz 0.9 and 0.8 (docs/reports/shaking.md)."""
+ACTUATOR, DEARER = "what the actuator can do", "more would cost more than it adds"
+SIZES, DOWN = 60, 1e-3
+"""Amplitudes that are weighed, evenly on a logarithmic scale, from this share of what the actuator manages on."""
 
 
 class Allowed(NamedTuple):
-    """How far a shake may be raised: amplitude [m], the flowers' median there [m/s2], and what ends it."""
+    """How far a shake may be raised: amplitude [m], the flowers' median there [m/s2], its worth, and what ends it."""
 
     amplitude: float
     flowers: float
+    net: float
     binds: str
 
 
-def risk(planned: float) -> float:
-    """Return the share of watched shakes in which a load may be larger than is said; of a plan's."""
-    return min(WATCHED * planned, 0.5)
-
-
 def limits_of(limits: Limits, press: float, hertz: float) -> dict[str, float]:
-    """Return by kind what the plant may bear at a tone [Hz], and what pads hold that press with `press` [N]."""
-    plant = {kind: float(limit) for kind, limit in limits.plant.at(hertz).items()}
+    """Return by kind what nineteen organs of twenty bear at a tone [Hz], and what pads hold with `press` [N]."""
+    plant = {kind: np.inf if kind == "leaf_load" and hertz > GUSTS else one.low for kind, one in LOADED.items()}
     return plant | {"grip_force": limits.held(press)}
 
 
@@ -85,7 +71,7 @@ def remembered(before: Allowed, now: Allowed) -> Allowed:
     """
     share = min(1.0, (before.amplitude / now.amplitude) ** 0.5)
     binds = now.binds if share == 1 else before.binds
-    return Allowed(share * now.amplitude, share * now.flowers, binds)
+    return Allowed(share * now.amplitude, share * now.flowers, share * now.net, binds)
 
 
 @dataclass(slots=True, eq=False)
@@ -94,10 +80,10 @@ class Option:
 
     Attributes:
         hertz: its frequency [Hz].
-        limits: see `limits_of`.
-        planned: amplitude that the model allows [m].
+        held: the pull that the pads hold [N].
+        price: of a flower that is lost (`anther.pollination.decision.PRICES`).
+        planned: amplitude that the model finds worth most [m].
         reach: that the actuator manages [m].
-        params: what is enough.
         told: what is known of it.
         may: how far it may be raised.
         tried: how far it was raised [m].
@@ -107,10 +93,10 @@ class Option:
     """
 
     hertz: float
-    limits: Mapping[str, float]
+    held: float
+    price: float
     planned: float
     reach: float
-    params: Params
     told: Known
     may: Allowed = field(init=False)
     tried: float = 0.0
@@ -122,20 +108,21 @@ class Option:
         self.may = self._allowed()
 
     def _allowed(self) -> Allowed:
-        """Return how far it may be raised by what is known of it now."""
+        """Return how far it is worth to be raised by what is known of it now."""
         told = self.told
-        median, largest = float(np.median(told.flowers)), float(told.flowers[told.seen].max(initial=0.0))
-        caps = {WORDS[kind]: limit / max(told.loads[kind], 1e-12) for kind, limit in self.limits.items()}
-        caps["what the actuator can do"] = self.reach
-        caps["the target"] = self.params.target / max(median, 1e-12)
-        caps["the most a flower may feel"] = self.params.most / max(largest, 1e-12)
-        binds = min(caps, key=lambda name: caps[name])
-        return Allowed(caps[binds], median * caps[binds], binds)
+        tried = self.reach * np.geomspace(DOWN, 1.0, SIZES)
+        found = worth(told.answer, tried, self.hertz, self.held, self.price, told.followed)
+        best = int(found.net.argmax())
+        costs = {"joint_strain": found.lost} | {kind: cost * found.bent[kind] for kind, cost in COSTS.items()}
+        dearest = max(costs, key=lambda kind: float(costs[kind][best]))
+        binds = ACTUATOR if best == SIZES - 1 else f"{DEARER}, first by {WORDS[dearest]}"
+        amplitude = float(tried[best])
+        return Allowed(amplitude, amplitude * float(np.median(told.flowers)), float(found.net[best]), binds)
 
     @property
     def promised(self) -> float:
-        """What the flowers may feel, as far as such promises are kept [m/s2]."""
-        return (SLOW_KEPT if self.hertz < SLOW and not self.alone else 1.0) * self.may.flowers
+        """What it is worth, as is believed."""
+        return self.may.net
 
     @property
     def borne(self) -> float:
@@ -161,7 +148,7 @@ class Option:
         self.may = self._allowed()
         share = self.planned / self.may.amplitude
         if share < 1:
-            self.may = Allowed(self.planned, share * self.may.flowers, why)
+            self.may = Allowed(self.planned, share * self.may.flowers, share * self.may.net, why)
 
     def lost(self, amplitude: float, limit: float) -> bool:
         """Return whether a flower may swing too far to be measured: by more than `limit` [m/s2].

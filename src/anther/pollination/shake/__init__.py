@@ -56,12 +56,13 @@ def plan_shake(
 ) -> ShakePlan:
     """Choose grasp, direction, frequency and amplitude, and predict what every flower will do.
 
-    Linear theory (complex tree solves about the gravity equilibrium) gives the response of every flower to a shake of
-    one metre at every grip, direction and frequency, for the plant as believed and for `DRAWS` scenarios drawn from the
-    spread of its material. Each shake is as large as actuator and plant allow, with the one margin that `Params.risk`
-    states; it is ranked by what three flowers of four feel in them. The winner is checked by the nonlinear solver,
-    whose amplitudes are the prediction, and made smaller where that says a limit is passed; the interval is that of the
-    scenarios, widened by how far one flower differs from its plant.
+    Linear theory (complex tree solves about the gravity equilibrium) gives the response of every flower and the load of
+    every organ to a shake of one metre at every grip, direction and frequency, for the plant as believed and for
+    `DRAWS` scenarios drawn from the spread of its material. Each shake is as large as it is worth most
+    (`anther.pollination.decision`: the fruit it should add, less what it should cost). The best is checked by the
+    nonlinear solver, whose amplitudes are the prediction, and made smaller where that finds an organ loaded further
+    than it was weighed with and may be; the interval is that of the scenarios, widened by how far one flower differs
+    from its plant.
 
     Args:
         plant: from `build_plant`.
@@ -138,8 +139,8 @@ def _nothing_allowed(found: Search, grasps: int, actuator: Actuator) -> StageFai
     at = (int(q), int(g), int(d))
     return StageFailure(
         "limits_exceeded",
-        f"no shake of {1e3 * found.least:.2g} mm or more is allowed at any grasp, direction and frequency of the"
-        f" {actuator.name}; the largest is {1e3 * float(size[at]):.2g} mm at {found.frequencies[q]:.3g} Hz. "
+        f"no shake of {1e3 * found.least:.2g} mm or more is worth its cost at any grasp, direction and frequency of the"
+        f" {actuator.name}; the nearest is {1e3 * float(size[at]):.2g} mm at {found.frequencies[q]:.3g} Hz. "
         f"{closest(limit_rows(found, at))} Allow a smaller least_amplitude, or another grasp.",
     )
 
@@ -161,7 +162,7 @@ def _reason(
         f"Held {100 * arc_length:.0f} cm up the stem with {pressed:.2g} N and shaken"
         f" {1e3 * shake.amplitude:.2g} mm at {shake.frequency:.3g} Hz, the flowers should move"
         f" {1e3 * np.median(done.amplitude):.2g} mm (median) with {acceleration:.3g} m/s². Of all grasps, directions"
-        f" and frequencies compared this gives the most that three flowers of four should feel ({score:.3g} m/s²), over"
+        f" and frequencies compared this is worth most: {score:.2g} of all flowers' pollen, less what may be lost, over"
         f" {DRAWS} further drawings of the plant's stiffness and damping. {closest(done.limits[:-1], kept=kept)}"
     )
     if other is None:

@@ -101,9 +101,9 @@ class ShakePlan(Stored):
             the gain, and of one flower about its plant [m].
         predicted_acceleration: (F,) peak [m/s2].
         predicted_acceleration_interval: (F, 2) [m/s2].
-        score: by linear theory over the scenarios, what three flowers of four should feel [m/s2].
-        limits: (name, value, limit, share used) each; values of the plant are those of the cautious scenario by linear
-            theory, or of the plant as believed by the nonlinear solver where these are larger.
+        score: what it is worth, share of all pollen less what may be lost (`decision.Worth.net`).
+        limits: (name, value, limit, share used) each; of the plant what is expected by linear theory, or by the
+            nonlinear solver where that is more, beside what nineteen organs of twenty bear.
         runner_up: the next best, or None.
         reason: why this one, for people.
         response_map: for the picture.

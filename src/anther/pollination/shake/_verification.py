@@ -113,23 +113,31 @@ def check(plant: PlantModel, found: Search, at: Place, params: Params) -> Checke
     return Checked(shake, done.amplitude, spread, limits, notes)
 
 
+MORE = 1.1
+"""Nonlinear loads up to so many times those of linear theory are as they were weighed."""
+
+
 def checked_limits(found: Search, at: Place, params: Params) -> dict[str, float]:
-    """Return by name what `PEAKS` may reach for the plant as believed, so that the margin of the search is kept."""
+    """Return by name what `PEAKS` may reach for the plant as believed: what they were weighed with, or may be."""
     if not params.keeps_limits:
         return dict.fromkeys(PEAKS.values(), np.inf)
-    limits = params.plant.at(found.frequencies[at[0]])
-    return {PEAKS[kind]: float(limit) / found.bounds[PEAKS[kind]].margin(at) for kind, limit in limits.items()}
+    allowed = {}
+    for name in PEAKS.values():
+        one = found.bounds[name]
+        limit = float(np.broadcast_to(one.limit, one.value.shape)[at]) / one.over(at)
+        allowed[name] = max(limit, MORE * float(found.amplitude[at] * one.believed[at]))
+    return allowed
 
 
 def _limits(found: Search, at: Place, shake: Drive, done: Shaken, duration: float) -> list[LimitRow]:
-    """Return the table of limits: of the plant, what its loads pass with the probability `Params.risk`.
+    """Return the table of limits: of the plant, what is expected.
 
     Where the nonlinear solver says more than linear theory of the plant as believed, it is more by that.
     """
     scale = shake.amplitude / found.amplitude[at]
     rows: list[LimitRow] = []
     for name, value, limit, _ in limit_rows(found, at):
-        reached = max(value * scale, done.peaks.get(name, 0.0) * found.bounds[name].margin(at))
+        reached = max(value * scale, done.peaks.get(name, 0.0) * found.bounds[name].over(at))
         rows.append((name, reached, limit, reached / limit))
     return [*rows, ("duration [s]", duration, MOST_DURATION, duration / MOST_DURATION)]
 

@@ -11,16 +11,18 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy  # loads `scipy.stats`, which takes long, where it is used
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from anther.core.geometry import Array
 from anther.plant.belief import EarlierShake
-from anther.plant.limits import FLOWERS, PEAKS
+from anther.plant.limits import GUSTS, LOADED, PEAKS
 from anther.plant.model import PlantModel
+from anther.pollination.decision import GRIP, error, worth
 from anther.pollination.grasp import Grasp
 from anther.pollination.shake._actuators import Actuator
 from anther.pollination.shake._plan import LimitRow, Tones
 from anther.pollination.shake.pads import grip_rows, pad_nodes
-from anther.pollination.shake.params import Params, load_error
+from anther.pollination.shake.params import Params
 from anther.pollination.shake.search import Gains
 from anther.robot.pressing import Pressing
 
@@ -39,9 +41,11 @@ MOST_SPEED = 0.3
 """Of the grip [m/s]."""
 FLOWER_ACCELERATION = 200.0
 """Of the flowers on average; more than this is not useful [m/s2]."""
-ROBUST = 0.25
-"""A shake is ranked by the acceleration that all but this share of the flowers reach, over all scenarios of the plant.
-What pollen or fruit that is worth is not well enough known to choose by (`anther.history.fruit_set`)."""
+SIZES = 14
+"""Amplitudes that are weighed of each shake, evenly on a logarithmic scale: worth changes little from one to the
+next."""
+FIRM = 0.975
+"""Share of shakes in which pads that press as is asked hold the stem."""
 
 
 class Grips(NamedTuple):
@@ -55,14 +59,14 @@ class Grips(NamedTuple):
 
 
 class Bound(NamedTuple):
-    """Something that grows with the amplitude, and how large it may be."""
+    """Something that grows with the amplitude, and how large it may be, or what bears it."""
 
-    value: Array  # (Q, G, D) per metre of amplitude, with the margin
+    value: Array  # (Q, G, D) per metre of amplitude, as expected
     limit: Array  # of a shape that goes with it
-    believed: Array  # (Q, G, D) the same of the plant as believed, without the margin
+    believed: Array  # (Q, G, D) the same of the plant as believed
 
-    def margin(self, at: Place) -> float:
-        """Return how many times as large as believed it counts."""
+    def over(self, at: Place) -> float:
+        """Return how many times as large as of the plant as believed it is expected."""
         return float(self.value[at] / self.believed[at]) if self.believed[at] > 0 else 1.0
 
 
@@ -72,8 +76,8 @@ class Search(NamedTuple):
     grips: Grips
     flower: Array  # (M, Q, G, D, F), see `Gains`
     frequencies: Array  # (Q,) [Hz]
-    amplitude: Array  # (Q, G, D) largest allowed [m]
-    score: Array  # (Q, G, D) what three flowers of four feel [m/s2]; -1 where it is not allowed, or for the map alone
+    amplitude: Array  # (Q, G, D) that is worth most, or the largest where limits are not kept [m]
+    score: Array  # (Q, G, D) what it is worth (`decision.Worth.net`); -1 where it is nothing, or for the map alone
     bounds: dict[str, Bound]  # by name; in the first `OF_THE_MACHINE` the plant has no part
     least: float  # a shake of less amplitude is none [m]
 
@@ -115,49 +119,49 @@ def _directions(plant: PlantModel, nodes: NDArray[Any]) -> Array:
 def search(
     response: Gains, grips: Grips, grasps: Sequence[Grasp], frequencies: Array, actuator: Actuator, params: Params
 ) -> Search:
-    """Return every shake at the largest amplitude that all limits allow, and its worth; see `Params.keeps_limits`.
+    """Return every shake at the amplitude that is worth most (`decision`); see `Params.keeps_limits`.
 
-    The plant's loads are lognormal, where and as wide as scenarios and `LOAD_ERROR` say. A limit must hold but for a
-    share `Params.risk` of that.
+    The table of limits says what organs are expected to bear, beside what nineteen of twenty of them do.
     """
     hertz = frequencies[:, None, None]
     omega = 2 * np.pi * hertz
     near = [[actuator.amplitude(grasp, d, frequencies) for d in ds] for grasp, ds in zip(grasps, grips.directions)]  # noqa: B905
     most = np.moveaxis(np.asarray(near, dtype=float), 2, 0)[:, grips.grasp]  # the map: as at the nearest grasp
-    acceleration = response.flower * omega[..., None] ** 2
-
-    def unsure(values: Array, limit: float | Array, kind: str) -> Bound:
-        return Bound(margined(values, load_error(kind, hertz), params.risk), np.atleast_2d(limit), values[0])
-
+    firm = float(np.exp(ndtri(FIRM) * np.hypot(error("grip_force", 1.0)[1], GRIP.spread)))
     bounds = {
         f"{actuator.name} amplitude [share of its limit]": _sure(1 / np.maximum(most, 1e-12), 1.0),
         "grip amplitude [m]": _sure(np.ones_like(most), params.most_amplitude),
         "grip speed [m/s]": _sure(np.ones_like(most) * omega, MOST_SPEED),
-        PRESS: unsure(response.grip_force / params.held(1.0), grips.press, "grip_force"),
-        FLOWERS: _sure(acceleration.mean(axis=(0, -1)), FLOWER_ACCELERATION),
+        PRESS: _expected(firm * response.grip_force / params.held(1.0), grips.press, "grip_force", hertz),
     }
-    for kind, limit in params.plant.at(hertz).items():
-        bounds[PEAKS[kind]] = unsure(getattr(response, kind), limit, kind)
-    kept = list(bounds.values())[: None if params.keeps_limits else OF_THE_MACHINE]
-    amplitude = np.min([one.limit / np.maximum(one.value, 1e-12) for one in kept], axis=0)
+    pedicels = response.pedicel.max(axis=-1, initial=0.0)
+    loads = dict(zip(PEAKS, (response.stem_strain, pedicels, response.base_strain, response.leaf_load), strict=True))
+    for kind, values in loads.items():
+        limit = np.where((kind == "leaf_load") & (hertz > GUSTS), np.inf, LOADED[kind].low)
+        bounds[PEAKS[kind]] = _expected(values, limit, kind.replace("joint_strain", "pedicels"), hertz)
+    machine = list(bounds.values())[:OF_THE_MACHINE]
+    reach = np.min([one.limit / np.maximum(one.value, 1e-12) for one in machine], axis=0)
     least = actuator.least_amplitude if params.least_amplitude is None else params.least_amplitude
-    score = np.where(amplitude < least, -1.0, amplitude * np.quantile(acceleration, ROBUST, axis=(0, -1)))
+    price = params.price if params.keeps_limits else 0.0
+    steps = np.linspace(0, 1, SIZES)[:, None, None, None] if params.keeps_limits else np.ones(1)[:, None, None, None]
+    tried = least * np.maximum(reach / least, 1.0) ** steps
+    net = worth(response.answer(frequencies), tried, hertz, params.held(1.0) * grips.press, price).net
+    best = net.argmax(axis=0)[None]
+    amplitude = np.minimum(np.take_along_axis(tried, best, axis=0)[0], reach)
+    score = np.take_along_axis(net, best, axis=0)[0]
+    score = np.where((amplitude < least) | (score <= 0), -1.0, score)
     score[:, len(grasps) :] = -1.0
     return Search(grips, response.flower, frequencies, amplitude, score, bounds, least)
 
 
+def _expected(values: Array, limit: float | Array, kind: str, hertz: Array) -> Bound:
+    """Return the bound of a load of which members have values (M, Q, G, D): the median of what is expected."""
+    middle = np.exp(np.log(np.maximum(values, 1e-12)).mean(axis=0) + error(kind, hertz)[0])
+    return Bound(middle, np.atleast_2d(limit), values[0])
+
+
 def _sure(value: Array, limit: float) -> Bound:
     return Bound(value, np.atleast_2d(limit), value)
-
-
-def margined(values: Array, error: tuple[float | Array, float | Array], risk: float) -> Array:
-    """Return (...) what a lognormal load of which scenarios have values (M, ...) passes with probability `risk`.
-
-    `error`: see `load_error`.
-    """
-    median, spread = error
-    logs = np.log(np.maximum(values, 1e-12))
-    return median * np.exp(logs.mean(axis=0) + scipy.stats.norm.isf(risk) * np.hypot(logs.std(axis=0), spread))
 
 
 def best(found: Search, *, avoid: Place | None = None) -> Place:
@@ -179,7 +183,7 @@ APART = 1.15
 
 
 def tones_at(found: Search, at: Place, most: int, earlier: EarlierShake | None) -> Tones:
-    """Return up to `most` frequencies at which a sine moves flowers most by the model, along any line across a grip.
+    """Return up to `most` frequencies at which a sine is worth most by the model, along any line across a grip.
 
     Of an earlier visit it is that visit's alone, as large as it was there. Where the actuator has no room along one of
     the lines, the shake's own is the only one.
@@ -193,12 +197,11 @@ def tones_at(found: Search, at: Place, most: int, earlier: EarlierShake | None) 
     if earlier is not None:
         own = reach[[q], :1]
         return Tones(found.frequencies[[q]], directions[:1], np.minimum(earlier.amplitude, own), own)
-    moved = (2 * np.pi * found.frequencies[:, None]) ** 2 * size * found.flower[:, :, g, lines].mean(axis=(0, -1))
-    worth = np.where(size >= found.least, moved, 0.0).max(axis=1)
+    promise = found.score[:, g, lines].max(axis=1)
     chosen = [q]
-    for k in np.argsort(-worth, kind="stable"):
+    for k in np.argsort(-promise, kind="stable"):
         far = np.abs(np.log(found.frequencies[chosen] / found.frequencies[k])).min() >= np.log(APART)
-        if far and found.frequencies[k] >= QUICK and worth[k] > 0 and len(chosen) < most:
+        if far and found.frequencies[k] >= QUICK and promise[k] > 0 and len(chosen) < most:
             chosen.append(int(k))
     return Tones(found.frequencies[chosen], directions, size[chosen], reach[chosen])
 
@@ -242,4 +245,4 @@ def closest(rows: Sequence[LimitRow], *, kept: bool = True) -> str:
     if not kept:
         how = f"passed most is {name}" if share > 1 else f"nevertheless none is passed; the closest is {name}"
         return f"No limit of the plant is kept and slip is not prevented; {how}: {value:.3g} of {limit:.3g}."
-    return f"The limit that binds is {name}: {value:.3g} of {limit:.3g}."
+    return f"The closest limit is {name}: {value:.3g} of {limit:.3g}."

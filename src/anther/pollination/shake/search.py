@@ -17,9 +17,9 @@ from scipy.sparse import vstack
 from anther.core.errors import StageFailure
 from anther.plant.limits import PEAKS
 from anther.plant.model import Material, PlantModel
-from anther.pollination.shake.observables import ComplexArray, branch_of, observables
+from anther.pollination.decision import Answer
+from anther.pollination.shake.observables import ComplexArray, branch_of, by_flower, hanging, observables
 from anther.pollination.shake.pads import PADS, Pads, friction_force
-from anther.pollination.shake.params import LOADS
 from anther.rods import Array, Observed, displacements, observed_response
 
 NO_POINTS = np.zeros(0, dtype=np.int64)
@@ -31,19 +31,25 @@ class Gains(NamedTuple):
     Attributes:
         flower: (M, Q, G, D, F) amplitude of each flower, the semi-major axis of its path, with the material's gain of
             what it moves relative to the grip [m/m].
-        stem_strain, joint_strain, base_strain: (M, Q, G, D) largest bending strain of main stem, of pedicels and of
-            branch bases [1/m].
+        pedicel: (M, Q, G, D, F) largest bending strain of its pedicel [1/m].
+        stem_strain, base_strain: (M, Q, G, D) largest bending strain of main stem and of branch bases [1/m].
         leaf_load: (M, Q, G, D) largest equivalent acceleration at a branch base [1/s2].
         grip_force: (M, Q, G, D) largest force that friction between pads and stem must bear, what turns and twists the
             stem between them counted in, see `friction_force` [N/m].
     """
 
     flower: Array
+    pedicel: Array
     stem_strain: Array
-    joint_strain: Array
     base_strain: Array
     leaf_load: Array
     grip_force: Array
+
+    def answer(self, frequencies: Array) -> Answer:
+        """Return what a decision asks for, at frequencies (Q,) [Hz]."""
+        omega2 = (2 * np.pi * frequencies[:, None, None, None]) ** 2
+        loads = (self.base_strain, self.stem_strain, self.leaf_load, self.grip_force)
+        return Answer(omega2 * self.flower, self.pedicel, *loads)
 
 
 class Version(NamedTuple):
@@ -140,11 +146,12 @@ def _gains_of(
     plant = version.plant
     moved, pads = motions(version, grips, frequencies)
     flowers = _sizes(_answered(plant, grips, moved["flowers"], pads), directions)
-    *loads, wrench = (_sizes(moved[kind], directions) for kind in LOADS)
-    largest = (size.max(axis=-1, initial=0.0) for size in loads)
-    radius = held_radius(plant, grips)[:, None]
-    borne = friction_force(*np.moveaxis(wrench, -1, 0), radius=radius, width=version.pads.width)
-    return flowers, *largest, borne
+    sizes = {kind: _sizes(moved[kind], directions) for kind in PEAKS}
+    pedicels = by_flower(sizes.pop("joint_strain"), hanging(plant), flowers.shape[-1])
+    largest = (size.max(axis=-1, initial=0.0) for size in sizes.values())
+    wrench = np.moveaxis(_sizes(moved["grip_force"], directions), -1, 0)
+    borne = friction_force(*wrench, radius=held_radius(plant, grips)[:, None], width=version.pads.width)
+    return flowers, pedicels, *largest, borne
 
 
 def motions(
@@ -156,8 +163,8 @@ def motions(
 ) -> tuple[dict[str, ComplexArray], ComplexArray]:
     """Return what one metre of gripper motion along each axis does, (Q, G, K, 3, 3) by kind, and to the pads.
 
-    Without the material's gain. "flowers" and "points" [m/m]; of `LOADS` what their length is the load of [1/m, leaves
-    1/s2], of the grip its force, pivoting moment and twist, as `friction_force` takes them [N/m, N].
+    Without the material's gain. "flowers" and "points" [m/m]; of `PEAKS` what their length is the load of [1/m,
+    leaves 1/s2], of the grip its force, pivoting moment and twist, as `friction_force` takes them [N/m, N].
 
     Args:
         version: one scenario.

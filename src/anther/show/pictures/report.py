@@ -184,10 +184,10 @@ def _draw_flowers(axes: Any, plan: ShakePlan) -> None:
     axes.set_xticks(index, [str(k + 1) for k in order])
 
 
-def draw_steps(steps: Sequence[Step], start: float, target: float | None = None, narrow: bool = False) -> Figure:
+def draw_steps(steps: Sequence[Step], start: float, narrow: bool = False) -> Figure:
     """Return a figure of three panels over time: amplitude of each tone, flowers, share of each limit that was closest.
 
-    The shake began at `start` [s], on the clock of the steps; `target` is what the flowers should feel [m/s2].
+    The shake began at `start` [s], on the clock of the steps.
     """
     figure = Figure(figsize=(NARROW, 6.8) if narrow else (10, 5.4), layout="constrained")
     tones, flowers, limits = figure.subplots(3, 1, sharex=True)
@@ -196,8 +196,6 @@ def draw_steps(steps: Sequence[Step], start: float, target: float | None = None,
     most = [max((a for a in step.flowers if np.isfinite(a)), default=np.nan) for step in steps]
     flowers.plot(middle, most, "^-", color=MAGENTA, lw=1, label="most")
     flowers.plot(middle, [step.median for step in steps], "o-", color=ORANGE, label="median")
-    if target is not None:
-        flowers.axhline(target, color=GREEN, ls="--", lw=1.2, label="target")
     flowers.set(ylabel="flowers\n[m/s²]", ylim=(0, None))
     _draw_use(limits, steps, start)
     limits.set(xlabel="time since the shake began [s]", xlim=(0, None))

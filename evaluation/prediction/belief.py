@@ -1,0 +1,263 @@
+r"""Is what Anther believes of a shake calibrated? Flowers and loads of plants that nobody fitted anything to.
+
+    python -m evaluation.prediction.belief --plants 8 --jobs 2
+
+Simulated plants whose truth is drawn wide (`anther.sim.truth.WIDE`) are scanned in ten views, modelled, held at four
+places and shaken a little at fifteen tones, as an arm and a motor do. The truth is MuJoCo's linear equations. The
+camera sees the nodes that are in sight at rest, each with an error of 12 % and 0.03 px. What is believed, before and
+after that observation, is every member of the ensemble with the lognormal error of `anther.pollination.decision.error`.
+
+A belief is calibrated where the share of it below the truth (the probability integral transform) is uniform over plants
+and shakes. With --development the plants are those on which the errors were fitted, and the fit is printed.
+
+Keys of --json: pit_error_max, how far the distribution of the transform is at most from uniform at 0.05, 0.1, ... 0.95,
+over kinds and bands; passed_95, the share of truths above the 95 % quantile; both also as <key>_<kind>_<when>_<band>;
+plants.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+from scipy.optimize import minimize
+from scipy.spatial import KDTree
+from scipy.special import logsumexp, ndtr
+
+from anther.core import Array, StageFailure
+from anther.plant import Crop
+from anther.pollination import foresee
+from anther.pollination.decision import error
+from anther.pollination.escalation import watch_points
+from anther.pollination.escalation._foresight import narrowed
+from anther.pollination.response.points import sight
+from anther.pollination.shake.observables import ComplexArray, semi_major
+from anther.robot import Frame
+from anther.sim import Organ, Scene, SimPlant, layout
+from anther.sim.robot import SIDE
+from anther.sim.simulated_cell import USUAL_DISTANCE
+from evaluation.harness import by_turns, finish, options, run_cases
+from evaluation.prediction import known_plant
+from evaluation.prediction.known_plant import stem_points
+from evaluation.prediction.shaken_plant import ShakenPlant
+from evaluation.prediction.wide_plant import looks
+from evaluation.tables import markdown
+from evaluation.trials.grasping_trial import truth_of
+
+TONES = np.array([2.0, 2.7, 3.6, 4.8, 6.4, 8.5, 11.3, 14.0, 16.9, 20.0, 24.0, 34.0, 50.0, 80.0, 110.0])
+SHAKEN = np.clip(TONES / 3, 1.0, 5.0)
+"""Of the grip, when it is looked at [m/s2]: about what an arm and a motor begin with."""
+BANDS = {"1_14": (0.0, 14.0), "14_20": (14.0, 20.0), "20_40": (20.0, 40.0), "40_120": (40.0, 120.0)}
+"""[Hz]."""
+HEIGHTS = (0.3, 0.45, 0.65, 0.8)
+FIRST, DEVELOPMENT = 9620, 520
+SEEN_WITH = 0.12
+"""Error of what a camera sees of a node's motion: relative (films of eight plants)."""
+NEAR = 0.015
+"""A node is where a true segment is that is no further [m]."""
+LEAFY = 1e-4
+"""Leaves lighter than this are no load [kg], as the planner has it."""
+LARGEST = ("base_strain", "stem_strain", "leaf_load")
+WORDS = {
+    "flowers": "acceleration of a flower",
+    "pedicels": "strain of its pedicel",
+    "base_strain": "strain of the branch, petiole or peduncle bent most",
+    "stem_strain": "strain of stem and forks",
+    "leaf_load": "load of the leaf loaded most",
+}
+WHEN = {"before": None, "after": True, "unseen": False}
+"""Before an observation, after it, and after it of flowers that it did not show -> `decision.error`'s `seen`."""
+SHARES = np.arange(0.05, 0.96, 0.05)
+FEWEST = 200
+"""Values of which a distribution is told; those of one plant go together."""
+
+Value = list[Any]
+"""[kind, one of `WHEN`, tone, ln of the truth over each member's value]."""
+
+
+def one_plant(row: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return the values of a plant (species, seed), for a sweep."""
+    del folder
+    try:
+        return {"values": list(values_of(row["species"], row["seed"]))}
+    except StageFailure:
+        return {"values": []}
+
+
+def values_of(species: Crop, seed: int) -> Iterator[Value]:
+    """Yield a value for each grip, tone, kind and flower that was found."""
+    truth = truth_of("wide", seed)
+    it = known_plant.known(species, seed, truth, "fast", looks(truth))
+    pose, points = layout(USUAL_DISTANCE).T_world_side_camera, watch_points(it.model)
+    image, watched = Scene.of_plant(it.plant).render(SIDE, pose), it.model.rods.nodes[points]
+    at = sight(Frame(0.0, image.rgb, image.depth), SIDE, pose, it.seen.flowers.positions, watched)
+    rng = np.random.default_rng(seed)
+    angle = rng.uniform(0, np.pi)
+    direction = np.array([np.cos(angle), np.sin(angle), 0.0])
+    places = np.concatenate([it.seen.flowers.positions.reshape(-1, 3), watched])
+    for height in HEIGHTS:
+        grip = ShakenPlant(it.plant, stem_points(it.plant, (height,))[0], direction, truth=truth)
+        foresight = foresee(it.model, grip.point, TONES, points)
+        middles, motion = segment_motion(grip)
+        gap, nearest = KDTree(middles).query(places)
+        used, true = at.shown & (gap < NEAR), truths(grip, middles, motion)
+        for k, tone in enumerate(TONES.tolist()):
+            shown, std = (np.full((len(used), 3), np.nan, kind) for kind in (complex, float))
+            shown[used] = np.einsum("px,pxa->pa", motion[k, nearest[used]], at.axes[used])
+            size = np.linalg.norm(shown[used, :2], axis=1, keepdims=True)
+            noise = rng.normal(size=(2, used.sum(), 3)) / np.sqrt(2)
+            shown[used] += SEEN_WITH * size * (noise[0] + 1j * noise[1])
+            std[used] = 0.03 * at.per_pixel[used, None] * (2 * np.pi * tone) ** 2 / SHAKEN[k] * [1, 1, np.nan]
+            members = foresight.of(k, direction)
+            for when, known in (("before", members), ("after", narrowed(members, shown, std, at.axes))):
+                answer = foresight.answer(known, tone)
+                found = [(kind, when, true[kind][k], getattr(answer, kind)) for kind in LARGEST]
+                for kind, (i, j) in product(("flowers", "pedicels"), zip(it.i.tolist(), it.j.tolist(), strict=True)):
+                    seen = when if used[i] or when == "before" else "unseen"
+                    found.append((kind, seen, true[kind][k, j], getattr(answer, kind)[:, i]))
+                for kind, seen, truly, values in found:
+                    if truly > 0 and values.min(initial=1.0) > 0:
+                        yield [kind, seen, tone, np.round(np.log(truly / values), 4).tolist()]
+
+
+def truths(grip: ShakenPlant, middles: Array, motion: ComplexArray) -> dict[str, Array]:
+    """Return by kind what a metre of the grip truly does at `TONES`: (Q,), or (Q, F) of each flower."""
+    plant, pieces = grip.mechanics.plant, grip.mechanics.pieces
+    strain, organ = semi_major(grip.bending(TONES)), plant.organ[pieces.first]
+    pedicels = np.zeros((len(TONES), len(plant.flower_segment)))
+    for f, segment in enumerate(plant.flower_segment):
+        piece = int(pieces.body[segment])
+        while piece >= 0 and organ[piece] == Organ.PEDICEL:
+            pedicels[:, f] = np.maximum(pedicels[:, f], strain[:, piece])
+            piece = int(pieces.parent[piece])
+    trunk = np.isin(organ, (Organ.STEM, Organ.BRANCH))
+    return {
+        "flowers": semi_major(grip.linear(TONES)) * (2 * np.pi * TONES[:, None]) ** 2,
+        "pedicels": pedicels,
+        "base_strain": strain[:, ~trunk & (organ != Organ.PEDICEL)].max(axis=1, initial=0.0),
+        "stem_strain": strain[:, trunk].max(axis=1, initial=0.0),
+        "leaf_load": leaf_load(grip.plant, middles, motion),
+    }
+
+
+def segment_motion(grip: ShakenPlant) -> tuple[Array, ComplexArray]:
+    """Return where the plant's segments (K, 3) have their mass, and how a metre of the grip moves that (Q, K, 3)."""
+    plant, tiny = grip.plant, 1e-4
+    middle = np.where(plant.lump_mass[:, None] > 0, plant.lump_centre, (plant.start + plant.end) / 2)
+    motion = []
+    for tone in TONES:
+        times = np.arange(8) / (8 * tone)
+        poses = np.array([grip.segment_poses(q) for q in grip.swing(tiny, tone, times)])
+        path = np.einsum("tkij,kj->tki", poses[..., :3, :3], middle) + poses[..., :3, 3]
+        turned = 2j / 8 * np.exp(-2j * np.pi * tone * times)
+        motion.append(np.einsum("tki,t->ki", path - path.mean(axis=0), turned) / tiny)
+    return path.mean(axis=0), np.array(motion)
+
+
+def leaf_load(plant: SimPlant, middles: Array, motion: ComplexArray) -> Array:
+    """Return (Q,) the largest inertia torque about a leaf's base over its sum of mass times distance [1/s2]."""
+    petiole = plant.organ == Organ.PETIOLE
+    base = np.flatnonzero(petiole & (plant.organ[plant.parent] != Organ.PETIOLE))
+    owner = np.full(len(plant.parent), -1)
+    owner[base] = base
+    for k in range(len(owner)):
+        if owner[k] < 0 <= plant.parent[k]:
+            owner[k] = owner[plant.parent[k]]
+    mass, largest = plant.mass + plant.lump_mass, np.zeros(len(TONES))
+    for b in base:
+        own = np.flatnonzero(owner == b)
+        if plant.lump_mass[own].sum() < LEAFY:
+            continue
+        lever = middles[own] - plant.start[b]
+        torque = np.einsum("k,qki->qi", mass[own], np.cross(lever, motion[:, own]))
+        moment = np.sum(mass[own] * np.linalg.norm(lever, axis=1))
+        largest = np.maximum(largest, (2 * np.pi * TONES) ** 2 * semi_major(torque) / moment)
+    return largest
+
+
+def chosen(values: list[Value], kind: str, when: str, band: str) -> list[Value]:
+    """Return the values of a kind, one of `WHEN` and one of `BANDS`."""
+    low, high = BANDS[band]
+    return [value for value in values if value[0] == kind and value[1] == when and low < value[2] <= high]
+
+
+def transform(value: Value) -> float:
+    """Return the share of what was believed that lies below the truth."""
+    kind, when, tone, logs = value
+    mean, spread = error(kind, tone, WHEN[when])
+    return float(ndtr((np.array(logs) - mean) / spread).mean())
+
+
+def metrics(values: list[Value], plants: int) -> dict[str, float]:
+    """Return the table's numbers."""
+    table, all_shares = {"plants": float(plants)}, np.array([transform(value) for value in values])
+    for kind, when, band in product(WORDS, WHEN, BANDS):
+        shares = np.array([transform(value) for value in chosen(values, kind, when, band)])
+        if len(shares) >= FEWEST:
+            below = np.array([np.mean(shares <= share) for share in SHARES])
+            table[f"pit_error_{kind}_{when}_{band}"] = float(np.abs(below - SHARES).max())
+            table[f"passed_95_{kind}_{when}_{band}"] = float(np.mean(shares > 0.95))
+    table["pit_error_max"] = max((value for key, value in table.items() if key.startswith("pit_error")), default=np.nan)
+    table["passed_95"] = float(np.mean(all_shares > 0.95)) if len(values) else np.nan
+    return table
+
+
+def report(table: dict[str, float]) -> Table:
+    """Return the table by kind and band, before and after an observation."""
+    text = markdown(["what", "Hz", *(f"furthest from uniform / above the 95 % quantile: {when}" for when in WHEN)])
+    for kind, band in product(WORDS, BANDS):
+        keys = [f"{kind}_{when}_{band}" for when in WHEN]
+        cells = [
+            f"{table[f'pit_error_{key}']:.2f} / {table[f'passed_95_{key}']:.0%}" if f"pit_error_{key}" in table else "–"
+            for key in keys
+        ]
+        text.add_row(WORDS[kind], band.replace("_", "–"), *cells)
+    return text
+
+
+def fitted(values: list[Value]) -> Table:
+    """Return the errors that are likeliest, mean and spread of ln, as `anther.pollination.decision` has them."""
+    text = markdown(["what", "when", *(band.replace("_", "–") for band in BANDS)])
+    for kind, when in product(WORDS, WHEN):
+        cells = [_likeliest([value[3] for value in chosen(values, kind, when, band)]) for band in BANDS]
+        text.add_row(kind, when, *cells)
+    return text
+
+
+def _likeliest(logs: list[list[float]]) -> str:
+    if len(logs) < 2:
+        return "–"
+    rows = np.array(logs)
+
+    def unlikely(guess: Array) -> float:
+        parts = -(((rows - guess[0]) / np.exp(guess[1])) ** 2) / 2
+        return float(guess[1] - logsumexp(parts, axis=1).mean())
+
+    mean, log_spread = minimize(unlikely, [rows.mean(), np.log(rows.mean(axis=1).std())], method="Nelder-Mead").x
+    return f"{mean:+.2f}, {np.exp(log_spread):.2f}"
+
+
+def main() -> None:
+    """Run what is missing and print the table."""
+    own = {
+        "--plants": (24, "tomatoes and peppers by turns"),
+        "--development": (False, "the plants on which the errors were fitted"),
+    }
+    seed = (0, "added to the seeds of all plants")
+    args = options(__doc__, quick="two plants", seed=seed, jobs="plants", out="runs/belief", own=own)
+    first, count = DEVELOPMENT if args.development else FIRST, 2 if args.quick else args.plants
+    cases = [{"species": species, "seed": seed} for species, seed in by_turns(count, first + args.seed)]
+    done = [part["values"] for part in run_cases(one_plant, cases, args.out, args.jobs, lambda _: {"values": []})]
+    width = min((len(value[3]) for part in done for value in part), default=0)
+    values = [[*value[:3], value[3][:width]] for part in done for value in part]
+    table = metrics(values, sum(bool(part) for part in done))
+    words = f"{table['plants']:.0f} plants, {len(HEIGHTS)} grips, {len(TONES)} tones each."
+    finish(args, table, words, report(table), *([fitted(values)] if args.development else []))
+
+
+if __name__ == "__main__":
+    main()

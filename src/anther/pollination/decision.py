@@ -1,0 +1,171 @@
+"""What a shake is worth: fruit that it should add, less what it should cost. One rule for a plan and every step.
+
+All is per flower of the plant. A shake's worth is linear in its probabilities, so that what members of a belief have in
+common does not matter, and every expectation has a closed form: what a flower feels and what an organ bears are
+lognormal, a dose-response is nearly a probit.
+
+M members of a belief, each as likely; A amplitudes; F flowers; (...) any shakes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtr
+
+from anther.core.choices import Preset
+from anther.core.geometry import Array
+from anther.plant.limits import GUSTS, HALF_DOSE, TOLERANCE, Believed
+
+PRICES: dict[Preset, float] = {"gentle": 10.0, "default": 3.0, "bold": 1.0}
+"""By preset: so many fruit a person would forgo rather than lose one flower. A judgement; the dial is theirs."""
+COSTS = {"base_strain": 1.0, "stem_strain": 3.0, "leaf_load": 0.1, "grip_force": 1.0}
+"""What it costs, in flowers lost for each flower of the plant, if the organ that is loaded most stays bent, or the grip
+slips. A judgement: a stem's bend costs the plant and its next trusses, a petiole's a leaf, a slip this visit."""
+EXPONENT = 1.5
+"""n of the share of pollen freed, a^n / (a^n + half^n): between 1 and 2 (facts: pollination 6)."""
+PROBIT = 1.702
+"""A logistic curve is this much steeper than the normal distribution that is nearest to it (Camilli 1994)."""
+GRIP = Believed(1.0, 0.25)
+"""Of the friction that pads have over that which a planner counts with: median and spread of ln, a guess."""
+
+BANDS = np.array([6.0, 17.0, 28.0, 70.0])
+"""Middles of 1-14, 14-20, 20-40 and 40-120 Hz, between which errors go as the logarithm of the frequency does [Hz]."""
+ERRORS: Mapping[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
+    "flowers": ((-0.04, -0.18, -0.52, -0.44), (0.43, 0.58, 0.67, 0.77)),
+    "pedicels": ((-0.79, -0.94, -1.36, -0.69), (0.87, 1.04, 0.86, 0.96)),
+    "base_strain": ((-0.22, 0.37, 0.53, -0.41), (0.54, 0.32, 0.33, 0.39)),
+    "stem_strain": ((-0.05, -0.01, -0.11, -0.53), (0.56, 0.44, 0.34, 0.29)),
+    "leaf_load": ((0.07, 0.22, 0.43, -0.20), (0.41, 0.43, 0.58, 0.84)),
+    "grip_force": ((-0.69,) * 4, (0.55,) * 4),
+}
+"""ln of true over modelled, beside what members explain: mean and standard deviation in each of the `BANDS`.
+
+Fitted by likelihood to 20 simulated plants whose truth no stage believes, four grips each, and checked on plants that
+were kept back: `python -m evaluation.prediction.belief`. Of the grip's force: 20 plants, 1-15 Hz."""
+SEEN_ERRORS: Mapping[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
+    "flowers": ((0.09, 0.19, 0.12, -0.38), (0.24, 0.46, 0.53, 0.81)),
+    "pedicels": ((-0.72, -0.68, -0.74, -0.69), (0.85, 1.05, 0.86, 0.98)),
+    "base_strain": ((-0.14, 0.68, 0.71, -0.24), (0.77, 0.45, 0.47, 0.50)),
+    "stem_strain": ((0.0, 0.11, -0.01, -0.42), (0.51, 0.42, 0.37, 0.33)),
+    "leaf_load": ((0.33, 0.60, 0.78, -0.13), (0.41, 0.47, 0.67, 0.86)),
+    "grip_force": ((-0.69,) * 4, (0.55,) * 4),
+}
+"""The same once a camera has seen this shake at a small amplitude; flowers and pedicels of flowers that it saw."""
+HIDDEN_ERRORS: Mapping[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
+    "flowers": ((0.16, 0.03, -0.34, -0.39), (0.39, 0.64, 0.99, 0.61)),
+    "pedicels": ((-0.49, -0.60, -1.08, -0.26), (1.04, 1.05, 0.91, 1.17)),
+}
+"""The same of flowers that it did not see."""
+
+
+Curve = Callable[[Array, Array], Array]
+"""(mean, spread) of ln of a value -> expected value of something that depends on it."""
+
+
+class Answer(NamedTuple):
+    """What a shake does by a belief, per metre of the grip's amplitude.
+
+    Attributes:
+        flowers: (M, ..., F) peak acceleration [1/s2].
+        pedicels: (M, ..., F) bending strain of each flower's pedicel [1/m].
+        base_strain, stem_strain, leaf_load, grip_force: (M, ...) the largest [1/m, 1/m, 1/s2, N/m].
+    """
+
+    flowers: Array
+    pedicels: Array
+    base_strain: Array
+    stem_strain: Array
+    leaf_load: Array
+    grip_force: Array
+
+
+class Worth(NamedTuple):
+    """Of shakes (...), per flower.
+
+    Attributes:
+        gain: expected share of pollen freed.
+        lost: expected share of flowers whose pedicels stay bent.
+        bent: kind of `COSTS` -> probability that the organ that is loaded most stays bent; of the grip, that it slips.
+        net: what the shake is worth.
+    """
+
+    gain: Array
+    lost: Array
+    bent: Mapping[str, Array]
+    net: Array
+
+
+def error(kind: str, hertz: ArrayLike, seen: bool | None = None) -> tuple[Array, Array]:
+    """Return mean and standard deviation of ln of true over modelled, of the shape of the frequencies [Hz].
+
+    Args:
+        kind: of `Answer`.
+        hertz: frequencies.
+        seen: whether a camera saw this shake and, of flowers, this flower; None: there was no look.
+    """
+    table = ERRORS if seen is None else SEEN_ERRORS if seen else {**SEEN_ERRORS, **HIDDEN_ERRORS}
+    at = np.log(np.asarray(hertz, dtype=np.float64))
+    mean, spread = (np.interp(at, np.log(BANDS), row) for row in table[kind])
+    return np.asarray(mean), np.asarray(spread)
+
+
+def worth(
+    answer: Answer,
+    amplitude: Array,
+    hertz: ArrayLike,
+    held: ArrayLike,
+    price: float,
+    seen: NDArray[np.bool_] | None = None,
+) -> Worth:
+    """Return what shakes are worth.
+
+    Args:
+        answer: of the shakes (...).
+        amplitude: (A, ...) of the grip [m].
+        hertz: of a shape that goes with (...) [Hz].
+        held: the pull that the pads hold, likewise [N].
+        price: of a flower that is lost, see `PRICES`.
+        seen: (F,) which flowers a camera saw in this shake; None: there was no look.
+    """
+    hertz, size = np.asarray(hertz, dtype=np.float64), np.log(np.maximum(amplitude, 1e-12))
+    looked = None if seen is None else True
+    gain, lost = np.zeros(size.shape), np.zeros(size.shape)
+    count = answer.flowers.shape[-1]
+    for f in range(count):
+        known = None if seen is None else bool(seen[f])
+        gain += _mean(answer.flowers[..., f], size, error("flowers", hertz, known), _freed) / max(count, 1)
+        borne = _passed(TOLERANCE["pedicel"])
+        lost += _mean(answer.pedicels[..., f], size, error("pedicels", hertz, known), borne) / max(count, 1)
+    bent = {
+        kind: _mean(getattr(answer, kind), size, error(kind, hertz, looked), _passed(TOLERANCE[organ]))
+        for kind, organ in (("base_strain", "base"), ("stem_strain", "stem"), ("leaf_load", "leaf"))
+    }
+    bent["leaf_load"] = np.where(hertz > GUSTS, 0.0, bent["leaf_load"])
+    share = answer.grip_force / np.asarray(held)
+    bent["grip_force"] = _mean(share, size, error("grip_force", hertz, looked), _passed(GRIP))
+    costs = lost + sum(cost * bent[kind] for kind, cost in COSTS.items())
+    return Worth(gain, lost, bent, (1 - bent["grip_force"]) * gain - price * costs)
+
+
+def _mean(values: Array, size: Array, off: tuple[Array, Array], curve: Curve) -> Array:
+    """Return (A, ...) the mean over members of a curve of ln of value times amplitude, and of its spread."""
+    mean, spread = off
+    total = np.zeros(size.shape)
+    for member in values:
+        total += curve(np.log(np.maximum(member, 1e-12)) + size + mean, spread)
+    return total / len(values)
+
+
+def _freed(logs: Array, spread: Array) -> Array:
+    """Return the share of pollen that is freed at accelerations of which ln has this mean and spread."""
+    width = np.sqrt((PROBIT / EXPONENT) ** 2 + HALF_DOSE.spread**2 + spread**2)
+    return ndtr((logs - np.log(HALF_DOSE.median)) / width)
+
+
+def _passed(borne: Believed) -> Curve:
+    """Return the curve of the probability that a load passes what is borne."""
+    return lambda logs, spread: ndtr((logs - np.log(borne.median)) / np.hypot(borne.spread, spread))

@@ -1,0 +1,241 @@
+"""What a shake is worth: pollen that it frees less what it costs, of any plant, by one rule."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+
+from anther.core.geometry import Array
+from anther.plant.limits import GUSTS, HALF_DOSE, TOLERANCE
+from anther.pollination import decision
+from anther.pollination.decision import (
+    BANDS,
+    COSTS,
+    ERRORS,
+    EXPONENT,
+    GRIP,
+    HIDDEN_ERRORS,
+    PRICES,
+    SEEN_ERRORS,
+    Answer,
+    Worth,
+    error,
+    worth,
+)
+from anther.pollination.escalation._knowledge import Known
+from anther.pollination.escalation._option import ACTUATOR, WORDS, Option
+
+SIZES = np.geomspace(1e-6, 1.0, 1500)
+HELD, SLOW = 8.0, 0.9 * GUSTS
+ORGANS = {"base_strain": "base", "stem_strain": "stem", "leaf_load": "leaf"}
+BORNE = {"pedicels": TOLERANCE["pedicel"], "grip_force": GRIP} | {k: TOLERANCE[organ] for k, organ in ORGANS.items()}
+UNIT = {kind: believed.median / 0.05 for kind, believed in BORNE.items()} | {"grip_force": HELD / 0.05}
+"""By kind what reaches the median of what is borne at 50 mm."""
+LOOKS = [None, np.ones(2, dtype=bool), np.array([True, False])]
+
+
+def made(flowers: Any = (2e3, 4e3), **loads: Any) -> Answer:
+    """Return an answer of members (M,), each with the flowers; a load that is not given is none."""
+    given = {kind: np.atleast_1d(np.asarray(value, dtype=float)) for kind, value in loads.items()}
+    members = max([1, *(len(value) for value in given.values())])
+    felt = np.broadcast_to(np.asarray(flowers, dtype=float), (members, len(np.atleast_1d(flowers))))
+    parts = {kind: np.broadcast_to(given.get(kind, np.zeros(1)), members) for kind in COSTS}
+    pedicels = np.broadcast_to(given.get("pedicels", np.zeros(1))[:, None], felt.shape)
+    return Answer(felt, pedicels, parts["base_strain"], parts["stem_strain"], parts["leaf_load"], parts["grip_force"])
+
+
+def whole(share: float = 1.0) -> Answer:
+    """Return an answer in which everything is loaded."""
+    return made(**{kind: share * value for kind, value in UNIT.items()})
+
+
+def found(answer: Answer, sizes: Array = SIZES, hertz: float = SLOW, price: float = 3.0, seen: Any = None) -> Worth:
+    return worth(answer, sizes, hertz, HELD, price, seen)
+
+
+def best(answer: Answer, **how: Any) -> float:
+    """Return the amplitude that is worth most; it must not be the largest of all."""
+    at = int(found(answer, **how).net.argmax())
+    assert at < len(SIZES) - 1
+    return float(SIZES[at])
+
+
+def test_what_does_not_move_is_worth_nothing_and_costs_nothing() -> None:
+    still = found(whole(), np.zeros(1))
+    for part in (still.gain, still.lost, still.net, *still.bent.values()):
+        assert part == pytest.approx([0.0], abs=1e-9)
+
+
+@pytest.mark.parametrize("hertz", [2.0, 9.0, 30.0])
+@pytest.mark.parametrize("seen", LOOKS)
+def test_gain_and_losses_are_shares_that_rise_with_the_amplitude(hertz: float, seen: Any) -> None:
+    told = found(whole(), hertz=hertz, seen=seen)
+    leafless = {kind: share for kind, share in told.bent.items() if kind != "leaf_load" or hertz <= GUSTS}
+    for share in (told.gain, told.lost, *leafless.values()):
+        assert np.all(np.diff(share) >= 0)
+        assert 0 <= share[0] < 0.01
+        assert 0.9 < share[-1] <= 1
+    assert np.all(told.net <= told.gain)
+    assert told.net == pytest.approx(
+        (1 - told.bent["grip_force"]) * told.gain
+        - 3.0 * (told.lost + sum(COSTS[kind] * told.bent[kind] for kind in COSTS))
+    )
+
+
+def test_the_dearer_a_flower_the_gentler_the_shake() -> None:
+    sizes = [best(whole(), price=price) for price in (100.0, PRICES["gentle"], PRICES["default"], PRICES["bold"], 0.1)]
+    assert np.all(np.diff(sizes) > 0)
+    worths = [found(whole(), price=PRICES[name]).net.max() for name in ("gentle", "default", "bold")]
+    assert np.all(np.diff(worths) > 0), "nor is what is worth less ever worth more"
+
+
+@pytest.mark.parametrize("kind", UNIT)
+def test_each_load_binds_alone_and_the_earlier_the_larger_it_is(kind: str) -> None:
+    free = found(made(2e4)).net
+    assert int(free.argmax()) == len(SIZES) - 1, "what costs nothing has no end"
+    sizes = [best(made(2e4, **{kind: times * UNIT[kind]})) for times in (0.5, 1.0, 2.0)]
+    assert np.all(np.diff(sizes) < 0)
+
+
+def test_one_soft_pedicel_lowers_the_amplitude_but_less_than_if_all_were_soft() -> None:
+    def pedicels(*each: float) -> Answer:
+        return made()._replace(pedicels=UNIT["pedicels"] * np.array([each]))
+
+    firm, one, all_of_them = (best(pedicels(*each)) for each in ((0.2, 0.2), (0.2, 2.0), (2.0, 2.0)))
+    assert all_of_them < one < firm
+
+
+def test_leaves_count_up_to_the_pace_of_gusts_and_not_above() -> None:
+    leafy, bare = made(leaf_load=UNIT["leaf_load"]), made()
+    slow, fast = (found(leafy, hertz=hertz) for hertz in (GUSTS, 1.001 * GUSTS))
+    assert slow.net[-1] < found(bare, hertz=GUSTS).net[-1]
+    assert fast.net == pytest.approx(found(bare, hertz=1.001 * GUSTS).net)
+    both = worth(leafy, np.tile(SIZES[:, None], 2), np.array([GUSTS, 1.001 * GUSTS]), HELD, 3.0)
+    assert both.net == pytest.approx(np.column_stack([slow.net, fast.net])), "each by its own frequency"
+
+
+def widened(table: Mapping[str, Any], kind: str, times: float) -> dict[str, Any]:
+    """Return a table of errors in which one kind's are so much wider."""
+    mean, spread = table[kind]
+    return {**table, kind: (mean, tuple(times * s for s in spread))}
+
+
+@pytest.mark.parametrize(
+    ("table", "kind", "seen"),
+    [*(("ERRORS", kind, None) for kind in UNIT), *(("SEEN_ERRORS", kind, LOOKS[1]) for kind in UNIT),
+     ("HIDDEN_ERRORS", "pedicels", LOOKS[2])],
+)  # fmt: skip
+def test_the_less_is_known_of_a_load_the_gentler_the_shake(
+    table: str, kind: str, seen: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answer = made((2e4, 2e4), **{kind: UNIT[kind]})
+    known = best(answer, seen=seen)
+    monkeypatch.setattr(decision, table, widened(getattr(decision, table), kind, 2.0))
+    assert best(answer, seen=seen) < known
+
+
+def test_a_flower_that_was_not_seen_counts_with_the_errors_of_those() -> None:
+    """Half of what both seen and both unseen flowers would be; the plant's other loads are those of a look."""
+    alike = whole()._replace(flowers=np.full((1, 2), 3e3))
+    half, seen, unseen = (found(alike, seen=np.array(look, dtype=bool)) for look in ([1, 0], [1, 1], [0, 0]))
+    assert half.gain == pytest.approx((seen.gain + unseen.gain) / 2)
+    assert half.lost == pytest.approx((seen.lost + unseen.lost) / 2)
+    assert not np.allclose(seen.lost, unseen.lost)
+    for kind in COSTS:
+        assert half.bent[kind] == pytest.approx(unseen.bent[kind])
+
+
+def test_what_a_camera_did_not_see_is_less_known_where_plans_shake() -> None:
+    for hertz in np.geomspace(2.0, BANDS[2], 20):
+        for kind in HIDDEN_ERRORS:
+            assert error(kind, hertz, seen=False)[1] > 0.95 * error(kind, hertz, seen=True)[1]
+
+
+@pytest.mark.parametrize("hertz", [3.0, 10.0, 28.0])
+@pytest.mark.parametrize("seen", LOOKS)
+def test_the_closed_form_is_the_mean_over_members_errors_and_what_is_borne(hertz: float, seen: Any) -> None:
+    """Losses are exact; the dose-response is nearly a probit."""
+    rng, count, size = np.random.default_rng(0), 100_000, 0.01
+    answer = whole()._replace(flowers=np.array([[2e3, 4e2], [5e2, 1e4], [3e3, 3e3]]))
+    members = {kind: np.array([0.3, 1.0, 4.0]) * UNIT[kind] for kind in COSTS}
+    answer = answer._replace(pedicels=UNIT["pedicels"] * np.array([[1.0, 3.0], [0.5, 8.0], [2.0, 0.1]]), **members)
+    told, pick, shape = found(answer, np.array([size]), hertz, seen=seen), rng.integers(3, size=count), (count, 2)
+
+    def true(values: Array, kind: str, look: bool | None) -> Array:
+        mean, spread = error(kind, hertz, look)
+        return size * values[pick] * np.exp(rng.normal(mean, spread, (count, *values.shape[1:])))
+
+    looks = [None, None] if seen is None else [bool(one) for one in seen]
+    felt, bent = (
+        np.column_stack([true(getattr(answer, kind)[:, f], kind, looks[f]) for f in (0, 1)])
+        for kind in ("flowers", "pedicels")
+    )
+    half = HALF_DOSE.median * np.exp(HALF_DOSE.spread * rng.normal(size=shape))
+    assert told.gain == pytest.approx(np.mean(felt**EXPONENT / (felt**EXPONENT + half**EXPONENT)), abs=0.02)
+    borne = {k: b.median * np.exp(b.spread * rng.normal(size=shape)) for k, b in BORNE.items()}
+    assert told.lost == pytest.approx(np.mean(bent > borne["pedicels"]), abs=0.01)
+    for kind in COSTS:
+        load = true(getattr(answer, kind), kind, None if seen is None else True) / (HELD if kind == "grip_force" else 1)
+        share = 0.0 if kind == "leaf_load" and hertz > GUSTS else np.mean(load > borne[kind][:, 0])
+        assert told.bent[kind] == pytest.approx(share, abs=0.01)
+
+
+@pytest.mark.parametrize("seen", [None, True, False])
+@pytest.mark.parametrize("kind", ERRORS)
+def test_no_error_jumps_from_one_frequency_to_the_next(kind: str, seen: bool | None) -> None:
+    hertz = np.geomspace(0.5, 200.0, 5000)
+    table = ERRORS if seen is None else SEEN_ERRORS if seen else {**SEEN_ERRORS, **HIDDEN_ERRORS}
+    for part, rows in zip(error(kind, hertz, seen), table[kind], strict=True):
+        assert part.shape == hertz.shape
+        assert np.abs(np.diff(part)).max() < 0.01
+        assert min(rows) - 1e-12 <= part.min() <= part.max() <= max(rows) + 1e-12
+    assert [list(part) for part in error(kind, BANDS, seen)] == [pytest.approx(rows) for rows in table[kind]]
+
+
+@pytest.mark.parametrize("times", [0.1, 3.0])
+def test_a_plant_that_answers_so_many_times_as_much_is_shaken_so_many_times_less(times: float) -> None:
+    once = found(whole()).net
+    scaled = Answer(*(times * part for part in whole()))
+    assert found(scaled, SIZES / times).net == pytest.approx(once)
+    assert best(scaled) == pytest.approx(best(whole()) / times, rel=0.02)
+
+
+def test_what_is_added_by_a_plan_and_by_one_shake_is_the_same() -> None:
+    """Shakes are weighed one by one, whatever the shape they are asked in."""
+    grid = Answer(*(np.stack([part, 3 * part], axis=1) for part in whole()))
+    together = worth(grid, np.tile(SIZES[:, None], 2), SLOW, HELD, 3.0).net
+    for k, times in enumerate((1, 3)):
+        assert together[:, k] == pytest.approx(found(Answer(*(times * part for part in whole()))).net)
+
+
+def watched(answer: Answer, *, reach: float = 1.0, price: float = 3.0) -> Option:
+    """Return a way to shake of which all flowers were seen and members say so."""
+    count = answer.flowers.shape[-1]
+    flowers, looked = np.exp(np.log(answer.flowers).mean(axis=0)), np.ones(count, dtype=bool)
+    told = Known(flowers, looked, flowers, {}, answer, looked, np.zeros((count, 3), dtype=complex))
+    return Option(SLOW, HELD, price, 1e-3, reach, told)
+
+
+def test_a_watched_shake_goes_as_far_as_it_is_worth_most_and_says_what_ends_it() -> None:
+    option = watched(whole())
+    here = best(whole(), seen=np.ones(2, dtype=bool))
+    assert option.may.amplitude == pytest.approx(here, rel=0.15)
+    assert option.promised == pytest.approx(found(whole(), seen=np.ones(2, dtype=bool)).net.max(), rel=0.02)
+    for kind in UNIT:
+        ends = watched(made((2e4, 2e4), **{kind: UNIT[kind]})).may.binds
+        assert ends.endswith(f"first by {WORDS[kind.replace('pedicels', 'joint_strain')]}")
+    assert watched(whole(), reach=0.3 * here).may.binds == ACTUATOR
+    assert watched(whole(), reach=0.3 * here).may.amplitude == pytest.approx(0.3 * here)
+
+
+@pytest.mark.parametrize("kind", UNIT)
+def test_a_watched_shake_goes_further_the_more_its_members_agree(kind: str) -> None:
+    """About the same median."""
+    exact, rough = (
+        watched(made((2e4, 2e4), **{kind: UNIT[kind] * np.exp(apart * np.linspace(-1, 1, 9))})) for apart in (0.0, 1.5)
+    )
+    assert exact.may.amplitude > 1.05 * rough.may.amplitude
+    assert exact.promised > rough.promised
