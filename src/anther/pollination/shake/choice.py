@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy  # loads `scipy.stats`, which takes long, where it is used
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
