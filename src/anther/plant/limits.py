@@ -53,7 +53,8 @@ TOLERANCE = {
 branches, petioles and peduncles; of leaves the torque at the base that a shake of up to `GUSTS` adds, in units of what
 1 m/s2 gives [m/s2]. No elastic limit of a tomato or pepper organ was ever measured (facts: pollination 6)."""
 HALF_DOSE = Believed.between(4.0, 80.0)
-"""Peak acceleration of a flower that frees half of its pollen [m/s2]; no dose-response was ever measured (facts: pollination 6)."""
+"""Peak acceleration of a flower that frees half of its pollen [m/s2]; no dose-response was ever measured (facts:
+pollination 6)."""
 LOADED = dict(zip(PEAKS, TOLERANCE.values(), strict=True))
 """Kind of load (`PEAKS`) -> what is believed of what bears it."""
 WIND = np.array([2.0, 4.0, 6.0])
