@@ -69,8 +69,8 @@ BETTER = 1.25
 """Another tone or line is turned to when it is worth so many times as much: turning takes seconds, and of many promises
 the largest is too large."""
 ADDED = 15.0
-"""A step adds no more to any flower that is seen [m/s2]: half of what bends one pedicel in twenty by 1 % (facts: pollination
-6)."""
+"""A step adds no more to any flower that is seen [m/s2]: half of what bends one pedicel in twenty by 1 % (facts:
+pollination 6)."""
 ENOUGH = 1.05
 """A raise by less is not worth its time, nor is going back to what moved the flowers more."""
 LOST = 0.5  # a shake is ended when fewer than this share of the points followed in the probe still are
