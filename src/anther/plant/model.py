@@ -17,9 +17,9 @@ from anther.core.errors import StageFailure, bad_input
 from anther.core.geometry import Array
 from anther.core.records import Range, Record, Shape, Stored
 from anther.perception.cloud import Cloud
-from anther.perception.flowers import PEDICEL, Flowers, assume_flowers
+from anther.perception.flowers import Flowers, assume_flowers
 from anther.perception.skeleton import Skeleton
-from anther.perception.stem import Stem
+from anther.perception.stem import PEDICEL, Stem
 from anther.plant._material import LEARNED, PEPPER, TOMATO, Material
 from anther.plant._shape import branch_stiffening, edge_radii, hang_flowers, in_blade, leaf_mass, least_youngs
 from anther.rods import Clamp, Rods, standing, with_gravity_equilibrium

@@ -19,10 +19,10 @@ from anther.core.errors import StageFailure, bad_input
 from anther.core.geometry import Array
 from anther.core.runs import FILES, kept
 from anther.perception.cloud import Cloud
-from anther.perception.flowers import PEDICEL, Flowers
+from anther.perception.flowers import Flowers
 from anther.perception.formats.skeletons import SkeletonFile
 from anther.perception.skeleton import Skeleton
-from anther.perception.stem import Stem
+from anther.perception.stem import PEDICEL, Stem
 from anther.plant.imported import main_stem, node_named, read_source
 from anther.plant.model import PEPPER, TOMATO, Material, PlantModel, plant_with_flowers
 from anther.rods import Clamp, Rods, least_stiffness, standing

@@ -57,7 +57,7 @@ def strain_changes(rods: Rods, positions: Array, directors: Array, planted: bool
     model, frames = build_model(rods, (0, 0, 0), planted)
     rest, out = np.zeros((1, len(rods.nodes), 3)), np.zeros_like(positions)
     _strains(model, np.array(rods.nodes[None]), frames.m1[None], rest)
-    _strains(model, *(np.require(a, requirements="CW") for a in (positions, directors)), out)
+    _strains(model, *(np.require(a, requirements=["C", "W"]) for a in (positions, directors)), out)
     return out - rest
 
 

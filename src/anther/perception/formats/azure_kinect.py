@@ -86,9 +86,9 @@ def read_azure_kinect(path: Path | str, options: BagOptions | None = None) -> Ba
             raise bad_input(name, given=given, allowed="a DEPTH track", do=f"Record depth: {_RECORD}")
         cameras = _cameras(name, held, depth, colour)
         _check_options(name, options)
-        times = [[held.tick * f.ticks for f in held.frames[t.number]] for t in (depth, colour or depth)]
+        depths, colours = ([held.tick * f.ticks for f in held.frames[t.number]] for t in (depth, colour or depth))
         clocks = "times count from the recording's beginning"
-        views, notes = matched_views(name, *times, given_poses(options), options, clocks)
+        views, notes = matched_views(name, depths, colours, given_poses(options), options, clocks)
         check_motion(name, views)
         capture = _capture(held, depth, colour, cameras, views)
     return BagViews(capture, np.array([view.time for view in views]), (*notes, *_notes(held)))

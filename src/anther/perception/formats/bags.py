@@ -122,8 +122,8 @@ def read_bag(path: Path | str, options: BagOptions | None = None) -> BagViews:
         held = _first_pass(bag, topics)
         camera, depth_camera, T_color_depth = _cameras(str(path), topics, held)
         where, more = _where(str(path), topics, held, options, camera.frame)
-        times = (held.times[stream.images] for stream in (topics.depth, topics.color))
-        views, notes = matched_views(str(path), *times, where, options)
+        depths, colours = (held.times[stream.images] for stream in (topics.depth, topics.color))
+        views, notes = matched_views(str(path), depths, colours, where, options)
         images = _images(bag, topics, held.unit, views)
     for image, color in images:
         check_size(topics.depth.images, image, depth_camera.intrinsics)
