@@ -243,6 +243,7 @@ def known(foresight: Foresight, hertz: float, one: Answer, late: float) -> Known
     flowers = np.einsum("fa,fax->fx", parts, np.linalg.inv(one.axes))
     swing = one.peak * semi_major(flowers)  # that would give this acceleration without overtones
     answer = foresight.answer(one.members, hertz, one.peak)
+    answer = answer._replace(flowers=np.where(seen, omega**2 * swing, answer.flowers))
     loads = {kind: _expected(kind, getattr(answer, kind), hertz) for kind in decision.COSTS}
     loads["joint_strain"] = _expected("pedicels", answer.pedicels.max(axis=-1, initial=0.0), hertz)
     picture = np.exp(-1j * omega * late) * parts
