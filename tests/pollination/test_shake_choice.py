@@ -25,7 +25,6 @@ from anther.pollination.shake import (
     VIBRATING_GRIPPER,
     Pads,
     Params,
-    ShakePlan,
     _verification,
     arm_shaker,
     choice,
@@ -57,7 +56,7 @@ from anther.robot.pressing import PRESSING, Pressing
 from anther.rods import Clamp, Drive, Rods, observed_response
 from anther.rods._response import displacements
 
-QUICK = Params(frequencies=12)
+QUICK, ALL = Params(frequencies=12), Params()
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +72,7 @@ def grasps() -> list[Grasp]:
 
 
 def weighed(
-    grasps: list[Grasp], flower: Array, reach: float, params: Params = Params(), **loads: Array
+    grasps: list[Grasp], flower: Array, reach: float, params: Params = ALL, **loads: Array
 ) -> tuple[Search, Gains]:
     """Return the search of shakes at 2 Hz that move flowers (M, G, F) so far, and what they do to the plant.
 
