@@ -116,7 +116,8 @@ def test_every_shake_is_as_large_as_it_is_worth_most(grasps: list[Grasp]) -> Non
 
     def net(size: Array) -> Array:
         held = Params().held(1.0) * found.grips.press
-        return worth(response.answer(found.frequencies), size[None], hertz, held, Params().price).net[0]
+        delivered = arm_shaker().delivers(hertz)
+        return worth(response.answer(found.frequencies), size[None], hertz, held, ALL.price, delivered=delivered).net[0]
 
     assert np.all(found.score > 0)
     assert net(amplitude) == pytest.approx(found.score)
