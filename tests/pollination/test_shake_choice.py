@@ -123,7 +123,7 @@ def test_every_shake_is_as_large_as_it_is_worth_most(grasps: list[Grasp]) -> Non
     assert net(amplitude) == pytest.approx(found.score)
     assert np.unique(amplitude.round(6)).size > 2, "some are ended by what they cost"
     step = (reach / found.least) ** (1 / (choice.SIZES - 1))
-    for other in (amplitude / step, np.minimum(amplitude * step, reach)):
+    for other in (np.maximum(amplitude / step, found.least), np.minimum(amplitude * step, reach)):
         assert np.all(net(other) <= found.score * (1 + 1e-9))
     finest = np.max([net(np.full_like(amplitude, size)) for size in np.geomspace(found.least, reach, 300)], axis=0)
     assert np.all(finest - found.score < 0.01), "between those that are weighed less than 1 % of the pollen is lost"
