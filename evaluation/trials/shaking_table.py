@@ -44,6 +44,12 @@ def within(rows: Sequence[Row], share: float) -> float:
     return float(np.mean(np.array(miss) <= share)) if miss else float("nan")
 
 
+def flowers_lost(rows: Sequence[Row]) -> float:
+    """Return the share of all flowers that hang on pedicels bent further than their plant's bear."""
+    flowers = sum(len(row.get("true_flower_acceleration_peak_ms2") or ()) for row in rows)
+    return sum(row.get("flowers_lost") or 0 for row in rows) / max(flowers, 1)
+
+
 def metrics(rows: Sequence[Row]) -> dict[str, float]:
     """Return the table's numbers; `past_limit_<way>`: plants past a true limit."""
     table: dict[str, float] = {"plants": float(len({(row["species"], row["seed"]) for row in rows}))}
@@ -59,6 +65,7 @@ def metrics(rows: Sequence[Row]) -> dict[str, float]:
         table[f"{name}_ms2"] = float(np.median(values))
         table[f"share_above_5_{name}"] = float(np.mean(values >= MOVED))
         table[f"past_limit_{name}"] = float(sum(map(harmed, mine)))
+        table[f"flowers_lost_{name}"] = flowers_lost(mine)
         table[f"held_{name}"] = float(np.mean([bool(row.get("held")) for row in mine]))
         table[f"harm_probability_{name}"] = float(np.mean([row.get("harm_probability") or 0.0 for row in mine]))
         table[f"shaking_s_{name}"] = float(np.median([row.get("shaking_s") or 0.0 for row in mine]))
@@ -90,7 +97,7 @@ def report(rows: Sequence[Row]) -> list[RenderableType]:
     flowers = markdown(heads, [(way, str(len(mine)), *map(_known, _flowers(mine))) for way, mine in ways.items()])
     heads = (
         "way", "stem held", "stem, branches [%]", "pedicels [%]", "other stalks [%]", "leaf bases [g]", "slip [mm]",
-        "plants past a limit (95 % interval)", "probability of harm",
+        "flowers lost", "plants harmed (95 % interval)", "probability of harm",
     )  # fmt: skip
     plants = markdown(heads, [(way, *map(_known, _plants(mine))) for way, mine in ways.items()])
     lost = [row for row in rows if not row.get("held") or harmed(row)]
@@ -148,6 +155,7 @@ def _plants(rows: Sequence[Row]) -> list[str]:
         *(f"{_middle(rows, f'true_{kind}_strain', 100):.2f}" for kind in ("stem", "pedicel", "base")),
         f"{_middle(rows, 'true_leaf_acceleration_ms2', 1 / 9.81):.2f}",
         f"{_middle(rows, 'true_slip_m', 1000):.2f}",
+        f"{flowers_lost(rows):.1%}",
         f"{past} ({100 * few:.0f} to {100 * many:.0f} %)",
         f"{100 * float(np.mean([row.get('harm_probability') or 0.0 for row in rows])):.1f} %",
     ]

@@ -70,10 +70,6 @@ def test_a_belief_between_two_values_has_a_twentieth_on_either_side(low: float, 
 
 
 def test_every_load_that_a_plant_limits_has_what_bears_it() -> None:
-    assert LOADED == {
-        "stem_strain": TOLERANCE["stem"],
-        "joint_strain": TOLERANCE["pedicel"],
-        "base_strain": TOLERANCE["base"],
-        "leaf_load": TOLERANCE["leaf"],
-    }
+    organs = {"stem_strain": "stem", "joint_strain": "pedicel", "base_strain": "base", "leaf_load": "leaf"}
+    assert {kind: TOLERANCE[organ] for kind, organ in organs.items()} == LOADED
     assert set(LOADED) == set(PEAKS)

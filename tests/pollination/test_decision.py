@@ -203,6 +203,17 @@ def test_a_plant_that_answers_so_many_times_as_much_is_shaken_so_many_times_less
     assert best(scaled) == pytest.approx(best(whole()) / times, rel=0.02)
 
 
+def test_an_actuator_that_does_twice_what_it_is_told_is_told_half_and_one_that_is_unsure_less() -> None:
+    """All loads err together with it, and the flowers too."""
+
+    def net(amplitude: Array, mean: float, spread: float) -> Array:
+        return worth(whole(), amplitude, SLOW, HELD, 3.0, delivered=(mean, spread)).net
+
+    assert net(SIZES / 2, np.log(2), 0.0) == pytest.approx(found(whole()).net)
+    sure, unsure = (float(SIZES[int(net(SIZES, 0.0, spread).argmax())]) for spread in (0.0, 1.0))
+    assert unsure < sure
+
+
 def test_what_is_added_by_a_plan_and_by_one_shake_is_the_same() -> None:
     """Shakes are weighed one by one, whatever the shape they are asked in."""
     grid = Answer(*(np.stack([part, 3 * part], axis=1) for part in whole()))

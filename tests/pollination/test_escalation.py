@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from fake_robot import FakeCamera
 from made_foresight import ALONG, FLOWERS, POINTS, TONES, World, lines_across, made_foresight, made_plan
-from scipy.stats import norm
 
 from anther.core.errors import InputError
-from anther.plant.limits import PlantLimits
 from anther.pollination import escalation
+from anther.pollination.decision import Answer as Answers
+from anther.pollination.decision import worth
 from anther.pollination.escalation import Escalation, Params
 from anther.pollination.escalation import _foresight as foresight_module
 from anther.pollination.escalation._knowledge import (
@@ -24,20 +24,19 @@ from anther.pollination.escalation._knowledge import (
     DAMPING,
     JUMP,
     MOST_GROWTH,
-    SEEN_ERROR,
     Answer,
     drawn_errors,
     known,
     settled,
 )
-from anther.pollination.escalation._option import SLOW, limits_of, risk
+from anther.pollination.escalation._option import TOO_FAR, WORDS, limits_of
 from anther.pollination.response.points import Swings, likeness
 from anther.pollination.shake import Params as Limits
 from anther.pollination.shake.observables import semi_major
 from anther.pollination.shake.params import FLOWER_SPREAD
 
-WEAK = PlantLimits(1.0, 1.0, 1.0, 1e4)
-"""Limits that nothing reaches."""
+HEEDLESS = Limits(price=0.01)
+"""As if it hardly mattered what is lost."""
 SIGHTED, BLIND = np.ones(FLOWERS + POINTS, bool), np.zeros(FLOWERS + POINTS, bool)
 FREE = replace(made_plan(reach=(0.2, 0.2, 0.2)), press=1000.0)
 """A plan whose actuator and pads end nothing."""
@@ -48,7 +47,8 @@ Shaken = Callable[..., Escalation]
 def shaken(monkeypatch: pytest.MonkeyPatch) -> Shaken:
     """Shake a world with a camera that sees as it says and an arm that reads so, by members trusted to 2 %."""
     monkeypatch.setattr(foresight_module, "MISFIT", 0.02)
-    monkeypatch.setattr("anther.plant.limits.GUSTS", float(TONES.max()))  # leaves count at every tone
+    for module in ("decision", "escalation._option"):
+        monkeypatch.setattr(f"anther.pollination.{module}.GUSTS", float(TONES.max()))  # leaves count at every tone
     monkeypatch.setattr(escalation, "links", lambda readings, tones: (readings, np.zeros(len(tones))))
     monkeypatch.setattr(escalation, "sight", lambda *_: SimpleNamespace(shown=SIGHTED))
 
@@ -60,21 +60,15 @@ def shaken(monkeypatch: pytest.MonkeyPatch) -> Shaken:
     return run
 
 
-def most(world: World, tone: int) -> tuple[float, float]:
-    """Return how far a tone may be raised, by the truth: amplitude [m] and the flowers' median there [m/s2]."""
-    flowers, loads = world.flowers(tone), world.loads(tone)
-    sigmas = norm.isf(risk(world.limits.risk))
-    margin = {k: median * np.exp(sigmas * spread) for k, (median, spread) in SEEN_ERROR.items()}
-    caps = [
-        limit / (margin[k] * loads[k])
-        for k, limit in limits_of(world.limits, world.plan.press, float(TONES[tone])).items()
-    ]
-    caps += [
-        world.plan.tones.reach[tone, 0],
-        world.params.target / np.median(flowers),
-        world.params.most / flowers.max(),
-    ]
-    return float(min(caps)), float(min(caps) * np.median(flowers))
+def most(world: World, tone: int) -> tuple[float, float, float]:
+    """Return what a tone is worth, by the truth: amplitude [m] at which it is most, the flowers' median, its worth."""
+    hertz, reach = float(TONES[tone]), float(world.plan.tones.reach[tone, 0])
+    sizes, limits = reach * np.geomspace(1e-3, 1, 2000), world.limits
+    truth = world.foresight.answer(world.answer(tone)[None], hertz)
+    held, seen = limits.held(world.plan.press), np.ones(FLOWERS, bool)
+    net = worth(truth, sizes, hertz, held, limits.price, seen).net
+    best = int(net.argmax())
+    return float(sizes[best]), float(sizes[best] * np.median(world.flowers(tone))), float(net[best])
 
 
 def single(watched: Escalation) -> list[Any]:
@@ -83,31 +77,19 @@ def single(watched: Escalation) -> list[Any]:
 
 
 @pytest.mark.parametrize("best", [0, 1, 2])
-def test_the_tone_is_taken_at_which_the_flowers_can_be_moved_most(shaken: Shaken, best: int) -> None:
+def test_the_tone_is_taken_that_is_worth_most_and_raised_to_where_it_is(shaken: Shaken, best: int) -> None:
     gains = [4.0 if tone == best else 0.7 for tone in range(3)] / (TONES / TONES[0]) ** 2
     foresight = made_foresight(2, gains=gains)
-    world = World(foresight, foresight.vectors[3], plan=FREE, limits=Limits(plant=PlantLimits(leaf_load=30.0)))
-    world.params = Params(most_seconds=30)
-    # leaves bear the same at every tone, so what the flowers do there decides
+    world = World(foresight, foresight.vectors[3], plan=FREE, params=Params(most_seconds=30))
+    # the plant bears the same at every tone, so what the flowers do there decides
     allowed = [most(world, tone) for tone in range(3)]
-    expected = int(np.argmax([flowers for _, flowers in allowed]))
-    assert sorted(flowers for _, flowers in allowed)[-2] < 0.7 * allowed[expected][1]
+    expected = int(np.argmax([net for *_, net in allowed]))
+    assert escalation.BETTER * sorted(net for *_, net in allowed)[-2] < allowed[expected][2]
     watched = shaken(world, raised=3.0)
     last = watched.steps[-1]
     assert last.frequencies == pytest.approx([TONES[expected]])
-    assert last.amplitudes[0] == pytest.approx(allowed[expected][0], rel=0.1)
-    assert last.median == pytest.approx(allowed[expected][1], rel=0.1)
-
-
-@pytest.mark.parametrize(("more", "taken"), [(1.3, 2), (3.0, 1)])
-def test_a_slow_tone_is_taken_only_where_it_promises_much_more(shaken: Shaken, more: float, taken: int) -> None:
-    """Of what slow tones promise after the probes about half is kept."""
-    assert TONES[1] < SLOW < TONES[2]
-    foresight = made_foresight(2, gains=[0.1, more, 1.0] / (TONES / TONES[0]) ** 2)
-    world = World(foresight, foresight.vectors[3], plan=FREE, limits=Limits(plant=PlantLimits(leaf_load=30.0)))
-    world.params = Params(most_seconds=10)
-    assert most(world, 1)[1] > most(world, 2)[1]
-    assert shaken(world).steps[2].frequencies == pytest.approx([TONES[taken]])
+    assert last.amplitudes[0] == pytest.approx(allowed[expected][0], rel=0.15)
+    assert last.median == pytest.approx(allowed[expected][1], rel=0.15)
 
 
 def test_what_the_camera_sees_overrules_what_the_model_promises(shaken: Shaken) -> None:
@@ -115,10 +97,9 @@ def test_what_the_camera_sees_overrules_what_the_model_promises(shaken: Shaken) 
     truth = believed.vectors[0].copy()
     truth[0, :, : FLOWERS + POINTS] *= 0.1
     truth[2, :, : FLOWERS + POINTS] *= 10
-    leafy = Limits(plant=replace(WEAK, leaf_load=30.0))  # leaves do what the model says of them
-    world = World(believed, truth, plan=FREE, limits=leafy)
+    world = World(believed, truth, plan=FREE)
     assert shaken(world).steps[-1].frequencies == pytest.approx([TONES[2]])
-    promised = World(believed, believed.vectors[0], plan=FREE, limits=leafy)
+    promised = World(believed, believed.vectors[0], plan=FREE)
     assert shaken(promised).steps[-1].frequencies != pytest.approx([TONES[2]])
 
 
@@ -130,9 +111,9 @@ def test_the_line_is_taken_along_which_the_flowers_move_most(shaken: Shaken, alo
     flowers = truth[:, 0, :FLOWERS].copy()
     for axis, share in enumerate(lines[along]):
         truth[:, axis, :FLOWERS] = share * flowers
-    world = World(believed, truth, plan=made_plan(reach=(0.02,) * 3, lines=8), limits=Limits(plant=WEAK))
+    world = World(believed, truth, plan=made_plan(reach=(0.02,) * 3, lines=8), limits=HEEDLESS)
     world.plan = replace(world.plan, press=1000.0)
-    world.params = Params(most=1e4, target=1e3, most_seconds=30)
+    world.params = Params(most_seconds=30)
     watched = shaken(world, raised=3.0)
     check_pieces(world, watched)
     assert len(watched.steps[0].frequencies) == len(watched.steps[1].frequencies) == len(TONES)
@@ -142,29 +123,30 @@ def test_the_line_is_taken_along_which_the_flowers_move_most(shaken: Shaken, alo
     assert watched.executed(watched.steps).direction == pytest.approx(watched.steps[-1].direction)
 
 
-@pytest.mark.parametrize("pedicel_strain", [1.0, 1e-3])
-def test_a_second_probe_is_gentler_by_what_the_first_passed_a_limit(shaken: Shaken, pedicel_strain: float) -> None:
+@pytest.mark.parametrize("planned", [0.002, 0.3])
+def test_a_second_probe_is_gentler_by_what_the_first_passed_a_limit(shaken: Shaken, planned: float) -> None:
     believed = made_foresight(2)
-    world = World(believed, believed.vectors[3], plan=made_plan(reach=(0.2,) * 3, lines=8))
+    world = World(believed, believed.vectors[3], plan=made_plan((planned,) * 3, reach=(2.0,) * 3, lines=8))
     world.plan = replace(world.plan, press=1000.0)
-    world.limits = Limits(plant=replace(WEAK, pedicel_strain=pedicel_strain))
     first, second, *_ = shaken(world).steps
     passed = max(first.loads.values())
-    assert (passed > 1) == (pedicel_strain < 1)
+    assert (passed > 1) == (planned > 0.002)
     assert second.amplitudes == pytest.approx(np.array(first.amplitudes) / max(passed, 1.0))
 
 
-def test_it_ends_at_the_target_where_nothing_forbids_it(shaken: Shaken) -> None:
+@pytest.mark.parametrize("price", [1.0, 10.0])
+def test_it_ends_where_more_would_cost_more_than_it_adds(shaken: Shaken, price: float) -> None:
     for seed in range(5):
         foresight = made_foresight(seed)
-        world = World(foresight, foresight.vectors[4], plan=FREE, params=Params(12.0, most=500.0, most_seconds=30))
-        world.limits = Limits(plant=WEAK)
+        world = World(foresight, foresight.vectors[4], plan=FREE, params=Params(most_seconds=30))
+        world.limits = Limits(price=price)
         watched = shaken(world, raised=3.0)
         last = watched.steps[-1]
-        assert last.median == pytest.approx(12.0, rel=0.06)
+        tone = int(np.abs(TONES - last.frequencies[0]).argmin())
+        assert last.amplitudes[0] == pytest.approx(most(world, tone)[0], rel=0.15)
         held = world.pieces[-2]
         assert held.seconds - held.ramp >= escalation.HOLD
-        assert "the target" in watched.steps[-2].decided
+        assert "more would cost more than it adds" in watched.steps[-2].decided
 
 
 @pytest.mark.parametrize("share", [0.25, 1.0, 3.0])
@@ -174,7 +156,7 @@ def test_a_flower_moves_away_no_further_than_the_members_say_nor_beside_what_was
     said = np.sqrt(np.mean(np.abs(members[:, own]) ** 2, axis=0))
     shown = np.asarray(share * np.column_stack([said[:, :2], np.full(FLOWERS, np.nan)]), dtype=np.complex128)
     axes, std = np.repeat(np.eye(3)[None], FLOWERS, axis=0), np.tile([1e-6, 1e-6, np.nan], (FLOWERS, 1))
-    told = known(foresight, float(TONES[0]), Answer(members, shown, std, axes), 0.0, 0.05)
+    told = known(foresight, float(TONES[0]), Answer(members, shown, std, axes), 0.0)
     assert told.seen.all()
     assert np.abs(told.picture[:, 2]) == pytest.approx(min(share, 1.0) * said[:, 2])
     assert told.picture[:, :2] == pytest.approx(shown[:, :2])
@@ -207,17 +189,6 @@ def test_the_slowest_frame_rate_that_tells_all_tones_apart_is_taken(
         assert watched.frame_rate((*rates, 0.1 * rate)) == rate
 
 
-def test_no_flower_that_is_seen_feels_more_than_the_most(shaken: Shaken) -> None:
-    foresight = made_foresight(1)
-    world = World(foresight, foresight.vectors[4], plan=FREE, params=Params(30.0, 31.0, most_seconds=30.0))
-    world.limits = Limits(plant=WEAK)
-    watched = shaken(world, raised=3.0)
-    felt = [np.nanmax(step.flowers) for step in single(watched)]
-    assert max(felt) < 31.0 * 1.03
-    assert max(felt) > 29.0
-    assert watched.steps[-1].median < 29.0
-
-
 @pytest.mark.parametrize("lines", [1, pytest.param(8, marks=pytest.mark.slow)])
 def test_whatever_the_plant_every_rule_holds(shaken: Shaken, lines: int) -> None:
     for seed in range(40 if lines == 1 else 15):
@@ -227,12 +198,12 @@ def test_whatever_the_plant_every_rule_holds(shaken: Shaken, lines: int) -> None
         plan = made_plan(rng.uniform(0.0005, 0.004, 3).tolist(), rng.uniform(0.004, 0.02, 3).tolist(), lines)
         world = World(foresight, foresight.vectors[seed % 32], plan=plan, late=float(rng.uniform(0, 0.03)))
         raised = float(rng.uniform(1.1, 2))
-        world.params = Params(target=float(rng.uniform(5, 40)))
+        world.limits = Limits(price=float(rng.uniform(0.5, 20)))
         watched = shaken(world, raised)
         check_pieces(world, watched)
         for step in single(watched):
-            assert step.used <= 1.03, step
-            assert step.median <= 1.03 * world.params.target
+            tone = int(np.abs(TONES - step.frequencies[0]).argmin())
+            assert lines > 1 or step.amplitudes[0] <= 1.25 * most(world, tone)[0], "no further than is worth its cost"
         assert len(watched.steps) == len(world.pieces) - 1
         for step, following in zip(watched.steps, watched.steps[1:], strict=False):
             assert step.begin < step.end < following.begin
@@ -322,15 +293,15 @@ def test_a_flower_that_is_lost_while_it_swings_little_ends_the_raise_only_where_
 ) -> None:
     foresight, few = made_foresight(1), SIGHTED.copy()
     few[0] = False
-    world = World(foresight, foresight.vectors[4], plan=FREE, limits=Limits(plant=WEAK), shown=[SIGHTED, SIGHTED, few])
+    world = World(foresight, foresight.vectors[4], plan=FREE, limits=HEEDLESS, shown=[SIGHTED, SIGHTED, few])
     world.params = Params(most_seconds=30)
-    steps = single(shaken(world))
+    steps = single(shaken(world, raised=1.3))
     at_most = JUMP * np.array([s.amplitudes[0] for s in steps]) * steps[0].flowers[0] / steps[0].amplitudes[0]
     assert np.isnan([step.flowers[0] for step in steps[1:]]).all()
     doubted = [k for k, step in enumerate(steps) if "Watched again" in step.decided]
     assert "lost from sight" in steps[doubted[0]].decided
     assert doubted[0] > 1
-    assert at_most[doubted[0]] > world.params.most > at_most[0]
+    assert at_most[doubted[0]] > TOO_FAR > at_most[0]
     assert steps[-1].amplitudes == pytest.approx(steps[doubted[0] - 1].amplitudes)
 
 
@@ -339,7 +310,7 @@ def test_of_a_flower_that_the_camera_cannot_tell_from_one_that_swings_too_far_th
     foresight, noise = made_foresight(1), 0.012
     world = World(foresight, foresight.vectors[4], plan=made_plan((0.0005,) * 3), noise=noise)
     steps = single(shaken(world))
-    assert 3 * noise * (2 * np.pi * steps[0].frequencies[0]) ** 2 > world.params.most
+    assert 3 * noise * (2 * np.pi * steps[0].frequencies[0]) ** 2 > TOO_FAR
     assert np.isnan(steps[0].flowers).all()
     assert all("lost from sight" not in step.decided for step in steps)
 
@@ -352,7 +323,7 @@ def test_a_flower_that_may_feel_more_than_the_most_without_being_measured_counts
             self.noise = 1e-6 if self.looks < 4 else 0.2
             return super().swings(_, frames, tones, expected)
 
-    world = Blurred(foresight, foresight.vectors[4], plan=made_plan((0.0005,) * 3), limits=Limits(plant=WEAK))
+    world = Blurred(foresight, foresight.vectors[4], plan=made_plan((0.0005,) * 3), limits=HEEDLESS)
     watched = shaken(world)
     sure, raised, again, held = (piece.amplitudes.max() for piece in world.pieces[3:7])
     assert np.isfinite(single(watched)[2].flowers).all()
@@ -387,7 +358,7 @@ def test_a_flower_that_is_lost_where_it_was_just_seen_takes_the_shake_further_ba
     foresight = made_foresight(1)
     few = SIGHTED.copy()
     few[:count] = False
-    weak = Limits(plant=PlantLimits(leaf_load=5.0))
+    weak = Limits(price=1.0)
     world = World(foresight, foresight.vectors[4], plan=FREE, limits=weak)
     looks = 1 + next(k for k, step in enumerate(shaken(world).steps) if "Watched again" in step.decided)
     world = World(foresight, foresight.vectors[4], plan=FREE, limits=weak, shown=[*[SIGHTED] * looks, few])
@@ -399,20 +370,20 @@ def test_a_flower_that_is_lost_where_it_was_just_seen_takes_the_shake_further_ba
     assert held <= again / escalation.RAISED * 1.0001
 
 
-def test_a_step_adds_at_most_half_the_target_to_any_flower_seen(shaken: Shaken) -> None:
+def test_a_step_adds_no_more_than_is_safe_to_any_flower_seen(shaken: Shaken) -> None:
     """The first by what the probe saw of it, the others by the look before."""
     for seed in range(5):
         foresight = made_foresight(seed)
-        world = World(foresight, foresight.vectors[4], plan=FREE, params=Params(20.0, 30.0, most_seconds=30))
-        world.limits = Limits(plant=WEAK)
+        world = World(foresight, foresight.vectors[4], plan=FREE, params=Params(most_seconds=30))
+        world.limits = HEEDLESS
         steps = single(shaken(world, raised=4.0))
         felt = [0.0, *(np.nanmax(step.flowers) for step in steps)]
         planned = world.plan.tones.amplitudes.max() * world.flowers(
             int(np.abs(TONES - steps[0].frequencies[0]).argmin())
         )
         for before, after in pairwise(felt):
-            assert after <= max(1.03 * (before + 10.0), 1.03 * float(planned.max()))
-        assert max(felt) > 20.0
+            assert after <= max(1.03 * (before + escalation.ADDED), 1.03 * float(planned.max()))
+        assert max(felt) > 2 * escalation.ADDED
 
 
 def test_what_moves_no_flower_that_is_seen_is_not_raised_beyond_what_the_model_allows(shaken: Shaken) -> None:
@@ -472,9 +443,9 @@ def test_the_time_ends_a_shake_that_could_be_raised_further(
     foresight = made_foresight(1)
     monkeypatch.setattr(escalation, "LOOK", 0.4)
     monkeypatch.setattr(escalation, "HOLD", 0.6)
-    params = Params(most_seconds=seconds, target=1000, most=10_000)
+    params = Params(most_seconds=seconds)
     world = World(foresight, foresight.vectors[4], plan=replace(FREE, tones=made_plan((1e-4,) * 3).tones))
-    world.params, world.limits = params, Limits(plant=WEAK)
+    world.params, world.limits = params, HEEDLESS
     watched = shaken(world, raised=1.06)
     assert "time" in watched.steps[-2].decided
     check_pieces(world, watched)
@@ -499,26 +470,27 @@ def test_turning_from_tone_to_tone_ends_in_time(shaken: Shaken, seed: int) -> No
 def test_a_shake_that_the_actuator_ends_keeps_its_reach_while_it_turns_to_a_tone(shaken: Shaken) -> None:
     foresight = made_foresight(1)
     plan = made_plan((0.004, 0.004, 0.004), (0.004, 0.004, 0.004))
-    world = World(foresight, foresight.vectors[4], plan=plan, limits=Limits(plant=WEAK))
+    world = World(foresight, foresight.vectors[4], plan=plan, limits=HEEDLESS)
     watched = shaken(world)
     check_pieces(world, watched)
     assert watched.steps[-1].amplitudes == pytest.approx([0.004])
 
 
-def test_a_weak_limit_of_each_kind_ends_the_shake_there(shaken: Shaken) -> None:
+@pytest.mark.parametrize("kind", WORDS)
+def test_a_weak_organ_of_each_kind_ends_the_shake(shaken: Shaken, kind: str) -> None:
     foresight = made_foresight(1)
-    ample = {"stem_strain": 1.0, "pedicel_strain": 1.0, "base_strain": 1.0, "leaf_load": 1e4}
-    tight = {"stem_strain": 2e-4, "pedicel_strain": 4e-4, "base_strain": 2e-4, "leaf_load": 0.5}
-    for kind, word in zip(ample, ("stem", "pedicels", "branch bases", "leaf bases"), strict=True):
-        limits = Limits(plant=PlantLimits(**(ample | {kind: tight[kind]})))
-        world = World(foresight, foresight.vectors[4], plan=FREE, limits=limits)
-        watched = shaken(world)
-        assert word in watched.steps[-1].binds
-        assert 0.85 < watched.steps[-1].used < 1.02
-    slips = World(foresight, foresight.vectors[4], plan=replace(FREE, press=0.2), limits=Limits(plant=WEAK))
-    watched = shaken(slips)
-    assert watched.steps[-1].binds == "slip"
-    assert 0.85 < watched.steps[-1].used < 1.02
+    vectors, rows = foresight.vectors.copy(), np.arange(foresight.vectors.shape[3])
+    loads = ~np.isin(rows, rows[: FLOWERS + POINTS])
+    vectors[..., loads, :] *= 0.05
+    vectors[..., foresight.where[kind], :] *= 400
+    weak = foresight._replace(vectors=vectors)
+    world = World(weak, vectors[4], plan=replace(FREE, press=8.0), params=Params(most_seconds=30))
+    world.limits = Limits(price=30.0)
+    watched = shaken(world)
+    last = watched.steps[-1]
+    assert last.binds == WORDS[kind]
+    assert f"first by {WORDS[kind]}" in watched.steps[-2].decided
+    assert last.amplitudes[0] < 0.5 * FREE.tones.reach.min()
 
 
 @pytest.mark.parametrize("best", [0, 1, 2])
@@ -528,7 +500,7 @@ def test_a_slow_tone_is_left_as_slowly_as_it_is_begun(
     monkeypatch.setattr(escalation, "RAMP", 0.01)
     gains = [4.0 if tone == best else 0.7 for tone in range(3)] / (TONES / TONES[0]) ** 2
     foresight = made_foresight(2, gains=gains)
-    world = World(foresight, foresight.vectors[3], plan=FREE, limits=Limits(plant=PlantLimits(leaf_load=30.0)))
+    world = World(foresight, foresight.vectors[3], plan=FREE)
     check_pieces(world, shaken(world))
 
 
@@ -561,51 +533,44 @@ def test_the_plan_as_carried_out_is_the_last_step(shaken: Shaken) -> None:
     assert watched.executed(()) is world.plan
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"target": 0.0},
-        {"target": 30.0, "most": 29.0},
-        {"most_seconds": 1.0},
-        {"most_seconds": 100.0},
-        {"target": float("nan")},
-    ],
-)
-def test_bad_params_are_refused(changes: dict[str, float]) -> None:
-    with pytest.raises(InputError, match=list(changes)[-1]):
-        Params(**changes)  # type: ignore[arg-type]
+@pytest.mark.parametrize("seconds", [1.0, 100.0, float("nan")])
+def test_bad_params_are_refused(seconds: float) -> None:
+    with pytest.raises(InputError, match="most_seconds"):
+        Params(most_seconds=seconds)
 
 
-def test_what_a_shake_turns_back_to_is_what_was_found_to_be_borne(shaken: Shaken) -> None:
-    """At the tone taken first one flower feels far more than was said, but flowers move still less at the other."""
-    believed = made_foresight(0, gains=(2.0, 1.5, 0.01), unsure=0.2)
-    truth = believed.vectors[0].copy()
-    truth[1, :, :FLOWERS] *= 0.3
-    truth[0, :, 0] *= 11
-
-    class Clearing(World):
-        def swings(self, _: Any, frames: Any, tones: Any, expected: Any = None) -> Any:
-            blurred = (np.arange(FLOWERS + POINTS) < FLOWERS) & (self.looks < 2)
-            self.noise: Any = np.where(blurred, 0.03, 1e-6)[:, None]
-            return super().swings(_, frames, tones, expected)
-
-    world = Clearing(believed, truth, plan=made_plan((0.008,) * 3, reach=(0.2,) * 3), limits=Limits(plant=WEAK))
-    world.plan, world.params = replace(world.plan, press=1000.0), Params(most_seconds=11.0)
-    watched = shaken(world)
-    *_, held, last = single(watched)
-    assert "more moved at 2.5 Hz" in held.decided
-    assert max(max(step.flowers) for step in single(watched)[1:]) > 1.1 * world.params.most
-    assert np.nanmax(last.flowers) == pytest.approx(world.params.most, rel=0.03)
+@pytest.mark.parametrize("all_flowers", [True, False])
+def test_a_shake_turns_back_to_what_was_worth_more_not_to_what_moved_the_median_more(
+    shaken: Shaken, all_flowers: bool
+) -> None:
+    """Another tone moved all flowers more, or four of six of them, and the others not at all."""
+    believed = made_foresight(0)
+    watched = shaken(World(believed, believed.vectors[0], limits=HEEDLESS))
+    last, now = watched.steps[-1], watched.steps[-1].amplitudes[0]
+    here = int(np.abs(TONES - last.frequencies[0]).argmin())
+    there = (here + 1) % len(TONES)
+    felt = np.full((2, FLOWERS), 15.0)
+    felt[1] = 20.0 if all_flowers else [20.0] * 4 + [0.1] * 2
+    for n, flowers in zip((here, there), felt / now, strict=True):
+        option, still = watched._options[n], Answers(*(0 * part for part in watched._options[n].told.answer))
+        answer = still._replace(flowers=np.tile(flowers, (len(still.flowers), 1)))
+        option.told = option.told._replace(flowers=flowers, answer=answer)
+        option.may, option.tried = option.may._replace(amplitude=now), now
+    watched._doubted = True
+    held = watched._raised(here, now)
+    assert np.flatnonzero(held.amplitudes).tolist() == [there if all_flowers else here]
+    assert held.amplitudes.max() == pytest.approx(now)
+    assert ("was worth more" in held.words) == all_flowers
 
 
 def test_a_shake_is_gone_back_to_no_further_than_its_last_look_allows(shaken: Shaken) -> None:
     believed = made_foresight(0)
-    watched = shaken(World(believed, believed.vectors[0], limits=Limits(plant=WEAK)))
+    watched = shaken(World(believed, believed.vectors[0], limits=HEEDLESS))
     tone = int(np.abs(TONES - watched.steps[-1].frequencies[0]).argmin())
     tried = watched._options[tone].borne
     assert tried == pytest.approx(max(s.amplitudes[0] for s in single(watched)))
     told = watched._options[tone].told
-    watched._looked_at(tone, told._replace(flowers=100 * told.flowers))
+    watched._looked_at(tone, told._replace(answer=Answers(*(100 * part for part in told.answer))))
     assert watched._options[tone].borne == watched._options[tone].may.amplitude < 0.5 * tried
 
 
@@ -726,7 +691,7 @@ def test_a_camera_that_sees_again_raises_the_shake_as_if_it_had_seen_the_probe(s
 def test_a_shake_that_is_planned_too_far_is_taken_back_even_by_what_proves_nothing(shaken: Shaken) -> None:
     """All swings far, at any phase: not the plant that is believed, but nothing to go on with."""
     foresight = made_foresight(1)
-    world = Lying(foresight, foresight.vectors[4], plan=made_plan((0.01,) * 3, (0.03,) * 3))
+    world = Lying(foresight, foresight.vectors[4], plan=made_plan((0.02,) * 3, (0.03,) * 3))
     world.share = 5 * ANY_PHASE
     steps = single(shaken(world))
     assert steps[-1].amplitudes[0] < 0.5 * world.plan.tones.amplitudes.max()

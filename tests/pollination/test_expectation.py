@@ -12,7 +12,7 @@ from sample_plants import branched
 
 from anther.plant.limits import PEAKS
 from anther.plant.model import TOMATO, PlantModel, build_plant
-from anther.pollination.decision import error
+from anther.pollination import decision
 from anther.pollination.learning import Felt, ObservedShake, Params, Refinement, refine
 from anther.pollination.shake import PADS, Pads, ShakePlan
 from anther.pollination.shake.observables import semi_major
@@ -156,7 +156,7 @@ def test_expected_loads_are_the_plants_own_and_as_uncertain_as_each_kind_is(
     own = gains([Version(plant, FIRM)], pad_nodes(plant, grip_rows(plant, point[None])), WAY[None, None], pitches)
     loads = own._asdict() | {"joint_strain": own.pedicel.max(axis=-1)}
     for kind, found in told.items():
-        mean, spread = error(kind.replace("joint_strain", "pedicels"), pitches)
+        mean, spread = decision.error(kind.replace("joint_strain", "pedicels"), pitches)
         low, middle, high = np.moveaxis(found, -1, 0)
         assert middle == pytest.approx(np.exp(mean) * np.maximum(loads[kind][0, :, :, 0].T, 1e-12), rel=1e-4)
         assert np.log(high / low) == pytest.approx(2 * NINETY * spread[None])

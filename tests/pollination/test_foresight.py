@@ -26,7 +26,6 @@ from anther.pollination.escalation._foresight import (
 )
 from anther.pollination.escalation._knowledge import (
     ARM_FOLLOWS,
-    Answer,
     Known,
     Look,
     answered,
@@ -302,8 +301,8 @@ def test_one_flower_that_swings_unlike_all_others_is_taken_for_something_else() 
     assert told(foresight, at._replace(swings=all_of_them), 1, 0.0).seen.all(), "a plant may answer unlike its model"
 
 
-def test_what_a_decision_is_told_is_what_the_narrowed_members_say() -> None:
-    """Each member's own flowers, pedicels and loads, and which flowers the camera followed."""
+def test_what_a_decision_is_told_is_what_was_measured_and_else_what_the_narrowed_members_say() -> None:
+    """Of a flower that is seen what it does, whatever members say; each member's own pedicels and loads."""
     foresight = made_foresight(3)
     shown = np.ones(FLOWERS + POINTS, bool)
     shown[2] = False
@@ -312,7 +311,9 @@ def test_what_a_decision_is_told_is_what_the_narrowed_members_say() -> None:
     said = told(foresight, at, 1, 0.0)
     assert said.followed.tolist() == shown[:FLOWERS].tolist()
     omega2, own = (2 * np.pi * TONES[1]) ** 2, foresight.where["flowers"]
-    assert said.answer.flowers == pytest.approx(omega2 * semi_major(one.members[:, own]))
+    assert said.answer.flowers[:, 2] == pytest.approx(omega2 * semi_major(one.members[:, own])[:, 2])
+    others = np.arange(FLOWERS) != 2
+    assert said.answer.flowers[:, others] == pytest.approx(np.tile(said.flowers[others], (len(one.members), 1)))
     for kind in decision.COSTS:
         assert getattr(said.answer, kind) == pytest.approx(foresight.load(kind, one.members))
     pedicels = semi_major(one.members[:, foresight.where["joint_strain"]])

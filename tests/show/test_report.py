@@ -115,6 +115,7 @@ def test_measured_and_true_are_explained_in_simulation_alone(true: float | None,
             | {
                 "harmed": "",
                 "true_held_beside": "",
+                "flowers_lost": 0,
                 "true_flower_acceleration_peak": (true,),
                 "true_flower_acceleration_median": true,
                 "true_flower_acceleration_least": true,

@@ -78,6 +78,15 @@ def test_a_load_is_harm_where_it_passes_what_the_plant_bears() -> None:
     assert "pedicels: 1.01%, this plant bears 1.00%" in harm.words
 
 
+@pytest.mark.parametrize(("flowers", "lost", "harmed"), [(6, 1, False), (6, 2, True), (12, 2, False), (12, 3, True)])
+def test_a_plant_that_loses_more_than_a_sixth_of_its_flowers_is_harmed(flowers: int, lost: int, harmed: bool) -> None:
+    limits = dict.fromkeys(TOLERANCE, 0.01)
+    bent = np.where(np.arange(flowers) < lost, 0.02, 0.005)
+    harm = Harm(dict.fromkeys(TOLERANCE, 0.0) | {"pedicel": 0.02}, limits, bent)
+    assert harm.flowers_lost == lost
+    assert harm.passed == (("pedicel",) if harmed else ())
+
+
 def test_pollen_freed_spans_what_is_not_known_of_the_dose() -> None:
     low, middle, high = pollen_freed(np.full(3, HALF_DOSE.median))
     assert middle == pytest.approx(0.5, abs=0.01)
@@ -144,10 +153,10 @@ def test_the_history_keeps_the_result_that_the_report_shows(
 @pytest.mark.parametrize(
     ("visit", "said", "headline"),
     [
-        (told(verdict_of()), ["yes", "no", "yes"], "pollinated"),
-        (told(verdict_of(felt=(2.7,))), ["yes", "no", "hardly"], "held, flowers hardly moved"),
-        (told(verdict_of(pedicel=0.05)), ["yes", "yes: pedicel", "yes"], "failed: damaged"),
-        (told(verdict_of(held=False)), ["no", "no", "yes"], "failed: slipped"),
+        (told(verdict_of()), ["yes", "no; 0 of 3 flowers lost", "yes"], "pollinated"),
+        (told(verdict_of(felt=(2.7,))), ["yes", "no; 0 of 1 flowers lost", "hardly"], "held, flowers hardly moved"),
+        (told(verdict_of(pedicel=0.05)), ["yes", "yes: pedicel; 0 of 3 flowers lost", "yes"], "failed: damaged"),
+        (told(verdict_of(held=False)), ["no", "no; 0 of 3 flowers lost", "yes"], "failed: slipped"),
         (
             summarise(BEGUN, None, None, None, StageFailure("no_stem_found", "two trees")),
             ["no", "not known", "not known"],

@@ -20,7 +20,7 @@ from anther.core.choices import Preset
 from anther.core.geometry import Array
 from anther.plant.limits import GUSTS, HALF_DOSE, TOLERANCE, Believed
 
-PRICES: dict[Preset, float] = {"gentle": 10.0, "default": 3.0, "bold": 1.0}
+PRICES: dict[Preset, float] = {"gentle": 30.0, "default": 10.0, "bold": 3.0}
 """By preset: so many fruit a person would forgo rather than lose one flower. A judgement; the dial is theirs."""
 COSTS = {"base_strain": 1.0, "stem_strain": 3.0, "leaf_load": 0.1, "grip_force": 1.0}
 """What it costs, in flowers lost for each flower of the plant, if the organ that is loaded most stays bent, or the grip
@@ -120,6 +120,7 @@ def worth(
     held: ArrayLike,
     price: float,
     seen: NDArray[np.bool_] | None = None,
+    delivered: tuple[ArrayLike, ArrayLike] = (0.0, 0.0),
 ) -> Worth:
     """Return what shakes are worth.
 
@@ -130,30 +131,37 @@ def worth(
         held: the pull that the pads hold, likewise [N].
         price: of a flower that is lost, see `PRICES`.
         seen: (F,) which flowers a camera saw in this shake; None: there was no look.
+        delivered: mean and standard deviation of ln of what the actuator does over what it is commanded, of a shape
+            that goes with (...); after a look it has no part, since what was seen is per metre commanded.
     """
     hertz, size = np.asarray(hertz, dtype=np.float64), np.log(np.maximum(amplitude, 1e-12))
     looked = None if seen is None else True
+
+    def off(kind: str, known: bool | None = looked) -> tuple[Array, Array]:
+        mean, spread = error(kind, hertz, known)
+        return mean + delivered[0], np.hypot(spread, delivered[1])
+
     gain, lost = np.zeros(size.shape), np.zeros(size.shape)
     count = answer.flowers.shape[-1]
     for f in range(count):
         known = None if seen is None else bool(seen[f])
-        gain += _mean(answer.flowers[..., f], size, error("flowers", hertz, known), _freed) / max(count, 1)
+        gain += _mean(answer.flowers[..., f], size, off("flowers", known), _freed) / max(count, 1)
         borne = _passed(TOLERANCE["pedicel"])
-        lost += _mean(answer.pedicels[..., f], size, error("pedicels", hertz, known), borne) / max(count, 1)
+        lost += _mean(answer.pedicels[..., f], size, off("pedicels", known), borne) / max(count, 1)
     bent = {
-        kind: _mean(getattr(answer, kind), size, error(kind, hertz, looked), _passed(TOLERANCE[organ]))
+        kind: _mean(getattr(answer, kind), size, off(kind), _passed(TOLERANCE[organ]))
         for kind, organ in (("base_strain", "base"), ("stem_strain", "stem"), ("leaf_load", "leaf"))
     }
     bent["leaf_load"] = np.where(hertz > GUSTS, 0.0, bent["leaf_load"])
     share = answer.grip_force / np.asarray(held)
-    bent["grip_force"] = _mean(share, size, error("grip_force", hertz, looked), _passed(GRIP))
+    bent["grip_force"] = _mean(share, size, off("grip_force"), _passed(GRIP))
     costs = lost + sum(cost * bent[kind] for kind, cost in COSTS.items())
     return Worth(gain, lost, bent, (1 - bent["grip_force"]) * gain - price * costs)
 
 
-def _mean(values: Array, size: Array, off: tuple[Array, Array], curve: Curve) -> Array:
+def _mean(values: Array, size: Array, wrong: tuple[Array, Array], curve: Curve) -> Array:
     """Return (A, ...) the mean over members of a curve of ln of value times amplitude, and of its spread."""
-    mean, spread = off
+    mean, spread = wrong
     total = np.zeros(size.shape)
     for member in values:
         total += curve(np.log(np.maximum(member, 1e-12)) + size + mean, spread)

@@ -193,6 +193,7 @@ def _truth(verdict: Verdict | None) -> TruthRecord | None:
         **{f"borne_{name}": limits[kind] for kind, name in LOADS.items()},
         true_effort_share=verdict.effort,
         true_held_beside=", ".join(verdict.held_beside),
+        flowers_lost=verdict.harm.flowers_lost,
     )
 
 

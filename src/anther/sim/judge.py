@@ -7,7 +7,7 @@ T log samples, K plant segments, F flowers.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,11 @@ BEARERS = {
 """The kinds of `truth.TOLERANCE` in words."""
 
 
+SPARED = 1 / 6
+"""A plant that loses no more of its flowers is not harmed: without a shake a third sets no fruit (facts: pollination
+6)."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Harm:
     """What a plant bore, and what it bears.
@@ -41,24 +46,41 @@ class Harm:
         loads: kind of `truth.TOLERANCE` -> the peak of it: bending strain [-] of "stem", "pedicel" and "base",
             acceleration [m/s2] of "leaf".
         limits: what this plant bears of each, in the same units.
+        pedicels: (F,) peak of the bending strain of each flower's pedicel [-]; empty: not known one by one.
     """
 
     loads: Mapping[str, float]
     limits: Mapping[str, float]
+    pedicels: Array = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def flowers_lost(self) -> int:
+        """How many flowers hang on a pedicel that was bent further than this plant's bear."""
+        return int(np.sum(~(self.pedicels <= self.limits["pedicel"]))) if len(self.pedicels) else 0
 
     @property
     def passed(self) -> tuple[str, ...]:
         """The kinds of which this plant bore more than it bears."""
-        return tuple(kind for kind, load in self.loads.items() if not load <= self.limits[kind])
+        return tuple(kind for kind, load in self._deciding.items() if not load <= self.limits[kind])
 
     @property
     def probability(self) -> float:
         """That a plant of which nothing is known but its loads is harmed: one of its limits is below its load."""
-        return 1 - float(np.prod([1 - TOLERANCE[kind].share_below(load) for kind, load in self.loads.items()]))
+        return 1 - float(np.prod([1 - TOLERANCE[kind].share_below(load) for kind, load in self._deciding.items()]))
+
+    @property
+    def _deciding(self) -> dict[str, float]:
+        """The loads that harm a plant: of its pedicels the first beyond the `SPARED` share of its flowers, at least one
+        of several."""
+        loads, count = dict(self.loads), len(self.pedicels)
+        if count:
+            spared = min(count - 1, max(1, int(SPARED * count)))
+            loads["pedicel"] = float(np.sort(self.pedicels)[::-1][spared])
+        return loads
 
     @property
     def words(self) -> str:
-        """What was passed and by how much, "" if nothing."""
+        """What was passed and by how much, "" if nothing; of pedicels the worst is told."""
         return ", ".join(
             f"{BEARERS[kind]}: {_size(kind, self.loads[kind])}, this plant bears {_size(kind, self.limits[kind])}"
             for kind in self.passed
@@ -181,7 +203,8 @@ def judge(
     push = _push(log, shake)
     poses = np.stack([cell.segment_poses(q) for q in log.qpos[shaking]]) if shake else None
     leaf = _leaf_acceleration(cell, log.times[shaking], poses)
-    harm = Harm(_strain(cell, log, shaking) | {"leaf": leaf}, tolerances(cell.plant.species, cell.plant.seed))
+    strains, pedicels = _strain(cell, log, shaking)
+    harm = Harm(strains | {"leaf": leaf}, tolerances(cell.plant.species, cell.plant.seed), pedicels)
     dosed = slice(*np.searchsorted(log.times[shaking], steady or (-np.inf, np.inf)))
     amplitude, peak = _flower_motion(
         cell, log.times[shaking][dosed], None if poses is None else poses[dosed], frequency
@@ -285,21 +308,27 @@ def _push(log: CellLog, shake: tuple[float, float] | None) -> float:
     return float(np.bincount(log.contact_sample[before], log.contact_force[before], minlength=1).max())
 
 
-def _strain(cell: Cell, log: CellLog, shaking: NDArray[np.bool_]) -> dict[str, float]:
-    """Return the peak bending strain during the shake: all that is added in stem and branches, the swing elsewhere.
+def _strain(cell: Cell, log: CellLog, shaking: NDArray[np.bool_]) -> tuple[dict[str, float], Array]:
+    """Return the peak bending strain during the shake: all that is added in stem and branches, the swing elsewhere; and
+    that of each flower's pedicel (F,).
 
     Keys: "stem" with branches, "pedicel", and "base" for all the rest, which is bent most where it begins. A petiole
     that the gripper holds aside is bent, which it survives; what counts there is how the shake swings it.
     """
     if not shaking.any():
-        return {"stem": 0.0, "pedicel": 0.0, "base": 0.0}
+        return {"stem": 0.0, "pedicel": 0.0, "base": 0.0}, np.zeros(len(cell.plant.flower_segment))
     organ = cell.plant.organ[cell.mechanics.pieces.first]
     trunk, stalk = np.isin(organ, (Organ.STEM, Organ.BRANCH)), organ == Organ.PEDICEL
     qpos = log.qpos[shaking]
     bent = np.max([cell.mechanics.strain(q) for q in qpos], axis=0)
     swung = np.max([cell.mechanics.strain(q) for q in qpos - qpos.mean(axis=0)], axis=0)
     parts = {"stem": bent[trunk], "pedicel": swung[stalk], "base": swung[~trunk & ~stalk]}
-    return {kind: float(strain.max(initial=0)) for kind, strain in parts.items()}
+    pieces, pedicels = cell.mechanics.pieces, np.zeros(len(cell.plant.flower_segment))
+    for f, segment in enumerate(cell.plant.flower_segment):
+        piece = int(pieces.body[segment])
+        while piece >= 0 and stalk[piece]:
+            pedicels[f], piece = max(pedicels[f], swung[piece]), int(pieces.parent[piece])
+    return {kind: float(strain.max(initial=0)) for kind, strain in parts.items()}, pedicels
 
 
 def _leaf_acceleration(cell: Cell, times: Array, poses: Array | None) -> float:

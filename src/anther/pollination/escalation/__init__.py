@@ -72,7 +72,7 @@ ADDED = 15.0
 """A step adds no more to any flower that is seen [m/s2]: half of what bends one pedicel in twenty by 1 % (facts:
 pollination 6)."""
 ENOUGH = 1.05
-"""A raise by less is not worth its time, nor is going back to what moved the flowers more."""
+"""A raise by less is not worth its time, nor is going back to what was worth more."""
 LOST = 0.5  # a shake is ended when fewer than this share of the points followed in the probe still are
 
 
@@ -323,8 +323,9 @@ class Escalation:
         elif stays:
             option.may = option.may._replace(flowers=0.0, net=0.0)  # another shake may show them
         else:  # as two did not, a third would not: what the model allows
-            for one in blind:
-                one.keep_to_plan(OUT_OF_SIGHT)
+            for one in self._options:
+                if not one.shown:
+                    one.keep_to_plan(OUT_OF_SIGHT)
         best = self._best()
         if self._options[best].promised > BETTER * option.promised and self._fits(best):
             return self._turned_to(best)
@@ -376,9 +377,10 @@ class Escalation:
         if not self._doubted and why not in LASTING:
             return self._again(shake, higher, why)
         self._last = True
-        best = max(range(len(self._options)), key=lambda n: self._options[n].moved)
-        if best != shake and self._options[best].moved > ENOUGH * now * float(np.median(option.told.flowers)):
-            why = f"{why}; more moved at {self._hertz[best]:.3g} Hz"
+        done = [one.worth_at(one.borne) for one in self._options]
+        best = int(np.argmax(done))
+        if best != shake and done[best] > ENOUGH * option.worth_at(now):
+            why = f"{why}; {self._hertz[best]:.3g} Hz was worth more"
             shake, higher = best, self._options[best].borne
         else:
             higher = min(now, higher)

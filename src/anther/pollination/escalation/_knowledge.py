@@ -68,7 +68,7 @@ class Known(NamedTuple):
         seen: (F,) whether the camera measured it.
         most: (F,) acceleration above which the camera would have measured it [1/s2]; NaN where it was not followed.
         loads: kind of load -> the largest, as expected.
-        answer: what members say that it does.
+        answer: what members say that it does; of flowers that are seen, what the camera measured.
         followed: (F,) flowers that the camera followed.
         picture: (F, 3) phasors of the flowers as `Swings` has them, on the camera's clock [m/m].
     """
@@ -243,6 +243,7 @@ def known(foresight: Foresight, hertz: float, one: Answer, late: float) -> Known
     flowers = np.einsum("fa,fax->fx", parts, np.linalg.inv(one.axes))
     swing = one.peak * semi_major(flowers)  # that would give this acceleration without overtones
     answer = foresight.answer(one.members, hertz, one.peak)
+    answer = answer._replace(flowers=np.where(seen, omega**2 * swing, answer.flowers))  # sight overrules members
     loads = {kind: _expected(kind, getattr(answer, kind), hertz) for kind in decision.COSTS}
     loads["joint_strain"] = _expected("pedicels", answer.pedicels.max(axis=-1, initial=0.0), hertz)
     picture = np.exp(-1j * omega * late) * parts

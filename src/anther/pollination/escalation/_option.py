@@ -129,10 +129,10 @@ class Option:
         """How far it was raised, as far as that is still allowed after every look at it [m]."""
         return min(self.tried, self.may.amplitude)
 
-    @property
-    def moved(self) -> float:
-        """The flowers' median at `borne` [m/s2]."""
-        return self.borne * float(np.median(self.told.flowers))
+    def worth_at(self, amplitude: float) -> float:
+        """Return what it is worth at an amplitude [m], by what is known of it now."""
+        told = self.told
+        return float(worth(told.answer, np.array([amplitude]), self.hertz, self.held, self.price, told.followed).net[0])
 
     def looked_at(self, told: Known) -> float:
         """Learn from a look at it alone; return which share of what was promised before is kept, at most 1."""

@@ -14,6 +14,15 @@ Limit = Callable[[Grasp, Array, Array], Array]
 """(grasp, unit direction (3,), frequencies (Q,) [Hz]) -> largest amplitudes (Q,) [m]."""
 
 
+Delivery = Callable[[Array], tuple[Array, Array]]
+"""See `Actuator.delivers`."""
+
+
+def exactly(frequencies: Array) -> tuple[Array, Array]:
+    """Return that an actuator does what it is commanded."""
+    return np.zeros_like(frequencies), np.zeros_like(frequencies)
+
+
 @dataclass(frozen=True, slots=True)
 class Actuator:
     """A machine that moves the grip to and fro.
@@ -25,6 +34,7 @@ class Actuator:
         least_amplitude: it cannot be trusted with less [m].
         tones: so many frequencies are worth trying at once; of more, what it can do of each is too little to be seen.
         closing: whether it moves the grip along the gripper's closing axis alone.
+        delivers: frequencies [Hz] -> mean and standard deviation of ln of what the grip does over what is commanded.
     """
 
     name: str
@@ -34,6 +44,7 @@ class Actuator:
     least_amplitude: float
     tones: int
     closing: bool = False
+    delivers: Delivery = exactly
 
 
 _HERTZ = np.array([1, 2, 3, 5, 8, 10, 15, 20, 30.0])
@@ -63,6 +74,17 @@ def _amplitude(table: Array, frequencies: Array) -> Array:
     return inside * np.minimum(1, (_HERTZ[-1] / frequencies) ** 2)
 
 
+_TONES = np.array([3.0, 7.0, 12.0, 17.0, 23.5, 31.0])
+_DELIVERED = np.array([[0.15, 0.23, 0.13, 0.01, -0.26, -0.58], [0.03, 0.12, 0.29, 0.36, 0.41, 0.47]])
+
+
+def _arm_delivers(frequencies: Array) -> tuple[Array, Array]:
+    """Servos ring and links hang on springs: 12 simulated Sawyers that hold nothing, whose truth is drawn wide
+    (evaluation/trials/arm_readings.py)."""
+    mean, spread = (np.interp(np.log(frequencies), np.log(_TONES), row) for row in _DELIVERED)
+    return mean, spread
+
+
 def arm_shaker(limit: Limit = sawyer_limit) -> Actuator:
     """Return an arm that shakes the closed gripper.
 
@@ -74,7 +96,7 @@ def arm_shaker(limit: Limit = sawyer_limit) -> Actuator:
     Args:
         limit: what its joints manage at the grasp's own joint angles.
     """
-    return Actuator("arm", limit, lowest=1.0, highest=35.0, least_amplitude=0.3e-3, tones=3)
+    return Actuator("arm", limit, lowest=1.0, highest=35.0, least_amplitude=0.3e-3, tones=3, delivers=_arm_delivers)
 
 
 STROKE, ACCELERATION = 1.5e-3, 50.0
@@ -88,8 +110,20 @@ def _motor_limit(_: Grasp, __: Array, frequencies: Array) -> Array:
     return RAMPS * np.minimum(STROKE, ACCELERATION / (2 * np.pi * np.asarray(frequencies, dtype=float)) ** 2)
 
 
+def _motor_delivers(frequencies: Array) -> tuple[Array, Array]:
+    """A voice coil that is set in volts, or calibrated by hand: within about 14 %, a guess."""
+    return np.zeros_like(frequencies), np.full_like(frequencies, 0.08)
+
+
 VIBRATING_GRIPPER = Actuator(
-    "vibrating gripper", _motor_limit, lowest=10.0, highest=40.0, least_amplitude=0.02e-3, tones=6, closing=True
+    "vibrating gripper",
+    _motor_limit,
+    lowest=10.0,
+    highest=40.0,
+    least_amplitude=0.02e-3,
+    tones=6,
+    closing=True,
+    delivers=_motor_delivers,
 )
 """A gripper whose fingers a motor moves to and fro along their closing axis, so that the pads push the stem and need no
 friction; the arm stands still. A design of ours, not a product.

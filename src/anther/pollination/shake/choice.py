@@ -144,7 +144,9 @@ def search(
     price = params.price if params.keeps_limits else 0.0
     steps = np.linspace(0, 1, SIZES)[:, None, None, None] if params.keeps_limits else np.ones(1)[:, None, None, None]
     tried = least * np.maximum(reach / least, 1.0) ** steps
-    net = worth(response.answer(frequencies), tried, hertz, params.held(1.0) * grips.press, price).net
+    held = params.held(1.0) * grips.press
+    answer, delivered = response.answer(frequencies), actuator.delivers(hertz)
+    net = worth(answer, tried, hertz, held, price, delivered=delivered).net
     best = net.argmax(axis=0)[None]
     amplitude = np.minimum(np.take_along_axis(tried, best, axis=0)[0], reach)
     score = np.take_along_axis(net, best, axis=0)[0]
