@@ -8,7 +8,8 @@ still, a tracker that sits on what stands still, times that are late, another pl
 camera. A plant is one of those that are believed, or SOFT times softer than it: then a shake that is raised because
 nothing seems to move breaks it.
 
-A plant is harmed where the largest true load of any step passes its limit.
+A lie harms a plant where the largest true load of any step passes what nineteen of twenty organs bear, and is larger than
+with the healthy camera: what that raises it to is worth its cost (docs/shake.md).
 """
 
 from __future__ import annotations
@@ -80,6 +81,8 @@ LIES: dict[str, tuple[Lie, tuple[int, ...]]] = {
     "all moves by half": (scaled(0.5), (0,)),
 }
 """What the camera shows, and from which look on."""
+MORE = 1.05
+"""A raise by less is not worth its time: a healthy shake may end so far below its best."""
 HEALTHY, UNNOTICED = "healthy", "all moves by half"
 """Half of what a plant does that is three times softer is what one would do that is half again as soft as believed."""
 
@@ -154,14 +157,20 @@ def report(cases: list[Case], outcomes: list[Outcome], soft: float) -> tuple[Tab
             cells += [passed, f"{shares.max():.2f}", f"{1e3 * np.median(amplitudes):.1f}", f"{np.median(flowers):.0f}"]
         table.add_row(lie, str(since + 1), *cells)
 
+    honest = {(c.seed, c.softer): o.share for c, o in zip(cases, outcomes, strict=True) if c.lie == HEALTHY}
+
     def those(softer: float, *lies: str) -> np.ndarray:
         return np.array([o for c, o in zip(cases, outcomes, strict=True) if c.softer == softer and c.lie in lies])
+
+    def harmed(softer: float, *lies: str) -> float:
+        some = [(c, o) for c, o in zip(cases, outcomes, strict=True) if c.softer == softer and c.lie in lies]
+        return float(sum(o.share > max(1.0, MORE * honest[c.seed, softer]) for c, o in some))
 
     lies = [lie for lie in LIES if lie not in (HEALTHY, UNNOTICED)]
     metrics: dict[str, float] = {"runs": len(cases), "plants": len({case.seed for case in cases})}
     for prefix, softer in (("", 1.0), ("soft_", soft)):
-        metrics[f"{prefix}passed_limit"] = float(np.sum(those(softer, *lies)[:, 0] > 1))
-        metrics[f"{prefix}half_passed_limit"] = float(np.sum(those(softer, UNNOTICED)[:, 0] > 1))
+        metrics[f"{prefix}passed_limit"] = harmed(softer, *lies)
+        metrics[f"{prefix}half_passed_limit"] = harmed(softer, UNNOTICED)
         metrics[f"{prefix}healthy_passed_limit"] = float(np.sum(those(softer, HEALTHY)[:, 0] > 1))
         metrics[f"{prefix}largest_share"] = float(those(softer, *lies)[:, 0].max())
         metrics[f"{prefix}healthy_flowers_m_s2"] = float(np.median(those(softer, HEALTHY)[:, 2]))
