@@ -8,8 +8,8 @@ still, a tracker that sits on what stands still, times that are late, another pl
 camera. A plant is one of those that are believed, or SOFT times softer than it: then a shake that is raised because
 nothing seems to move breaks it.
 
-A lie harms a plant where the largest true load of any step passes what nineteen of twenty organs bear, and is larger than
-with the healthy camera: what that raises it to is worth its cost (docs/shake.md).
+A lie harms a plant where the largest true load of any step passes what nineteen of twenty organs bear, and is larger
+than with the healthy camera: what that raises it to is worth its cost (docs/shake.md).
 """
 
 from __future__ import annotations
