@@ -1,4 +1,4 @@
-"""Blades of leaves: width across the midrib and one-sided area, in the blade's own surface, from the points about it."""
+"""Blades of leaves: width across the midrib and one-sided area, in the blade's own surface, from the points near it."""
 
 from __future__ import annotations
 
