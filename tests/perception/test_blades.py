@@ -1,4 +1,4 @@
-"""Blades: sheets of known width and area, flat and bent, turned, scaled, thinned, noisy, half seen; plants with them."""
+"""Blades: sheets of known width and area, flat and bent, turned, scaled, thinned, noisy, half seen; plants."""
 
 from __future__ import annotations
 
@@ -119,8 +119,8 @@ def test_together() -> None:
     assert together([Blade(0.01, 1.0, 0.5), UNSEEN, Blade(0.03, 3.0, 0.9)]) == pytest.approx((0.03, 4.0, 0.8))
 
 
-def traits_of(points: Array, labels: Array | None = None) -> Traits:
-    cloud = Cloud(points, labels=None if labels is None else labels.astype(np.uint8))
+def traits_of(points: Array) -> Traits:
+    cloud = Cloud(points)
     skeleton = skeletonize(cloud)
     return measure(skeleton, find_stem(skeleton), cloud)
 
@@ -137,19 +137,20 @@ def test_the_leaves_of_a_plant() -> None:
 
 def test_a_stem_without_leaves_has_no_leaf_area() -> None:
     rng = np.random.default_rng(0)
-    found = traits_of(tube([0, 0, 0], [0, 0, 0.5], (0.005, 0.003), 0.0012, rng) + rng.normal(0, 3e-4, (20944, 3)))
+    stem = tube([0, 0, 0], [0, 0, 0.5], (0.005, 0.003), 0.0012, rng)
+    found = traits_of(stem + rng.normal(0, 3e-4, stem.shape))
     assert found.leaf_area_m2 == 0
     assert np.isnan(found.leaf_coverage)
 
 
 def bare_leaf(count: int) -> tuple[Skeleton, Stem, Array]:
     """A stem of 0.2 m along z and, from its middle, a blade along x that begins on it; and the blade's points."""
-    points, midrib = sheet("rectangle", count)
-    nodes = np.concatenate([np.outer(np.arange(21) * 0.01, [0, 0, 1]), midrib[1:] + [0, 0, 0.1]])
+    points, midrib = (places + np.array([0, 0, 0.1]) for places in sheet("rectangle", count))
+    nodes = np.concatenate([np.outer(np.arange(21) * 0.01, [0, 0, 1]), midrib[1:]])
     parent = np.array([-1, *range(20), 10, *range(21, 35)])
     organ = np.where(np.arange(36) < 21, STEM, LEAF).astype(np.uint8)
     stem = Stem(np.arange(21), 0.01 * np.arange(21), np.array([10]), organ)
-    return Skeleton(nodes, parent, np.full(36, 0.002)), stem, points + [0, 0, 0.1]
+    return Skeleton(nodes, parent, np.full(36, 0.002)), stem, points
 
 
 def test_thin_leaves_are_named_in_a_note_and_flowers_are_no_leaf() -> None:

@@ -87,8 +87,10 @@ def measure_blade(points: Array, midrib: Array) -> Blade:
     near = KDTree(line).query(points)[1]
     along = arc[near] + np.einsum("ij,ij->i", points - line[near], tangent[near])
     low, high = np.quantile(along, [0.005, 0.995])
-    edges = np.linspace(low, high, count + 1)
-    which, cell = np.searchsorted(edges, along) - 1, 2.5 * point_spacing(points)  # five points: hardly ever empty
+    edges, spacing = np.linspace(low, high, count + 1), point_spacing(points)
+    if high - low < FEWEST_SLICES * spacing:
+        return UNSEEN
+    which, cell = np.searchsorted(edges, along) - 1, 2.5 * spacing  # five points: hardly ever empty
     sides, filled, side = np.full((count, 2), np.nan), np.zeros(count), None
     for k in range(count):
         inside = which == k
@@ -96,8 +98,8 @@ def measure_blade(points: Array, midrib: Array) -> Blade:
             continue
         at = int(np.searchsorted(arc, (edges[k] + edges[k + 1]) / 2).clip(0, len(arc) - 1))
         across, side = _unrolled(points[inside] - line[at], tangent[at], side)
-        sides[k] = _middle(across)
-        if not np.ptp(sides[k]):  # a line has no width
+        sides[k] = _middle(across, spacing)
+        if np.ptp(sides[k]) < spacing:  # a line has no width
             sides[k] = np.nan
             continue
         filled[k] = _filled(along[inside] - edges[k], across - sides[k, 0], edges[1] - edges[0], np.ptp(sides[k]), cell)
@@ -143,11 +145,11 @@ def _unrolled(offset: Array, tangent: Array, before: Array | None) -> tuple[Arra
     return np.interp(across, grid, length) - np.interp(0, grid, length), axes[0]
 
 
-def _middle(values: Array) -> tuple[float, float]:
-    """Return the ends of what N values fill evenly, from the `MIDDLE` of them."""
+def _middle(values: Array, spacing: float) -> tuple[float, float]:
+    """Return the ends of what N values fill, from the `MIDDLE` of them: as if evenly, but not beyond all of them."""
     low, high = np.quantile(values, [(1 - MIDDLE) / 2, (1 + MIDDLE) / 2])
     more = (high - low) / 2 * ((len(values) + 1) / (len(values) - 1) / MIDDLE - 1)
-    return float(low - more), float(high + more)
+    return max(low - more, values.min() - spacing / 2), min(high + more, values.max() + spacing / 2)
 
 
 def _filled(along: Array, across: Array, length: float, width: float, cell: float) -> float:
