@@ -106,11 +106,11 @@ def measure_blade(points: Array, midrib: Array) -> Blade:
     seen = np.isfinite(sides[:, 0])
     if np.count_nonzero(seen) < FEWEST_SLICES:
         return UNSEEN
-    left, right = (np.interp(np.arange(count), np.flatnonzero(seen), side[seen]) for side in sides.T)
+    left, right = (np.interp(np.arange(count), np.flatnonzero(seen), edge[seen]) for edge in sides.T)
     width, reach = right - left, max(abs(left.sum()), abs(right.sum()))
     wide = np.convolve(np.pad(width, 1, mode="edge"), [0.25, 0.5, 0.25], mode="valid")  # else the luckiest slice wins
-    share = float(np.average(filled, weights=width)) * min(width.sum() / (2 * reach), 1.0)
-    return Blade(float(wide.max()), float(width.sum() * (edges[1] - edges[0]) / 0.99), share)
+    share = np.average(filled, weights=width) * min(width.sum() / (2 * reach), 1.0)
+    return Blade(float(wide.max()), float(width.sum() * (edges[1] - edges[0]) / 0.99), float(share))
 
 
 def _smooth(midrib: Array) -> tuple[Array, Array, Array]:
