@@ -360,6 +360,8 @@ def test_every_test_that_a_page_names_is_there() -> None:
     assert any(page == "hazards.md" for page, _, _ in named)
     tests = ROOT / "tests"
     sources = {str(path.relative_to(tests)): path.read_text() for path in tests.rglob("test_*.py")}
+    kit = (ROOT / "src/anther/robot/testing.py").read_text()  # the checks that `test_conformance.py` runs
+    sources["robot/test_conformance.py"] += kit
     lost = [row for row in sorted(named) if not re.search(rf"^ *def {row[2]}\(", sources.get(row[1], ""), re.MULTILINE)]
     assert not lost
 

@@ -175,7 +175,9 @@ def test_growth_is_from_one_day_to_the_next() -> None:
 
     days = [("a", "2026-05-05", 0.5), ("a", "2026-05-01", 0.1), ("a", "2026-05-03", 0.2), ("b", "2026-05-01", 9.0)]
     rows = [row(*day) for day in days] + [row("a", "2026-05-02", 7.0, "blurred"), row("c", "", 1.0)]
+    rows[2]["leaf_area_m2"] = None
     found = list(command.growth(rows))
+    assert ["leaf_area_m2_per_day" in row for row in found] == [False, False], "not measured on the day between"
     assert [(r["plant_id"], r["from"], r["days"]) for r in found] == [("a", "2026-05-01", 2), ("a", "2026-05-03", 2)]
     assert [r["plant_height_m_per_day"] for r in found] == pytest.approx([0.05, 0.15])
 
@@ -214,6 +216,9 @@ def test_the_tables_of_a_folder(clouds: Path, tmp_path: Path, monkeypatch: pytes
     assert 0.05 < float(rows[0]["stem_length_m"]) < float(rows[0]["total_length_m"])
     limbs = [row for row in table(out / "limbs.csv") if row["plant"] == "a.ply"]
     assert len(limbs) == sum(int(rows[0][f"{organ}_count"]) for organ in command.COUNTED) > 0
+    areas = [float(row["area_m2"]) for row in limbs if row["area_m2"]]
+    assert float(rows[0]["leaf_area_m2"]) == pytest.approx(sum(areas))
+    assert not any("nan" in row.values() for row in (*rows, *limbs))
     assert (out / "plants" / "b" / "c.ply" / "overview.png").stat().st_size > 1000
 
     def never(*_: object) -> None:

@@ -29,7 +29,7 @@ from anther.plant.imported import with_known_places
 from anther.show.pictures import save_figure
 from anther.show.pictures.plant import draw_plant
 
-VERSION = 2
+VERSION = 3
 """Of the columns: rows of another are measured again."""
 COUNTED = ("branch", "truss", "leaf")
 COLUMNS: dict[str, type] = {
@@ -49,6 +49,9 @@ COLUMNS: dict[str, type] = {
     "limb_length_median_m": float,
     "limb_length_most_m": float,
     "leaf_angle_median_deg": float,
+    "leaf_width_median_m": float,
+    "leaf_area_m2": float,
+    "leaf_coverage": float,
     "total_length_m": float,
     "points": int,
     "stem_confidence": float,
@@ -57,7 +60,10 @@ COLUMNS: dict[str, type] = {
     "failure": str,
 }
 """Of plants: one line each. stem_radius_50_m is that half-way up."""
-GROWING = ("plant_height_m", "plant_width_m", "stem_length_m", "total_length_m", "projected_area_m2", "hull_volume_m3")
+GROWING = (
+    "plant_height_m", "plant_width_m", "stem_length_m", "total_length_m", "projected_area_m2", "hull_volume_m3",
+    "leaf_area_m2",
+)  # fmt: skip
 GROWTH: dict[str, type] = {
     "plant_id": str,
     "from": str,
@@ -148,7 +154,8 @@ def growth(rows: Sequence[dict[str, Any]]) -> Iterator[dict[str, Any]]:
         for old, new in zip(seen, seen[1:], strict=False):
             days = (date.fromisoformat(new["date"]) - date.fromisoformat(old["date"])).days
             if days:
-                change = {f"{trait}_per_day": (new[trait] - old[trait]) / days for trait in GROWING}
+                known = [trait for trait in GROWING if None not in (old[trait], new[trait])]
+                change = {f"{trait}_per_day": (new[trait] - old[trait]) / days for trait in known}
                 yield {"plant_id": name, "from": old["date"], "to": new["date"], "days": days} | change
 
 
@@ -180,16 +187,17 @@ def _row(args: Args, path: Path, place: Path) -> dict[str, Any]:
     params, known = _stages(args)
     skeleton = skeletonize(cloud, params)
     stem = organs_of(find_stem(skeleton, known, flowers_at=flower_centres(cloud)), args.species)
-    traits = measure(skeleton, stem)
+    traits = measure(skeleton, stem, cloud)
     skeleton.save(place / "skeleton.npz")
     stem.save(place / "stem.npz")
     save_figure(draw_plant(cloud, skeleton, stem), place / "overview.png")
     lengths = [limb.length_m for limb in traits.limbs]
     angles = [limb.angle_deg for limb in traits.limbs if limb.organ == "leaf"]
-    return {
+    widths = [limb.width_m for limb in traits.limbs if np.isfinite(limb.width_m)]
+    row = {
         "points": len(cloud.points),
-        "notes": "; ".join((*cloud.notes, *skeleton.notes, *stem.notes)),
-        "limb_rows": [limb._asdict() for limb in traits.limbs],
+        "notes": "; ".join((*cloud.notes, *skeleton.notes, *stem.notes, *traits.notes)),
+        "limb_rows": [_known(limb._asdict()) for limb in traits.limbs],
         "limbs": len(traits.limbs),
         "tips": traits.tips,
         **measure_cloud(cloud)._asdict(),
@@ -204,10 +212,18 @@ def _row(args: Args, path: Path, place: Path) -> dict[str, Any]:
         "limb_length_median_m": float(np.median(lengths)) if lengths else None,
         "limb_length_most_m": max(lengths, default=None),
         "leaf_angle_median_deg": float(np.median(angles)) if angles else None,
+        "leaf_width_median_m": float(np.median(widths)) if widths else None,
+        "leaf_area_m2": traits.leaf_area_m2,
+        "leaf_coverage": traits.leaf_coverage,
         "total_length_m": traits.total_length_m,
         "stem_confidence": traits.stem_confidence,
         "stem_doubt": "; ".join(doubt(stem.confidence)),
     }
+    return _known(row)
+
+
+def _known(row: dict[str, Any]) -> dict[str, Any]:
+    return {name: None if isinstance(value, float) and np.isnan(value) else value for name, value in row.items()}
 
 
 def _stages(args: Args) -> tuple[Params, StemParams]:

@@ -12,6 +12,7 @@ from scipy.spatial import ConvexHull, KDTree, QhullError
 from anther.core.choices import Species
 from anther.core.errors import StageFailure
 from anther.core.geometry import Array
+from anther.perception.blades import Blade, measure_blades, together
 from anther.perception.cloud import Cloud
 from anther.perception.skeleton import Skeleton
 from anther.perception.skeleton.raw_tree import edge_lengths, sum_above
@@ -34,6 +35,8 @@ class Limb(NamedTuple):
         radius_m: median radius of its first `REACH`.
         angle_deg: between the stem's upward direction there and the limb's first `REACH`.
         azimuth_deg: of that piece about the vertical, from x to y, in [0, 360).
+        width_m, area_m2, coverage: of its blades (`blades.Blade`); NaN without a blade, without a cloud, and where the
+            points are too few.
     """
 
     organ: str
@@ -43,6 +46,9 @@ class Limb(NamedTuple):
     radius_m: float
     angle_deg: float
     azimuth_deg: float
+    width_m: float = np.nan
+    area_m2: float = np.nan
+    coverage: float = np.nan
 
 
 class Traits(NamedTuple):
@@ -59,6 +65,9 @@ class Traits(NamedTuple):
         tips: ends of the skeleton, the stem's own too.
         total_length_m: of all axes of the skeleton.
         stem_confidence: see `Stem.confidence`; None if unknown.
+        leaf_area_m2, leaf_coverage: of the limbs' blades; NaN without a cloud or where none can be measured; without
+            blades the area is 0.
+        notes: which of them could not be measured.
     """
 
     plant_height_m: float
@@ -71,14 +80,17 @@ class Traits(NamedTuple):
     tips: int
     total_length_m: float
     stem_confidence: float | None
+    leaf_area_m2: float = np.nan
+    leaf_coverage: float = np.nan
+    notes: tuple[str, ...] = ()
 
     def count(self, organ: str) -> int:
         """Return how many limbs are "branch", "truss" or "leaf"."""
         return sum(limb.organ == organ for limb in self.limbs)
 
 
-def measure(skeleton: Skeleton, stem: Stem) -> Traits:
-    """Return the traits of a plant; only what `Stem.attachments` names counts as a limb."""
+def measure(skeleton: Skeleton, stem: Stem, cloud: Cloud | None = None) -> Traits:
+    """Return the traits of a plant; only what `Stem.attachments` names counts as a limb. Blades need its cloud."""
     length = edge_lengths(skeleton.nodes, skeleton.parent)
     line, arc = skeleton.nodes[stem.node_ids], stem.arc_length
     on_stem = np.zeros(len(length), dtype=bool)
@@ -87,10 +99,15 @@ def measure(skeleton: Skeleton, stem: Stem) -> Traits:
     way = sum_above(skeleton.parent, np.where(on_stem, 0, length))
     position = {int(node): k for k, node in enumerate(stem.node_ids)}
     wanted = {int(stem.node_ids[k]) for k in stem.attachments}
-    limbs = [
-        _limb(skeleton, stem, length, way, np.flatnonzero(origin == base), position[int(skeleton.parent[base])])
-        for base in np.flatnonzero(~on_stem & np.isin(skeleton.parent, list(wanted)))
-    ]
+    found = {} if cloud is None else measure_blades(skeleton, stem, cloud)
+    limbs, leaves = list[Limb](), list[Blade]()
+    for base in np.flatnonzero(~on_stem & np.isin(skeleton.parent, list(wanted))):
+        nodes = np.flatnonzero(origin == base)
+        own = [found[j] for j in nodes.tolist() if j in found]
+        limb = _limb(skeleton, stem, length, way, nodes, position[int(skeleton.parent[base])])
+        limbs.append(limb._replace(**together(own)._asdict()))
+        leaves += own
+    whole, unseen = together(leaves), sum(bool(np.isnan(blade.area_m2)) for blade in leaves)
     rise = line[-1] - line[0]
     places = np.unique(arc[np.sort(stem.attachments)])
     about = np.array([_radius_about(skeleton.radius[stem.node_ids], arc, share / 100) for share in LEVELS])
@@ -105,6 +122,9 @@ def measure(skeleton: Skeleton, stem: Stem) -> Traits:
         tips=int((skeleton.children_count == 0).sum()),
         total_length_m=float(length.sum()),
         stem_confidence=stem.confidence,
+        leaf_area_m2=whole.area_m2 if leaves or cloud is None else 0.0,
+        leaf_coverage=whole.coverage,
+        notes=(f"blades too thinly seen to measure: {unseen} of {len(leaves)}",) if unseen else (),
     )
 
 
