@@ -32,8 +32,8 @@ def test_a_plant_without_visible_flowers_is_shaken_for_supposed_ones_and_says_so
     seen = Seen(None, None, skeleton, stem, none)  # type: ignore[arg-type]
     model = model_plant(seen, TOMATO, Params())
     assert len(model.flower_nodes)
-    assert "supposed" in model.notes[0]
-    assert any("supposed" in note for note in plan_shake(model, grasps_on(skeleton, stem, [8]), params=QUICK).notes)
+    assert "assumed" in model.notes[0]
+    assert any("assumed" in note for note in plan_shake(model, grasps_on(skeleton, stem, [8]), params=QUICK).notes)
 
 
 def test_a_flower_on_no_branch_is_refused() -> None:

@@ -140,7 +140,7 @@ def test_the_report_draws_each_step_and_what_was_decided(tmp_path: Path) -> None
         assert escape(step.decided) in section
     assert "0.20 mm at 8 Hz, 0.50 mm at 3 Hz" in section
     assert "2 of 3" in section, "flowers that were measured"
-    assert "80% slip" in section
+    assert "80%, slip" in section
     alone = RunResults(folder=tmp_path, visit=told(trial_of(), "it was not to be watched"))
     write_report(tmp_path / "report.html", alone)
     assert escape("the plan alone was carried out: it was not to be watched") in (tmp_path / "report.html").read_text()

@@ -179,7 +179,7 @@ def test_what_a_simulated_cell_file_lacked_is_told_with_its_arm(tmp_path: Path) 
 def test_steps_keep_their_width_on_a_phone_beside_long_names_of_limits() -> None:
     """A legend wider than the picture leaves its axes no room."""
     steps = [replace(LAST, loads={word: 0.9}) for word in ("the bending of branch bases", "the bending of pedicels")]
-    figure = draw_steps(steps, 0.0, 30.0, narrow=True)
+    figure = draw_steps(steps, 0.0, narrow=True)
     figure.canvas.draw()
     width = figure.bbox.width
     assert all(axes.get_window_extent().width > 0.6 * width for axes in figure.axes)

@@ -120,7 +120,7 @@ class World:
     depth: bool = False
     plan: ShakePlan = field(default_factory=made_plan)
     params: Params = field(default_factory=Params)
-    limits: Limits = field(default_factory=Limits)
+    limits: Limits = field(default_factory=lambda: Limits(price=3.0))
     begin: float = 17.43
     pieces: list[Swing] = field(default_factory=list)
 

@@ -240,7 +240,7 @@ def named_file(folder: Path, name: str) -> Path:
     then it is sought by its last parts. Without its suffix a PNG or JPEG is meant.
     """
     path = folder / name
-    if path.exists():
+    if os.path.exists(path):  # noqa: PTH110 - of a name that no disk bears Path raises
         return path
     parts = [part for part in re.split(r"[\\/]+", name) if part not in ("", ".")]
     elsewhere = re.match(r"[\\/]|[A-Za-z]:", name) is not None
