@@ -131,6 +131,7 @@ def test_files_named_as_windows_names_them(tmp_path: Path) -> None:
     (tmp_path / "Images/A.PNG").touch()
     assert named_file(tmp_path, "Images\\A.PNG") == tmp_path / "Images/A.PNG"
     assert named_file(tmp_path, "Images/a.png") == tmp_path / "Images/A.PNG"
+    assert named_file(tmp_path, "9" * 400) == tmp_path / ("9" * 400), "no disk bears it: it is not there"
     (tmp_path / "Images/a.PNG").touch()
     assert named_file(tmp_path, "Images/a.png") == tmp_path / "Images/a.png"  # which of both?
     assert named_file(tmp_path, "no/such.png") == tmp_path / "no/such.png"

@@ -241,7 +241,7 @@ def named_file(folder: Path, name: str) -> Path:
     then it is sought by its last parts. Without its suffix a PNG or JPEG is meant.
     """
     path = folder / name
-    if os.path.exists(path):  # of a name too long for a disk Path raises
+    if os.path.exists(path):  # noqa: PTH110 - Path raises of a name that is too long for a disk
         return path
     parts = [part for part in re.split(r"[\\/]+", name) if part not in ("", ".")]
     elsewhere = re.match(r"[\\/]|[A-Za-z]:", name) is not None
