@@ -241,7 +241,7 @@ def named_file(folder: Path, name: str) -> Path:
     then it is sought by its last parts. Without its suffix a PNG or JPEG is meant.
     """
     path = folder / name
-    if os.path.exists(path):  # noqa: PTH110 - Path raises of a name that is too long for a disk
+    if _exists(path):
         return path
     parts = [part for part in re.split(r"[\\/]+", name) if part not in ("", ".")]
     elsewhere = re.match(r"[\\/]|[A-Za-z]:", name) is not None
@@ -249,10 +249,14 @@ def named_file(folder: Path, name: str) -> Path:
     return next((found for found in tails if found is not None), path)
 
 
+def _exists(path: Path) -> bool:
+    return os.path.exists(path)  # noqa: PTH110 - Path raises of a name that is too long for a disk
+
+
 def _alike(folder: Path, parts: list[str]) -> Path | None:
     """Return what lies in a folder under these names, of whatever case; None if it is not there, or twice."""
     for part in parts:
-        if (folder / part).exists():
+        if _exists(folder / part):
             folder = folder / part
             continue
         names = [part.lower() + suffix for suffix in ("", *([] if part != parts[-1] else (".png", ".jpg", ".jpeg")))]
