@@ -120,7 +120,7 @@ def worth(
     held: ArrayLike,
     price: float,
     seen: NDArray[np.bool_] | None = None,
-    delivered: tuple[ArrayLike, ArrayLike] = (0.0, 0.0),
+    delivered: tuple[Array | float, Array | float] = (0.0, 0.0),
 ) -> Worth:
     """Return what shakes are worth.
 
