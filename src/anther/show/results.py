@@ -201,11 +201,11 @@ def _harm(truth: TruthRecord | None) -> tuple[str, str]:
     if truth is None:
         return "not known", ""
     said = f"yes: {truth.harmed}" if truth.harmed else "no"
-    said += f"; {truth.flowers_lost} of {len(truth.true_flower_acceleration_peak)} flowers lost"
     strains = {"stem": truth.true_stem_strain, "pedicel": truth.true_pedicel_strain, "base": truth.true_base_strain}
     words = ", ".join(f"{strain:.2%} in {kind}s" for kind, strain in strains.items())
     loads = f"strain {words}, leaves {quantity(truth.true_leaf_acceleration, 'm/s2')}"
-    return said, f"simulated: harm has a probability of {truth.harm_probability:.1%}; {loads}"
+    lost = f"{truth.flowers_lost} of {len(truth.true_flower_acceleration_peak)} flowers lost"
+    return said, f"simulated: {lost}; harm has a probability of {truth.harm_probability:.1%}; {loads}"
 
 
 def _moved(v: Visit) -> tuple[str, str]:
