@@ -81,8 +81,8 @@ LIES: dict[str, tuple[Lie, tuple[int, ...]]] = {
     "all moves by half": (scaled(0.5), (0,)),
 }
 """What the camera shows, and from which look on."""
-MORE = 1.05
-"""A raise by less is not worth its time: a healthy shake may end so far below its best."""
+MORE = 1.13
+"""Amplitudes are weighed in steps of 12 % (`escalation._option.SIZES`): a shake further by one is as far."""
 HEALTHY, UNNOTICED = "healthy", "all moves by half"
 """Half of what a plant does that is three times softer is what one would do that is half again as soft as believed."""
 
