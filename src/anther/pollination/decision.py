@@ -113,6 +113,11 @@ def error(kind: str, hertz: ArrayLike, seen: bool | None = None) -> tuple[Array,
     return np.asarray(mean), np.asarray(spread)
 
 
+def expected(kind: str, values: Array, hertz: ArrayLike, seen: bool | None = None) -> Array:
+    """Return the median (...) of what is expected of a load of which members have values (M, ...); see `error`."""
+    return np.exp(np.log(np.maximum(values, 1e-12)).mean(axis=0) + error(kind, hertz, seen)[0])
+
+
 def worth(
     answer: Answer,
     amplitude: Array,
@@ -142,11 +147,10 @@ def worth(
         return mean + delivered[0], np.hypot(spread, delivered[1])
 
     gain, lost = np.zeros(size.shape), np.zeros(size.shape)
-    count = answer.flowers.shape[-1]
+    count, borne = answer.flowers.shape[-1], _passed(TOLERANCE["pedicel"])
     for f in range(count):
         known = None if seen is None else bool(seen[f])
         gain += _mean(answer.flowers[..., f], size, off("flowers", known), _freed) / max(count, 1)
-        borne = _passed(TOLERANCE["pedicel"])
         lost += _mean(answer.pedicels[..., f], size, off("pedicels", known), borne) / max(count, 1)
     bent = {
         kind: _mean(getattr(answer, kind), size, off(kind), _passed(TOLERANCE[organ]))

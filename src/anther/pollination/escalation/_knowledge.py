@@ -244,16 +244,12 @@ def known(foresight: Foresight, hertz: float, one: Answer, late: float) -> Known
     swing = one.peak * semi_major(flowers)  # that would give this acceleration without overtones
     answer = foresight.answer(one.members, hertz, one.peak)
     answer = answer._replace(flowers=np.where(seen, omega**2 * swing, answer.flowers))  # sight overrules members
-    loads = {kind: _expected(kind, getattr(answer, kind), hertz) for kind in decision.COSTS}
-    loads["joint_strain"] = _expected("pedicels", answer.pedicels.max(axis=-1, initial=0.0), hertz)
+    loads = {kind: float(decision.expected(kind, getattr(answer, kind), hertz, seen=True)) for kind in decision.COSTS}
+    pedicels = answer.pedicels.max(axis=-1, initial=0.0)
+    loads["joint_strain"] = float(decision.expected("pedicels", pedicels, hertz, seen=True))
     picture = np.exp(-1j * omega * late) * parts
     acceleration = omega**2 * np.where(seen, swing, believed)
     return Known(acceleration, seen, omega**2 * may, loads, answer, followed, picture)
-
-
-def _expected(kind: str, members: Array, hertz: float) -> float:
-    """Return the median of what is expected of a load, of which members have (M,)."""
-    return float(np.exp(np.log(np.maximum(members, 1e-12)).mean() + decision.error(kind, hertz, seen=True)[0]))
 
 
 def _measured(motion: ComplexArray, std: Array) -> NDArray[np.bool_]:

@@ -10,7 +10,7 @@ import numpy as np
 from anther.core.geometry import Array
 from anther.core.records import Range, Record
 from anther.plant.limits import GUSTS, LOADED
-from anther.pollination.decision import COSTS, worth
+from anther.pollination.decision import COSTS, Worth, worth
 from anther.pollination.escalation._knowledge import JUMP, Known
 from anther.pollination.shake import Params as Limits
 
@@ -111,7 +111,7 @@ class Option:
         """Return how far it is worth to be raised by what is known of it now."""
         told = self.told
         tried = self.reach * np.geomspace(DOWN, 1.0, SIZES)
-        found = worth(told.answer, tried, self.hertz, self.held, self.price, told.followed)
+        found = self._worth(tried)
         best = int(found.net.argmax())
         costs = {"joint_strain": found.lost} | {kind: cost * found.bent[kind] for kind, cost in COSTS.items()}
         dearest = max(costs, key=lambda kind: float(costs[kind][best]))
@@ -131,8 +131,11 @@ class Option:
 
     def worth_at(self, amplitude: float) -> float:
         """Return what it is worth at an amplitude [m], by what is known of it now."""
+        return float(self._worth(np.array([amplitude])).net[0])
+
+    def _worth(self, amplitudes: Array) -> Worth:
         told = self.told
-        return float(worth(told.answer, np.array([amplitude]), self.hertz, self.held, self.price, told.followed).net[0])
+        return worth(told.answer, amplitudes, self.hertz, self.held, self.price, told.followed)
 
     def looked_at(self, told: Known) -> float:
         """Learn from a look at it alone; return which share of what was promised before is kept, at most 1."""

@@ -16,7 +16,7 @@ from anther.core.geometry import Array
 from anther.plant.belief import EarlierShake
 from anther.plant.limits import GUSTS, LOADED, PEAKS
 from anther.plant.model import PlantModel
-from anther.pollination.decision import GRIP, error, worth
+from anther.pollination.decision import GRIP, error, expected, worth
 from anther.pollination.grasp import Grasp
 from anther.pollination.shake._actuators import Actuator
 from anther.pollination.shake._plan import LimitRow, Tones
@@ -157,8 +157,7 @@ def search(
 
 def _expected(values: Array, limit: float | Array, kind: str, hertz: Array) -> Bound:
     """Return the bound of a load of which members have values (M, Q, G, D): the median of what is expected."""
-    middle = np.exp(np.log(np.maximum(values, 1e-12)).mean(axis=0) + error(kind, hertz)[0])
-    return Bound(middle, np.atleast_2d(limit), values[0])
+    return Bound(expected(kind, values, hertz), np.atleast_2d(limit), values[0])
 
 
 def _sure(value: Array, limit: float) -> Bound:
