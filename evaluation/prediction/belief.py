@@ -38,6 +38,7 @@ from anther.pollination.response.points import sight
 from anther.pollination.shake.observables import ComplexArray, semi_major
 from anther.robot import Frame
 from anther.sim import Organ, Scene, SimPlant, layout
+from anther.sim._pieces import of_pedicels
 from anther.sim.robot import SIDE
 from anther.sim.simulated_cell import USUAL_DISTANCE
 from evaluation.harness import by_turns, finish, options, run_cases
@@ -128,16 +129,10 @@ def truths(grip: ShakenPlant, middles: Array, motion: ComplexArray) -> dict[str,
     """Return by kind what a metre of the grip truly does at `TONES`: (Q,), or (Q, F) of each flower."""
     plant, pieces = grip.mechanics.plant, grip.mechanics.pieces
     strain, organ = semi_major(grip.bending(TONES)), plant.organ[pieces.first]
-    pedicels = np.zeros((len(TONES), len(plant.flower_segment)))
-    for f, segment in enumerate(plant.flower_segment):
-        piece = int(pieces.body[segment])
-        while piece >= 0 and organ[piece] == Organ.PEDICEL:
-            pedicels[:, f] = np.maximum(pedicels[:, f], strain[:, piece])
-            piece = int(pieces.parent[piece])
     trunk = np.isin(organ, (Organ.STEM, Organ.BRANCH))
     return {
         "flowers": semi_major(grip.linear(TONES)) * (2 * np.pi * TONES[:, None]) ** 2,
-        "pedicels": pedicels,
+        "pedicels": of_pedicels(plant, pieces, strain),
         "base_strain": strain[:, ~trunk & (organ != Organ.PEDICEL)].max(axis=1, initial=0.0),
         "stem_strain": strain[:, trunk].max(axis=1, initial=0.0),
         "leaf_load": leaf_load(grip.plant, middles, motion),

@@ -74,6 +74,17 @@ class Pieces:
     twist: Array
 
 
+def of_pedicels(plant: SimPlant, pieces: Pieces, strain: Array) -> Array:
+    """Return (..., F) the largest of the strains (..., B) of the pieces that are each flower's pedicel."""
+    stalk, found = plant.organ[pieces.first] == Organ.PEDICEL, np.zeros((*strain.shape[:-1], len(plant.flower_segment)))
+    for f, segment in enumerate(plant.flower_segment):
+        piece = int(pieces.body[segment])
+        while piece >= 0 and stalk[piece]:
+            found[..., f] = np.maximum(found[..., f], strain[..., piece])
+            piece = int(pieces.parent[piece])
+    return found
+
+
 def cut(plant: SimPlant, params: Params) -> Pieces:
     """Cut the plant into rigid pieces and find the stiffness between them."""
     heir, body = _heirs(plant), np.full(len(plant.start), -1)

@@ -18,6 +18,7 @@ from anther.core.errors import FailureKind
 from anther.core.geometry import Array, inverse
 from anther.core.oscillation import fit_swing
 from anther.plant.limits import moved
+from anther.sim._pieces import of_pedicels
 from anther.sim.cell import Cell, CellLog
 from anther.sim.plant import Organ
 from anther.sim.truth import DOSE_EXPONENT, HALF_DOSE, TOLERANCE, tolerances
@@ -323,11 +324,7 @@ def _strain(cell: Cell, log: CellLog, shaking: NDArray[np.bool_]) -> tuple[dict[
     bent = np.max([cell.mechanics.strain(q) for q in qpos], axis=0)
     swung = np.max([cell.mechanics.strain(q) for q in qpos - qpos.mean(axis=0)], axis=0)
     parts = {"stem": bent[trunk], "pedicel": swung[stalk], "base": swung[~trunk & ~stalk]}
-    pieces, pedicels = cell.mechanics.pieces, np.zeros(len(cell.plant.flower_segment))
-    for f, segment in enumerate(cell.plant.flower_segment):
-        piece = int(pieces.body[segment])
-        while piece >= 0 and stalk[piece]:
-            pedicels[f], piece = max(pedicels[f], swung[piece]), int(pieces.parent[piece])
+    pedicels = of_pedicels(cell.plant, cell.mechanics.pieces, swung)
     return {kind: float(strain.max(initial=0)) for kind, strain in parts.items()}, pedicels
 
 
