@@ -30,10 +30,12 @@ from scipy.special import logsumexp, ndtr
 
 from anther.core import Array, StageFailure
 from anther.plant import Crop
+from anther.plant.limits import PEDICEL_STRAIN
 from anther.pollination import foresee
 from anther.pollination.decision import error
 from anther.pollination.escalation import watch_points
 from anther.pollination.escalation._foresight import narrowed
+from anther.pollination.escalation._knowledge import Answer, known
 from anther.pollination.response.points import sight
 from anther.pollination.shake.observables import ComplexArray, semi_major
 from anther.robot import Frame
@@ -70,8 +72,8 @@ WORDS = {
     "stem_strain": "strain of stem and forks",
     "leaf_load": "load of the leaf loaded most",
 }
-WHEN = {"before": None, "after": True, "unseen": False}
-"""Before an observation, after it, and after it of flowers that it did not show -> `decision.error`'s `seen`."""
+WHEN = {"before": None, "after": False, "measured": True}
+"""Before an observation, after it, and after it of flowers that it measured -> `decision.error`'s `measured`."""
 SHARES = np.arange(0.05, 0.96, 0.05)
 FEWEST = 200
 """Values of which a distribution is told; those of one plant go together."""
@@ -114,12 +116,15 @@ def values_of(species: Crop, seed: int) -> Iterator[Value]:
             shown[used] += SEEN_WITH * size * (noise[0] + 1j * noise[1])
             std[used] = 0.03 * at.per_pixel[used, None] * (2 * np.pi * tone) ** 2 / SHAKEN[k] * [1, 1, np.nan]
             members = foresight.of(k, direction)
-            for when, known in (("before", members), ("after", narrowed(members, shown, std, at.axes))):
-                answer = foresight.answer(known, tone)
+            own = slice(len(it.seen.flowers.positions))
+            of = Answer(narrowed(members, shown, std, at.axes, k), shown[own], std[own], at.axes[own])
+            after = known(foresight, tone, of, 0.0)
+            for answer, when in ((foresight.answer(members, tone), "before"), (after.answer, "after")):
                 found = [(kind, when, true[kind][k], getattr(answer, kind)) for kind in LARGEST]
-                for kind, (i, j) in product(("flowers", "pedicels"), zip(it.i.tolist(), it.j.tolist(), strict=True)):
-                    seen = when if used[i] or when == "before" else "unseen"
-                    found.append((kind, seen, true[kind][k, j], getattr(answer, kind)[:, i]))
+                for i, j in zip(it.i.tolist(), it.j.tolist(), strict=True):
+                    seen, felt = "measured" if when == "after" and after.seen[i] else when, answer.flowers[:, i]
+                    found.append(("flowers", seen, true["flowers"][k, j], felt))
+                    found.append(("pedicels", seen, true["pedicels"][k, j], PEDICEL_STRAIN.median * felt))
                 for kind, seen, truly, values in found:
                     if truly > 0 and values.min(initial=1.0) > 0:
                         yield [kind, seen, tone, np.round(np.log(truly / values), 4).tolist()]
@@ -183,7 +188,8 @@ def chosen(values: list[Value], kind: str, when: str, band: str) -> list[Value]:
 def transform(value: Value) -> float:
     """Return the share of what was believed that lies below the truth."""
     kind, when, tone, logs = value
-    mean, spread = error(kind, tone, WHEN[when])
+    mean, spread = error(kind.replace("pedicels", "flowers"), tone, WHEN[when])
+    spread = np.hypot(spread, PEDICEL_STRAIN.spread) if kind == "pedicels" else spread
     return float(ndtr((np.array(logs) - mean) / spread).mean())
 
 

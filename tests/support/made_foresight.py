@@ -65,7 +65,7 @@ def made_foresight(seed: int = 0, *, unsure: float = 0.5, gains: Sequence[float]
     z = rng.normal(size=(MEMBERS, 2))
     z[0] = 0
     vectors = scale * (usual + unsure * np.einsum("md,dkasx->mkasx", z, np.array(ways)))
-    return Foresight(TONES, vectors, where, np.array([0, 1]), 4e-3, 0.016)
+    return Foresight(TONES, vectors, where, 4e-3, 0.016)
 
 
 def made_plan(

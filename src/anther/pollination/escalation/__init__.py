@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.core.geometry import Array, Intrinsics
+from anther.pollination.decision import error, expected
 from anther.pollination.escalation._foresight import Foresight, foresee, watch_points
 from anther.pollination.escalation._knowledge import (
     Answer,
@@ -28,14 +29,13 @@ from anther.pollination.escalation._knowledge import (
     settled,
     summed,
 )
-from anther.pollination.escalation._option import SHORTEST, TOO_FAR, WORDS, Option, Params, limits_of
+from anther.pollination.escalation._option import SHORTEST, WORDS, Option, Params, limits_of
 from anther.pollination.execution import Line, Step
 from anther.pollination.response.points import likeness, sight, swings
 from anther.pollination.response.thresholds import overtones
 from anther.pollination.shake import Params as Limits
 from anther.pollination.shake import ShakePlan
 from anther.pollination.shake.observables import semi_major
-from anther.pollination.shake.params import FLOWER_SPREAD
 from anther.robot.devices import LEAD, ArmSample, Frame
 from anther.robot.swing import Swing
 
@@ -55,22 +55,14 @@ WORSE = 1.5
 PROBED = 0.3
 """Of the probe: the rms of its loads over that of the plan's shake. With 0.55 a probe bent the pedicels of one plant of
 24 by 2.3 %. Between 0.22 and 0.55 what 53 plants (MuJoCo's linear equations) feel in the end is the same within 3 %."""
-BEGINS, FIRST = 0.6, 1 / 3
-"""A tone at which no flower was seen begins at this share of what the model allows, another this share of the way, in
-logarithms, from there to what the probes promise: of many tones the one that promises most was up to twice too bold."""
-OUT_OF_SIGHT, NO_TIME = "flowers were lost from sight", "no time is left"
+OUT_OF_SIGHT, NO_TIME = "no flower is in sight", "no time is left"
 UNPROVEN = "what was seen does not move as the gripper does"
-LASTING = (OUT_OF_SIGHT, NO_TIME)
-"""What ends a raise at once; of anything else a second look is taken, since a swing that dies out can feign it."""
 RAISED, HOLD = 2.0, 1.2
 """A step is at most so many times the one before; the last one goes on so long [s]: a flower approaches what it can
 free within 0.6 s."""
 BETTER = 1.25
 """Another tone or line is turned to when it is worth so many times as much: turning takes seconds, and of many promises
 the largest is too large."""
-ADDED = 15.0
-"""A step adds no more to any flower that is seen [m/s2]: half of what bends one pedicel in twenty by 1 % (facts:
-pollination 6)."""
 ENOUGH = 1.05
 """A raise by less is not worth its time, nor is going back to what was worth more."""
 LOST = 0.5  # a shake is ended when fewer than this share of the points followed in the probe still are
@@ -194,7 +186,7 @@ class Escalation:
             self._answers.append(answers)
             follows = self._after_probe(max(shares.values()))
         else:
-            self._looked_at(active[0], told[0])
+            self._options[active[0]].looked_at(told[0])
             follows = self._decided(active[0])
         felt = np.sqrt(sum((a * one.flowers) ** 2 for a, _, one in shaken))
         step = Step(
@@ -221,9 +213,9 @@ class Escalation:
         tone, amplitude = int(np.abs(tones - last.frequencies[0]).argmin()), last.amplitudes[0]
         direction = np.array(last.direction)
         size = amplitude * semi_major(self._foresight.of(tone, direction)[:, self._foresight.where["flowers"]])
-        spread = np.quantile(np.log(np.maximum(size, 1e-12)), [0.05, 0.95], axis=0).T
-        logs = np.log(np.maximum(size[0], 1e-12))[:, None]
-        wide = np.exp(logs + [-1, 1] * np.hypot(spread - logs, 1.645 * FLOWER_SPREAD))
+        middle = expected("flowers", size, float(tones[tone]))
+        doubt = np.hypot(np.log(np.maximum(size, 1e-12)).std(axis=0), error("flowers", float(tones[tone]))[1])
+        wide = middle[:, None] * np.exp(1.645 * doubt[:, None] * [-1, 1])
         omega2 = (2 * np.pi * tones[tone]) ** 2
         return replace(
             self.plan,
@@ -231,9 +223,9 @@ class Escalation:
             frequency=float(tones[tone]),
             amplitude=amplitude,
             duration=last.end - last.begin,
-            predicted_amplitude=size[0],
+            predicted_amplitude=middle,
             predicted_amplitude_interval=wide,
-            predicted_acceleration=omega2 * size[0],
+            predicted_acceleration=omega2 * middle,
             predicted_acceleration_interval=omega2 * wide,
             reason=f"{self.plan.reason} Watched on the way: {' '.join(step.decided for step in steps)}",
         )
@@ -267,17 +259,10 @@ class Escalation:
         if self._options:
             expected = np.stack([c * self._options[n].told.picture for c, n in zip(commanded, active)], axis=1)  # noqa: B905
         seen = settled(swings(self._sight, frames, tones, expected), float(tones[0]))
-        return Look(self._tone[active], direction, commanded, gripper, doubt, seen)
+        return Look(self._tone[active], direction, commanded, gripper, doubt, seen, len(self.steps))
 
     def _known(self, shake: int, answer: Answer) -> Known:
         return known(self._foresight, float(self._hertz[shake]), answer, self._late)
-
-    def _looked_at(self, shake: int, one: Known) -> None:
-        """Learn of a shake that was done alone. By what its promise is not kept, those of the others count less too."""
-        kept = self._options[shake].looked_at(one)
-        for option in self._options:
-            if not option.alone:
-                option.may = option.may._replace(flowers=kept * option.may.flowers, net=kept * option.may.net)
 
     def _after_probe(self, borne: float) -> Next:
         """Return what follows a probe: the next one, or the shake with which flowers can be moved most.
@@ -306,30 +291,15 @@ class Escalation:
     def _decided(self, now: int) -> Next:
         """Return what follows a shake that was looked at."""
         amplitude, option = float(self._piece.amplitudes[now]), self._options[now]
-        lost = option.lost(amplitude, TOO_FAR)
-        if not (lost or self._proofs[-1]):
-            return self._raised(now, amplitude)
-        if lost and not self._doubted and self._fits(now):  # most are found again: they had not swung too far
-            return self._again(now, min(amplitude, option.may.amplitude), OUT_OF_SIGHT)
-        if lost:
-            return self._raised(now, amplitude, lost=True)
-        option.tried = max(option.tried, amplitude)
-        told = bool(np.isfinite(option.told.most).any())
-        option.shown |= told
-        blind = [one for one in self._options if one.alone and not one.shown]
-        stays = not told and (option.shown or len(blind) == 1)
-        if told:  # flowers that are followed and do not seem to move move little
+        why = "" if np.isfinite(option.told.most).any() else OUT_OF_SIGHT
+        why = why if self._proofs[-1] else UNPROVEN
+        if not why:
             self._sure = amplitude
-        elif stays:
-            option.may = option.may._replace(flowers=0.0, net=0.0)  # another shake may show them
-        else:  # as two did not, a third would not: what the model allows
-            for one in self._options:
-                if not one.shown:
-                    one.keep_to_plan(OUT_OF_SIGHT)
-        best = self._best()
-        if self._options[best].promised > BETTER * option.promised and self._fits(best):
-            return self._turned_to(best)
-        return self._raised(now, amplitude, lost=stays)
+            option.tried = max(option.tried, amplitude)
+            best = self._best()
+            if self._options[best].promised > BETTER * option.promised and self._fits(best):
+                return self._turned_to(best)
+        return self._raised(now, amplitude, why)
 
     def _only(self, shake: int, amplitude: float, seconds: float, words: str) -> Next:
         return Next(amplitude * (np.arange(len(self._hertz)) == shake), seconds, words)
@@ -341,40 +311,30 @@ class Escalation:
     def _turned_to(self, shake: int) -> Next:
         option, lines = self._options[shake], self.plan.tones.directions
         most, seen = option.may, bool(option.told.seen.any()) and all(self._proofs[: len(self.plan.tones.probed)])
-        least = option.planned * (1 if seen else BEGINS)
-        self._sure, self._doubted = least, False
-        first = least * min((most.amplitude / least) ** (FIRST * seen), RAISED)
-        begin = max(least, min(first, self._adding(shake)))
+        self._sure, self._doubted = option.planned, False
+        begin = min(most.amplitude, option.planned * (RAISED if seen else 1.0))
         turned = np.degrees(np.arccos(min(abs(float(lines[self._line[shake]] @ lines[0])), 1.0)))
         words = (
             f"At {self._hertz[shake]:.3g} Hz, {turned:.0f}° from the plan's line, flowers may reach {most.flowers:.3g}"
             f" m/s² with {1e3 * most.amplitude:.2g} mm, more than otherwise; {most.binds} ends it there."
         )
-        return self._only(shake, min(begin, most.amplitude), self._watch(shake), words)
+        return self._only(shake, begin, self._watch(shake), words)
 
-    def _adding(self, shake: int) -> float:
-        """Return the amplitude that adds `ADDED` to the flower seen that feels the most [m]."""
-        one = self._options[shake].told
-        return ADDED / max(float(one.flowers[one.seen].max(initial=0.0)), 1e-12)
+    def _raised(self, shake: int, now: float, doubt: str) -> Next:
+        """Return a larger shake, or the last one.
 
-    def _raised(self, shake: int, now: float, *, lost: bool = False) -> Next:
-        """Return a larger shake, or the last one; `lost`: a flower that was followed no longer is.
-
-        After a look that proves nothing it is raised no further than what was proven before, or the model allows.
+        Where `doubt` says why what was seen proves nothing, no larger than what was proven before or the model allows.
         """
         option, may = self._options[shake], self._options[shake].may
-        higher, why = min(may.amplitude, RAISED * now, now + self._adding(shake)), may.binds
-        if lost:  # also what was seen at this amplitude may have grown since
-            sure = self._sure if ENOUGH * self._sure < now or not option.tried else now / RAISED
-            higher, why = min(sure, higher), OUT_OF_SIGHT
-        elif not self._proofs[-1]:
-            higher, why = min(max(self._sure, option.planned), higher), UNPROVEN
-        if not (lost or self._fits(shake)):
+        higher, why = min(may.amplitude, RAISED * now), may.binds
+        if doubt:
+            higher, why = min(max(self._sure, option.planned), higher), doubt
+        if not self._fits(shake):
             higher, why = min(now, higher), NO_TIME
         if higher > ENOUGH * now:
             self._doubted = False
             return self._only(shake, higher, self._watch(shake), f"Raised to {1e3 * higher:.2g} mm.")
-        if not self._doubted and why not in LASTING:
+        if not self._doubted and why != NO_TIME:  # a swing that dies out can feign it
             return self._again(shake, higher, why)
         self._last = True
         done = [one.worth_at(one.borne) for one in self._options]

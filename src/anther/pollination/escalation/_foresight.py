@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from anther.core.geometry import Array
 from anther.plant.model import PlantModel
 from anther.pollination.decision import Answer
-from anther.pollination.shake.observables import ComplexArray, by_flower, hanging, semi_major
+from anther.pollination.shake.observables import ComplexArray, semi_major
 from anther.pollination.shake.pads import PADS, Pads, friction_force, grip_rows, pad_nodes
-from anther.pollination.shake.params import FLOWER_SPREAD
 from anther.pollination.shake.search import held_radius, motions, scenarios
 
 MEMBERS = 32
@@ -31,6 +30,9 @@ STILL = 0.1
 neither this nor the whole is likelier; of 5 simulated plants the tracker showed 0.2 to 1.1."""
 SIGNIFICANCE = 3.0
 """A flower's motion counts as measured from so many standard deviations on; below, it only narrows what is believed."""
+FLOWER_SPREAD = 0.65
+"""Standard deviation of ln(true over modelled amplitude) of a flower about its plant's mean, measured by us on 16
+simulated plants at 5 and 10 Hz (docs/reports/response.md)."""
 STAND_OUT = 2.0
 """Of flowers that swing less than stem and leaves do, for what the members say of both, in standard deviations: from
 here on what is followed in their place stands still. The least in 47 looks at 5 simulated plants was -1.4."""
@@ -45,7 +47,6 @@ class Foresight(NamedTuple):
         tones: (K,) [Hz].
         vectors: (M, K, 3, S, 3), by axis of the gripper's motion; the first member is the plant as believed.
         where: kind -> rows of S, see `search.motions`: flowers first, then points, then loads.
-        hangs: (R,) number of the flower that hangs on each of the pedicels' vectors.
         radius: of the stem between the pads [m].
         pad_width: along the stem [m].
     """
@@ -53,7 +54,6 @@ class Foresight(NamedTuple):
     tones: Array
     vectors: ComplexArray
     where: Mapping[str, slice]
-    hangs: NDArray[np.int64]
     radius: float
     pad_width: float
 
@@ -75,9 +75,8 @@ class Foresight(NamedTuple):
         `peak`: (F,) of each flower's acceleration over what it would be without overtones.
         """
         flowers = peak * semi_major(vectors[:, self.where["flowers"]])
-        pedicels = by_flower(semi_major(vectors[:, self.where["joint_strain"]]), self.hangs, flowers.shape[1])
         loads = (self.load(kind, vectors) for kind in ("base_strain", "stem_strain", "leaf_load", "grip_force"))
-        return Answer((2 * np.pi * hertz) ** 2 * flowers, peak * pedicels, *loads)
+        return Answer((2 * np.pi * hertz) ** 2 * flowers, *loads)
 
 
 def foresee(
@@ -105,7 +104,7 @@ def foresee(
     vectors = np.array(
         [np.moveaxis(np.concatenate([part[:, 0] for part in one.values()], axis=1), -1, 1) for one in found]
     )
-    return Foresight(tones, vectors, where, hanging(plant), float(held_radius(plant, grip)[0]), pads.width)
+    return Foresight(tones, vectors, where, float(held_radius(plant, grip)[0]), pads.width)
 
 
 def watch_points(plant: PlantModel) -> NDArray[np.int64]:
@@ -120,23 +119,26 @@ def watch_points(plant: PlantModel) -> NDArray[np.int64]:
     return nodes[chosen]
 
 
-def narrowed(members: ComplexArray, motion: ComplexArray, std: Array, axes: Array) -> ComplexArray:
+def narrowed(members: ComplexArray, motion: ComplexArray, std: Array, axes: Array, number: int = 0) -> ComplexArray:
     """Return (M, S, 3) what a shake does, once points were seen to move in the camera's picture.
 
     The members' answers are regressed on what a camera sees of them (ensemble Kalman update, Evensen 2003): loads and
     hidden flowers follow as the members have them follow, so that at a tone and grip that were measured no resonance
     has to be known. What is seen is drawn anew for each member with its errors, so that they stay as different as what
-    is not known has them.
+    is not known has them. With fewer members than numbers seen they end too much alike: what is left of a load's error
+    beside them is measured (`decision.OBSERVED_ERRORS`).
 
     Args:
         members: (M, S, 3) what they say of that shake, `Foresight.of`, per metre commanded.
         motion: (P, 3) of the first P of S per metre commanded, along `axes`; any where it was not seen.
         std: (P, 3) standard deviation of either part; NaN where it was not seen.
         axes: (P, 3, 3) see `response.points.Sight`.
+        number: of the observation: the errors that are drawn of two have nothing in common.
     """
     miss, spread, gram, _ = _seen(members, motion, std, axes)
     off = (members - members.mean(axis=0)).reshape(len(members), -1) / np.sqrt(len(members) - 1)
-    drawn = np.random.default_rng(0).normal(size=(2, *miss.shape))
+    drawn = np.random.default_rng(number).normal(size=(2, *miss.shape)) / np.sqrt(2)
+    drawn -= drawn.mean(axis=1, keepdims=True)
     misses = miss + drawn[0] + 1j * drawn[1]
     weights = np.linalg.solve(gram, spread.conj() @ misses.T).T
     return members + (weights @ off).reshape(members.shape)
@@ -209,11 +211,11 @@ def repeated(
 def _seen(
     members: ComplexArray, motion: ComplexArray, std: Array, axes: Array
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray, Array]:
-    """Return what was seen less what each member says (M, V), in standard deviations of those V numbers; the members'
-    spread about their mean over the root of M - 1 (M, V); its gram (M, M), and 1; and the deviations (V,)."""
+    """Return what was seen less what each member says (M, V), in standard deviations of those V complex numbers; the
+    members' spread about their mean over the root of M - 1 (M, V); its gram (M, M), and 1; and the deviations (V,)."""
     said, used = np.einsum("mpx,pxa->mpa", members[:, : len(motion)], axes), np.isfinite(std)
     sizes = [np.linalg.norm(np.where(used, one, 0.0), axis=1) for one in (motion, said.mean(axis=0))]
-    noise = np.hypot(std, MISFIT * np.max(sizes, axis=0)[:, None])[used]
+    noise = np.hypot(np.sqrt(2) * std, MISFIT * np.max(sizes, axis=0)[:, None])[used]
     miss, off = (motion - said)[:, used] / noise, (said - said.mean(axis=0))[:, used] / noise
     spread = off / np.sqrt(len(members) - 1)
     return miss, spread, np.eye(len(members)) + spread.conj() @ spread.T, noise

@@ -13,8 +13,11 @@ from numpy.typing import NDArray
 
 from anther.core.geometry import Array
 from anther.core.oscillation import peak
+from anther.plant.limits import PEDICEL_STRAIN
 from anther.pollination import decision
+from anther.pollination.decision import COSTS, expected
 from anther.pollination.escalation._foresight import (
+    FLOWER_SPREAD,
     SIGNIFICANCE,
     Foresight,
     evidence,
@@ -25,15 +28,12 @@ from anther.pollination.escalation._foresight import (
 )
 from anther.pollination.response.points import Swings
 from anther.pollination.shake.observables import ComplexArray, semi_major
-from anther.pollination.shake.params import FAST, FLOWER_SPREAD
+from anther.pollination.shake.params import FAST
 from anther.robot.devices import ArmSample
 
-UNSEEN = 0.2
-"""A flower that is not seen counts with this quantile of what the members say, and with no more than would have been
-seen: a tone is not taken for what it might do."""
 MISTAKEN = 4.0
-"""Nor when a flower seems to swing exp(4 `FLOWER_SPREAD`), 13, times as far as the members say of it while the others
-do not: something else was followed."""
+"""A flower is not measured when it seems to swing exp(4 `FLOWER_SPREAD`), 13, times as far as the members say of it
+while the others do not: something else was followed."""
 
 PROOF = 3.0
 """ln of the odds, 20 to 1, from which on a look is taken for one at the plant (`evidence`). Of 36 looks at 4 simulated
@@ -43,8 +43,7 @@ or a tenth, all would have had less than -5."""
 JUMP = 4.0
 """Nor when it seems to swing, per metre, more than so many times as far as it could have, unseen or seen, by the look
 before: of 1045 pairs of looks at one shake four did so, by 5 to 12 times, and none of these flowers had. Probes count
-too: two flowers that jumped after them turned a shake back from 0.12 to 0.04 mm. So a flower that is no longer measured
-may swing that much more."""
+too: two flowers that jumped after them turned a shake back from 0.12 to 0.04 mm."""
 
 DAMPING = 0.03
 """Damping ratio by which a swing that still grows goes on growing: branching alone dissipates 0.028 (facts: pollination
@@ -64,12 +63,12 @@ class Known(NamedTuple):
     """Of one shake, per metre of the commanded amplitude.
 
     Attributes:
-        flowers: (F,) peak acceleration [1/s2]; of those that are not seen, what is believed with a margin.
+        flowers: (F,) peak acceleration, median of what is expected [1/s2].
         seen: (F,) whether the camera measured it.
         most: (F,) acceleration above which the camera would have measured it [1/s2]; NaN where it was not followed.
         loads: kind of load -> the largest, as expected.
-        answer: what members say that it does; of flowers that are seen, what the camera measured.
-        followed: (F,) flowers that the camera followed.
+        answer: what members say that it does; of flowers that are seen, what the camera measured, and of others that it
+            followed, no more than it would have measured.
         picture: (F, 3) phasors of the flowers as `Swings` has them, on the camera's clock [m/m].
     """
 
@@ -78,7 +77,6 @@ class Known(NamedTuple):
     most: Array
     loads: Mapping[str, float]
     answer: decision.Answer
-    followed: NDArray[np.bool_]
     picture: ComplexArray
 
 
@@ -93,6 +91,7 @@ class Look(NamedTuple):
             to, and aside.
         doubt: (K,) standard deviation of that, relative to what was commanded.
         swings: of flowers and points.
+        number: of the shake's looks.
     """
 
     tones: NDArray[np.int64]
@@ -101,6 +100,7 @@ class Look(NamedTuple):
     gripper: ComplexArray
     doubt: Array
     swings: Swings
+    number: int = 0
 
     @property
     def followed(self) -> int:
@@ -204,7 +204,7 @@ def answered(foresight: Foresight, look: Look, i: int, late: float, before: Know
         across, omega = np.linalg.norm(motion[own][:, :2], axis=1), 2 * np.pi * foresight.tones[look.tones[i]]
         mistaken |= _measured(motion[own], std[own]) & (omega**2 * across > JUMP * before.most)
     motion[own][mistaken] = std[own][mistaken] = np.nan
-    found = narrowed(members, motion, std, look.swings.axes)
+    found = narrowed(members, motion, std, look.swings.axes, look.number)
     return Answer(found, motion[own], std[own], look.swings.axes[own], sharpened(look.swings, own))
 
 
@@ -232,24 +232,19 @@ def known(foresight: Foresight, hertz: float, one: Answer, late: float) -> Known
     moved = np.einsum("mfx,fxa->mfa", one.members[:, own], one.axes)
     least = SIGNIFICANCE * one.std
     shown, unsure = (np.sqrt(np.nansum(np.abs(part) ** 2, axis=1)) for part in (one.flowers, least))
-    followed = np.isfinite(one.std[:, 0])
-    may = np.where(followed, np.hypot(shown, unsure), np.nan)
-    believed = np.fmin(np.quantile(semi_major(one.members[:, own]), UNSEEN, axis=0), may)
+    may = omega**2 * np.where(np.isfinite(one.std[:, 0]), np.hypot(shown, unsure), np.nan)
     seen = _measured(one.flowers, one.std)
     parts = moved.mean(axis=0)
     deep = np.abs(one.flowers[:, 2]) >= least[:, 2]
     away = np.where(deep, one.flowers[:, 2], _away(moved, one.flowers[:, :2]))
     parts[seen] = np.column_stack([one.flowers[:, :2], away])[seen]
-    flowers = np.einsum("fa,fax->fx", parts, np.linalg.inv(one.axes))
-    swing = one.peak * semi_major(flowers)  # that would give this acceleration without overtones
+    swing = one.peak * semi_major(np.einsum("fa,fax->fx", parts, np.linalg.inv(one.axes)))  # without overtones, as much
     answer = foresight.answer(one.members, hertz, one.peak)
-    answer = answer._replace(flowers=np.where(seen, omega**2 * swing, answer.flowers))  # sight overrules members
-    loads = {kind: float(decision.expected(kind, getattr(answer, kind), hertz, seen=True)) for kind in decision.COSTS}
-    pedicels = answer.pedicels.max(axis=-1, initial=0.0)
-    loads["joint_strain"] = float(decision.expected("pedicels", pedicels, hertz, seen=True))
-    picture = np.exp(-1j * omega * late) * parts
-    acceleration = omega**2 * np.where(seen, swing, believed)
-    return Known(acceleration, seen, omega**2 * may, loads, answer, followed, picture)
+    answer = answer._replace(flowers=np.where(seen, omega**2 * swing, np.fmin(answer.flowers, may)))
+    flowers = np.array([expected("flowers", answer.flowers[:, f], hertz, bool(at)) for f, at in enumerate(seen)])
+    loads = {kind: float(expected(kind, getattr(answer, kind), hertz, measured=False)) for kind in COSTS}
+    loads["joint_strain"] = PEDICEL_STRAIN.median * float(flowers.max(initial=0.0))
+    return Known(flowers, seen, may, loads, answer, np.exp(-1j * omega * late) * parts)
 
 
 def _measured(motion: ComplexArray, std: Array) -> NDArray[np.bool_]:

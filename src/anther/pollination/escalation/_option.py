@@ -11,16 +11,11 @@ from anther.core.geometry import Array
 from anther.core.records import Range, Record
 from anther.plant.limits import GUSTS, LOADED
 from anther.pollination.decision import COSTS, Worth, worth
-from anther.pollination.escalation._knowledge import JUMP, Known
+from anther.pollination.escalation._knowledge import Known
 from anther.pollination.shake import Params as Limits
 
 SHORTEST = 10.0
 """What two probes, a step, a hold and coming to rest take [s]."""
-
-
-TOO_FAR = 45.0
-"""A flower that is out of sight may feel no more [m/s2]: pedicels were bent by 0.5 % at 23 to 55 (facts: pollination
-6)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,16 +59,6 @@ def limits_of(limits: Limits, press: float, hertz: float) -> dict[str, float]:
     return plant | {"grip_force": limits.held(press)}
 
 
-def remembered(before: Allowed, now: Allowed) -> Allowed:
-    """Return how far a shake may be raised after two looks at it: if the first allowed less, half of that counts [ln].
-
-    What swung far once may do so again, and what is seen of a swing errs by a quarter.
-    """
-    share = min(1.0, (before.amplitude / now.amplitude) ** 0.5)
-    binds = now.binds if share == 1 else before.binds
-    return Allowed(share * now.amplitude, share * now.flowers, share * now.net, binds)
-
-
 @dataclass(slots=True, eq=False)
 class Option:
     """A way to shake.
@@ -87,9 +72,6 @@ class Option:
         told: what is known of it.
         may: how far it may be raised.
         tried: how far it was raised [m].
-        alone: whether it was watched alone.
-        shown: whether a flower was followed then.
-        most: (F,) acceleration above which an earlier look would have measured a flower [m/s2 for each m]; NaN before.
     """
 
     hertz: float
@@ -100,9 +82,6 @@ class Option:
     told: Known
     may: Allowed = field(init=False)
     tried: float = 0.0
-    alone: bool = False
-    shown: bool = False
-    most: Array | float = np.nan
 
     def __post_init__(self) -> None:
         self.may = self._allowed()
@@ -135,31 +114,11 @@ class Option:
 
     def _worth(self, amplitudes: Array) -> Worth:
         told = self.told
-        return worth(told.answer, amplitudes, self.hertz, self.held, self.price, told.followed)
+        return worth(told.answer, amplitudes, self.hertz, self.held, self.price, told.seen)
 
-    def looked_at(self, told: Known) -> float:
-        """Learn from a look at it alone; return which share of what was promised before is kept, at most 1."""
-        before, first = self.may, not self.alone
-        self.told, self.alone = told, True
-        self.may = now = self._allowed()
-        if not first:
-            self.may = remembered(before, now)
-        return min(now.flowers / max(before.flowers, 1e-12), 1.0) if first and told.seen.any() else 1.0
-
-    def keep_to_plan(self, why: str) -> None:
-        """Forget what looks at it allowed: it may be raised to what the model allows."""
+    def looked_at(self, told: Known) -> None:
+        """Learn from a look at it alone. A flower that only the look before measured still does about as much."""
+        missed = self.told.seen & ~told.seen
+        flowers = np.where(missed, self.told.answer.flowers, told.answer.flowers)
+        self.told = told._replace(answer=told.answer._replace(flowers=flowers))
         self.may = self._allowed()
-        share = self.planned / self.may.amplitude
-        if share < 1:
-            self.may = Allowed(self.planned, share * self.may.flowers, share * self.may.net, why)
-
-    def lost(self, amplitude: float, limit: float) -> bool:
-        """Return whether a flower may swing too far to be measured: by more than `limit` [m/s2].
-
-        One that a look before showed to feel less than that may feel `JUMP` times as much for each metre, or what would
-        be measured. Of one that no look ever did, as of a hidden one, only the model speaks.
-        """
-        told, before = self.told, self.most
-        may = amplitude * np.where(np.isfinite(before), np.fmin(told.most, JUMP * before), 0.0)
-        self.most = np.where(told.seen | (amplitude * told.most <= limit), told.most, before)
-        return bool(np.any(~told.seen & (may > limit)))

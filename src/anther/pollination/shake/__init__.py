@@ -25,7 +25,6 @@ from anther.pollination.shake.choice import (
     closest,
     grips_of,
     limit_rows,
-    press,
     search,
     tones_at,
 )
@@ -97,7 +96,7 @@ def plan_shake(
         notes += (f"shake: begins as an earlier visit ended, {begins}.",)
     other = _runner_up(found, at)
     _, g, d = at
-    score, pressed = float(found.score[at]), press(done.limits)
+    score, pressed = float(found.score[at]), float(grips.press[g, 0])
     acceleration = (2 * np.pi * done.shake.frequency) ** 2 * done.amplitude
     return ShakePlan(
         grasp_index=g,

@@ -96,9 +96,10 @@ class ShakePlan(Stored):
         frequency: [Hz].
         duration: of the whole motion, `anther.robot.swing.whole_shake` [s].
         press: how hard the pads are to press the stem [N].
-        predicted_amplitude: (F,) of each flower in steady shaking, semi-major axis of its path [m].
-        predicted_amplitude_interval: (F, 2) nine flowers in ten stay between, by the spreads of the material, of
-            the gain, and of one flower about its plant [m].
+        predicted_amplitude: (F,) of each flower in steady shaking, semi-major axis of its path, the median of what is
+            expected [m].
+        predicted_amplitude_interval: (F, 2) nine flowers in ten stay between, by what is believed of plant, model and
+            actuator [m].
         predicted_acceleration: (F,) peak [m/s2].
         predicted_acceleration_interval: (F, 2) [m/s2].
         score: what it is worth, share of all pollen less what may be lost (`decision.Worth.net`).

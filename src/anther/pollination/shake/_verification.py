@@ -14,10 +14,12 @@ import numpy as np
 from anther.core.errors import StageFailure
 from anther.plant.limits import PEAKS
 from anther.plant.model import PlantModel
+from anther.pollination.decision import error
+from anther.pollination.decision import expected as believed
 from anther.pollination.shake._plan import LimitRow
 from anther.pollination.shake.choice import Place, Search, best, closest, limit_rows
 from anther.pollination.shake.observables import Observables, observables, semi_major
-from anther.pollination.shake.params import FLOWER_SPREAD, MOST_DURATION, Params
+from anther.pollination.shake.params import MOST_DURATION, Params
 from anther.rods import (
     RIGID,
     Array,
@@ -48,8 +50,8 @@ class Checked(NamedTuple):
     """A shake after the nonlinear solver has seen it."""
 
     shake: Drive
-    amplitude: Array  # (F,) [m]
-    spread: Array  # (F, 2) over the scenarios, relative
+    amplitude: Array  # (F,) median of what is expected [m]
+    spread: Array  # (F, 2) of which 5 % lie below and above, over that
     limits: list[LimitRow]
     notes: tuple[str, ...]
 
@@ -106,11 +108,13 @@ def check(plant: PlantModel, found: Search, at: Place, params: Params) -> Checke
     largest = float(np.max(np.abs(done.amplitude - expected) / np.maximum(expected, 1e-9)))
     if largest > 0.25:
         notes += (f"shake: a flower's nonlinear amplitude differs from the linear one by {100 * largest:.0f} %.",)
-    span = np.quantile(gain, [0.05, 0.95], axis=0) / np.maximum(gain[0], 1e-12)
-    spread = np.stack([np.minimum(span[0], 1), np.maximum(span[1], 1)], axis=1)
-    spread = np.exp([-1, 1] * np.hypot(np.log(np.maximum(spread, 1e-6)), 1.645 * FLOWER_SPREAD))
+    shift, wrong = (float(part[q, 0, 0]) for part in found.delivered)
+    over = np.exp(shift) * believed("flowers", gain, shake.frequency) / np.maximum(gain[0], 1e-12)
+    members = np.log(np.maximum(gain, 1e-12)).std(axis=0)
+    doubt = np.sqrt(members**2 + error("flowers", shake.frequency)[1] ** 2 + wrong**2)
+    spread = np.exp(1.645 * doubt[:, None] * [-1, 1])
     limits = _limits(found, at, shake, done, params.lasts(shake.frequency))
-    return Checked(shake, done.amplitude, spread, limits, notes)
+    return Checked(shake, over * done.amplitude, spread, limits, notes)
 
 
 MORE = 1.1

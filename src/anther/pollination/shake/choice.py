@@ -10,13 +10,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from anther.core.geometry import Array
 from anther.plant.belief import EarlierShake
-from anther.plant.limits import GUSTS, LOADED, PEAKS
+from anther.plant.limits import GUSTS, LOADED, PEAKS, PEDICEL_STRAIN
 from anther.plant.model import PlantModel
-from anther.pollination.decision import GRIP, error, expected, worth
+from anther.pollination.decision import expected, worth
 from anther.pollination.grasp import Grasp
 from anther.pollination.shake._actuators import Actuator
 from anther.pollination.shake._plan import LimitRow, Tones
@@ -32,10 +31,7 @@ HEIGHTS, DIRECTIONS = 8, 8
 """Grip heights of the response map, beside the grasps; directions over half a turn of the horizontal plane: the best of
 eight is at most 11 degrees off."""
 PRESS = "force of the pads, against slip [N]"
-"""The limit that says how hard they must press."""
-LEAST_PRESS = 8.0
-"""With which the pads press at least, if the stem bears it [N]. On 24 sides of peppers 10-15 and 30-35 gentle pads that
-met a petiole beside the stem held that instead: one at 2 N, none from 4 N on."""
+"""The limit of what holds the stem: pads press as hard as it bears and the gripper can."""
 MOST_SPEED = 0.3
 """Of the grip [m/s]."""
 FLOWER_ACCELERATION = 200.0
@@ -43,8 +39,6 @@ FLOWER_ACCELERATION = 200.0
 SIZES = 14
 """Amplitudes that are weighed of each shake, evenly on a logarithmic scale: worth changes little from one to the
 next."""
-FIRM = 0.975
-"""Share of shakes in which pads that press as is asked hold the stem."""
 
 
 class Grips(NamedTuple):
@@ -78,6 +72,7 @@ class Search(NamedTuple):
     amplitude: Array  # (Q, G, D) that is worth most, or the largest where limits are not kept [m]
     score: Array  # (Q, G, D) what it is worth (`decision.Worth.net`); -1 where it is nothing, or for the map alone
     bounds: dict[str, Bound]  # by name; in the first `OF_THE_MACHINE` the plant has no part
+    delivered: tuple[Array, Array]  # (Q, 1, 1) each, see `Actuator.delivers`
     least: float  # a shake of less amplitude is none [m]
 
 
@@ -126,18 +121,24 @@ def search(
     omega = 2 * np.pi * hertz
     near = [[actuator.amplitude(grasp, d, frequencies) for d in ds] for grasp, ds in zip(grasps, grips.directions)]  # noqa: B905
     most = np.moveaxis(np.asarray(near, dtype=float), 2, 0)[:, grips.grasp]  # the map: as at the nearest grasp
-    firm = float(np.exp(ndtri(FIRM) * np.hypot(error("grip_force", 1.0)[1], GRIP.spread)))
+    delivered = actuator.delivers(hertz)
+
+    def load(values: Array, limit: float | Array, kind: str) -> Bound:
+        """Return the bound of a load of which members have values (M, Q, G, D): the median of what is expected."""
+        return Bound(np.exp(delivered[0]) * expected(kind, values, hertz), np.atleast_2d(limit), values[0])
+
     bounds = {
         f"{actuator.name} amplitude [share of its limit]": _sure(1 / np.maximum(most, 1e-12), 1.0),
         "grip amplitude [m]": _sure(np.ones_like(most), params.most_amplitude),
         "grip speed [m/s]": _sure(np.ones_like(most) * omega, MOST_SPEED),
-        PRESS: _expected(firm * response.grip_force / params.held(1.0), grips.press, "grip_force", hertz),
+        PRESS: load(response.grip_force / params.held(1.0), grips.press, "grip_force"),
     }
-    pedicels = response.pedicel.max(axis=-1, initial=0.0)
-    loads = dict(zip(PEAKS, (response.stem_strain, pedicels, response.base_strain, response.leaf_load), strict=True))
-    for kind, values in loads.items():
+    answer = response.answer(frequencies)
+    felt = load(PEDICEL_STRAIN.median * answer.flowers.max(axis=-1), LOADED["joint_strain"].low, "flowers")
+    for kind, name in PEAKS.items():
         limit = np.where((kind == "leaf_load") & (hertz > GUSTS), np.inf, LOADED[kind].low)
-        bounds[PEAKS[kind]] = _expected(values, limit, kind.replace("joint_strain", "pedicels"), hertz)
+        of_rods = getattr(response, kind)
+        bounds[name] = felt._replace(believed=of_rods[0]) if kind == "joint_strain" else load(of_rods, limit, kind)
     machine = list(bounds.values())[:OF_THE_MACHINE]
     reach = np.min([one.limit / np.maximum(one.value, 1e-12) for one in machine], axis=0)
     least = actuator.least_amplitude if params.least_amplitude is None else params.least_amplitude
@@ -145,19 +146,13 @@ def search(
     steps = np.linspace(0, 1, SIZES)[:, None, None, None] if params.keeps_limits else np.ones(1)[:, None, None, None]
     tried = least * np.maximum(reach / least, 1.0) ** steps
     held = params.held(1.0) * grips.press
-    answer, delivered = response.answer(frequencies), actuator.delivers(hertz)
     net = worth(answer, tried, hertz, held, price, delivered=delivered).net
     best = net.argmax(axis=0)[None]
     amplitude = np.minimum(np.take_along_axis(tried, best, axis=0)[0], reach)
     score = np.take_along_axis(net, best, axis=0)[0]
     score = np.where((amplitude < least) | (score <= 0), -1.0, score)
     score[:, len(grasps) :] = -1.0
-    return Search(grips, response.flower, frequencies, amplitude, score, bounds, least)
-
-
-def _expected(values: Array, limit: float | Array, kind: str, hertz: Array) -> Bound:
-    """Return the bound of a load of which members have values (M, Q, G, D): the median of what is expected."""
-    return Bound(expected(kind, values, hertz), np.atleast_2d(limit), values[0])
+    return Search(grips, response.flower, frequencies, amplitude, score, bounds, delivered, least)
 
 
 def _sure(value: Array, limit: float) -> Bound:
@@ -230,12 +225,6 @@ def limit_rows(found: Search, at: Place) -> list[LimitRow]:
         if np.isfinite(limit):
             rows.append((name, value, limit, value / limit))
     return rows
-
-
-def press(limits: Sequence[LimitRow]) -> float:
-    """Return how hard the pads are to press [N]: as the shake needs, at least `LEAST_PRESS`, at most as allowed."""
-    needed, most = next((value, limit) for name, value, limit, _ in limits if name == PRESS)
-    return min(max(needed, LEAST_PRESS), most)
 
 
 def closest(rows: Sequence[LimitRow], *, kept: bool = True) -> str:

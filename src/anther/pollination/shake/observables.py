@@ -72,26 +72,6 @@ def branch_of(plant: PlantModel) -> NDArray[Any]:
     return np.array(branch)
 
 
-def hanging(plant: PlantModel) -> NDArray[np.int64]:
-    """Return (R,) the number of the flower that hangs on each of the pedicels' vectors (`Observables.joint_strain`)."""
-    look, parent = observables(plant), plant.rods.parent
-    flower = np.full(len(parent), -1)
-    for f, tip in enumerate(plant.flower_nodes):
-        node = int(tip)
-        while plant.is_pedicel[node]:
-            flower[node] = f
-            node = int(parent[node])
-    return flower[look.edges[look.joint_strain - look.strains[0]]]
-
-
-def by_flower(strains: Array, hangs: NDArray[np.int64], flowers: int) -> Array:
-    """Return (..., F) the largest of the strains (..., R) of each flower's pedicel; 0 of one that has none."""
-    found = np.zeros((*strains.shape[:-1], flowers))
-    for row, f in enumerate(hangs.tolist()):
-        found[..., f] = np.maximum(found[..., f], strains[..., row])
-    return found
-
-
 def semi_major(vectors: ComplexArray) -> Array:
     """Return the largest length (...) that the real part of vectors (..., 3) exp(i w t) reaches.
 

@@ -15,11 +15,6 @@ from anther.pollination.shake.pads import PADS, Pads
 
 FAST = 14.0
 """Up to here an arm's readings tell what its gripper does, and loads err as they do at slow tones [Hz]."""
-FLOWER_SPREAD = 0.65
-"""Standard deviation of ln(true over modelled amplitude) of a flower about its plant's mean, measured by us on 16
-simulated plants at 5 and 10 Hz (docs/reports/response.md): how far one flower differs from its plant whatever
-material and gain."""
-
 MOST_DURATION = 5.0
 """Of a visit [s]."""
 

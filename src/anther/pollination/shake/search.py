@@ -18,7 +18,7 @@ from anther.core.errors import StageFailure
 from anther.plant.limits import PEAKS
 from anther.plant.model import Material, PlantModel
 from anther.pollination.decision import Answer
-from anther.pollination.shake.observables import ComplexArray, branch_of, by_flower, hanging, observables
+from anther.pollination.shake.observables import ComplexArray, branch_of, observables
 from anther.pollination.shake.pads import PADS, Pads, friction_force
 from anther.rods import Array, Observed, displacements, observed_response
 
@@ -31,16 +31,16 @@ class Gains(NamedTuple):
     Attributes:
         flower: (M, Q, G, D, F) amplitude of each flower, the semi-major axis of its path, with the material's gain of
             what it moves relative to the grip [m/m].
-        pedicel: (M, Q, G, D, F) largest bending strain of its pedicel [1/m].
-        stem_strain, base_strain: (M, Q, G, D) largest bending strain of main stem and of branch bases [1/m].
+        stem_strain, joint_strain, base_strain: (M, Q, G, D) largest bending strain of main stem, pedicels and branch
+            bases [1/m].
         leaf_load: (M, Q, G, D) largest equivalent acceleration at a branch base [1/s2].
         grip_force: (M, Q, G, D) largest force that friction between pads and stem must bear, what turns and twists the
             stem between them counted in, see `friction_force` [N/m].
     """
 
     flower: Array
-    pedicel: Array
     stem_strain: Array
+    joint_strain: Array
     base_strain: Array
     leaf_load: Array
     grip_force: Array
@@ -49,7 +49,7 @@ class Gains(NamedTuple):
         """Return what a decision asks for, at frequencies (Q,) [Hz]."""
         omega2 = (2 * np.pi * frequencies[:, None, None, None]) ** 2
         loads = (self.base_strain, self.stem_strain, self.leaf_load, self.grip_force)
-        return Answer(omega2 * self.flower, self.pedicel, *loads)
+        return Answer(omega2 * self.flower, *loads)
 
 
 class Version(NamedTuple):
@@ -147,11 +147,10 @@ def _gains_of(
     moved, pads = motions(version, grips, frequencies)
     flowers = _sizes(_answered(plant, grips, moved["flowers"], pads), directions)
     sizes = {kind: _sizes(moved[kind], directions) for kind in PEAKS}
-    pedicels = by_flower(sizes.pop("joint_strain"), hanging(plant), flowers.shape[-1])
     largest = (size.max(axis=-1, initial=0.0) for size in sizes.values())
     wrench = np.moveaxis(_sizes(moved["grip_force"], directions), -1, 0)
     borne = friction_force(*wrench, radius=held_radius(plant, grips)[:, None], width=version.pads.width)
-    return flowers, pedicels, *largest, borne
+    return flowers, *largest, borne
 
 
 def motions(
