@@ -22,7 +22,7 @@ from anther.pollination.grasp import OBSTACLE_CLEARANCE, STEM_CLEARANCE
 from anther.pollination.shake import ShakePlan
 from anther.pollination.shake.choice import PRESS
 from anther.show.pictures.plant import draw_layers
-from anther.show.pictures.report import draw_motion, draw_response_map, draw_steps, draw_views
+from anther.show.pictures.report import draw_decision, draw_motion, draw_response_map, draw_steps, draw_views
 from anther.show.results import FILM, RunResults, watched_words
 from anther.show.run_scene import layers_of
 from anther.show.style import NARROW, NOT_MEASURED, STYLE, quantity
@@ -184,6 +184,10 @@ def _shake(results: RunResults) -> str:
     text = _table(["", *(name for name, _ in both)], rows) + f"<p>{escape(f'The plan. {shake.reason}')}</p>"
     alt = "flower response over grip height and frequency"
     picture = _image(lambda narrow: draw_response_map(shake, executed, narrow), alt)
+    if shake.weighed is not None:
+        words = "what the shake is worth by its amplitude: pollen freed, flowers lost, organs bent"
+        picture += "<h2 style='margin-top:16px'>What it is worth</h2>"
+        picture += _image(lambda narrow: draw_decision(shake, executed, narrow), words)
     header = ["Limit", "Planned", "Executed", "Allowed", "Allowed is as in a breeze of", "Used by the plan"]
     heading = "<h2 style='margin-top:16px'>How close each limit is</h2>"
     return f"{text}{picture}{heading}{_table(header, _limits(results, shake))}"

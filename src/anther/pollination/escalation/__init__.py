@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.core.geometry import Array, Intrinsics
-from anther.pollination.decision import error, expected
+from anther.pollination.decision import Weighed, error, expected
 from anther.pollination.escalation._foresight import Foresight, foresee, watch_points
 from anther.pollination.escalation._knowledge import (
     Answer,
@@ -227,8 +227,15 @@ class Escalation:
             predicted_amplitude_interval=wide,
             predicted_acceleration=omega2 * middle,
             predicted_acceleration_interval=omega2 * wide,
+            weighed=self._weighed(tone, direction),
             reason=f"{self.plan.reason} Watched on the way: {' '.join(step.decided for step in steps)}",
         )
+
+    def _weighed(self, tone: int, direction: Array) -> Weighed | None:
+        """Return what the shake that was ended with was worth by its amplitude, as far as it was looked at."""
+        lines = np.abs(self.plan.tones.directions @ direction)
+        number = np.flatnonzero((self._tone == tone) & (self._line == int(lines.argmax())))
+        return self._options[int(number[0])].weighed if self._options else self.plan.weighed
 
     @property
     def _probe(self) -> float:
@@ -334,7 +341,7 @@ class Escalation:
         if higher > ENOUGH * now:
             self._doubted = False
             return self._only(shake, higher, self._watch(shake), f"Raised to {1e3 * higher:.2g} mm.")
-        if not self._doubted and why != NO_TIME:  # a swing that dies out can feign it
+        if doubt and not self._doubted and why != NO_TIME:
             return self._again(shake, higher, why)
         self._last = True
         done = [one.worth_at(one.borne) for one in self._options]

@@ -10,7 +10,7 @@ import numpy as np
 from anther.core.geometry import Array
 from anther.core.records import Range, Record
 from anther.plant.limits import GUSTS, LOADED
-from anther.pollination.decision import COSTS, Worth, worth
+from anther.pollination.decision import COSTS, Weighed, Worth, weighed, worth
 from anther.pollination.escalation._knowledge import Known
 from anther.pollination.shake import Params as Limits
 
@@ -115,6 +115,12 @@ class Option:
     def _worth(self, amplitudes: Array) -> Worth:
         told = self.told
         return worth(told.answer, amplitudes, self.hertz, self.held, self.price, told.seen)
+
+    @property
+    def weighed(self) -> Weighed:
+        """What it is worth by its amplitude, by what is known of it now."""
+        tried = self.reach * np.geomspace(DOWN, 1.0, SIZES)
+        return weighed(self.told.answer, tried, self.hertz, self.held, self.price, self.told.seen)
 
     def looked_at(self, told: Known) -> None:
         """Learn from a look at it alone. A flower that only the look before measured still does about as much."""

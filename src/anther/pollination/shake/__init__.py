@@ -27,6 +27,7 @@ from anther.pollination.shake.choice import (
     limit_rows,
     search,
     tones_at,
+    weighed_at,
 )
 from anther.pollination.shake.pads import PADS, Pads
 from anther.pollination.shake.params import Params, with_preset
@@ -117,6 +118,7 @@ def plan_shake(
         response_map=_map(found, len(grasps)),
         tones=tones_at(found, at, actuator.tones, earlier),
         pads=params.pads,
+        weighed=weighed_at(found, at, params),
         notes=notes,
     )
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from anther.core.geometry import Array
 from anther.core.records import Range, Record, Shape, Stored
+from anther.pollination.decision import Weighed
 from anther.pollination.grasp import Grasp
 from anther.pollination.shake.pads import PADS, Pads
 
@@ -107,7 +108,7 @@ class ShakePlan(Stored):
             nonlinear solver where that is more, beside what nineteen organs of twenty bear.
         runner_up: the next best, or None.
         reason: why this one, for people.
-        response_map: for the picture.
+        response_map, weighed: for the pictures; the latter of the shake before the nonlinear solver saw it.
         tones: other frequencies worth trying, for a shake that is watched.
         pads: what was believed of them.
         notes: what the stage wants the user to know.
@@ -132,4 +133,5 @@ class ShakePlan(Stored):
     response_map: ResponseMap
     tones: Tones
     pads: Pads = PADS
+    weighed: Weighed | None = None
     notes: tuple[str, ...] = ()

@@ -15,7 +15,7 @@ from anther.core.geometry import Array
 from anther.plant.belief import EarlierShake
 from anther.plant.limits import GUSTS, LOADED, PEAKS, PEDICEL_STRAIN
 from anther.plant.model import PlantModel
-from anther.pollination.decision import expected, worth
+from anther.pollination.decision import Answer, Weighed, expected, weighed, worth
 from anther.pollination.grasp import Grasp
 from anther.pollination.shake._actuators import Actuator
 from anther.pollination.shake._plan import LimitRow, Tones
@@ -36,6 +36,8 @@ MOST_SPEED = 0.3
 """Of the grip [m/s]."""
 FLOWER_ACCELERATION = 200.0
 """Of the flowers on average; more than this is not useful [m/s2]."""
+SHOWN = 40
+"""Amplitudes in the picture of a decision."""
 SIZES = 14
 """Amplitudes that are weighed of each shake, evenly on a logarithmic scale: worth changes little from one to the
 next."""
@@ -68,6 +70,7 @@ class Search(NamedTuple):
 
     grips: Grips
     flower: Array  # (M, Q, G, D, F), see `Gains`
+    answer: Answer  # of (Q, G, D)
     frequencies: Array  # (Q,) [Hz]
     amplitude: Array  # (Q, G, D) that is worth most, or the largest where limits are not kept [m]
     score: Array  # (Q, G, D) what it is worth (`decision.Worth.net`); -1 where it is nothing, or for the map alone
@@ -152,7 +155,7 @@ def search(
     score = np.take_along_axis(net, best, axis=0)[0]
     score = np.where((amplitude < least) | (score <= 0), -1.0, score)
     score[:, len(grasps) :] = -1.0
-    return Search(grips, response.flower, frequencies, amplitude, score, bounds, delivered, least)
+    return Search(grips, response.flower, answer, frequencies, amplitude, score, bounds, delivered, least)
 
 
 def _sure(value: Array, limit: float) -> Bound:
@@ -184,7 +187,7 @@ def tones_at(found: Search, at: Place, most: int, earlier: EarlierShake | None) 
     the lines, the shake's own is the only one.
     """
     q, g, d = at
-    machine = list(found.bounds.values())[:OF_THE_MACHINE]
+    machine = _machine(found)
     reach = np.min([(one.limit / np.maximum(one.value, 1e-12))[:, g] for one in machine], axis=0)
     lines = np.roll(np.arange(reach.shape[1]), -d) if reach.min() >= ROOM else np.array([d])
     reach = reach[:, lines]
@@ -205,6 +208,19 @@ SAME_PLACE = 0.02
 """A grip is the one of an earlier visit up to this along the stem [m]: the pads are 16 mm wide."""
 
 
+def weighed_at(found: Search, at: Place, params: Params) -> Weighed:
+    """Return what a shake is worth by its amplitude, up to what the machine manages."""
+    q, g, _ = at
+    reach = min(float(np.broadcast_to(one.limit, one.value.shape)[at] / one.value[at]) for one in _machine(found))
+    tried = np.geomspace(found.least, max(reach, 1.01 * found.least), SHOWN)
+    alone = Answer(*(part[(slice(None), *at)] for part in found.answer))
+    held, delivered = (
+        params.held(float(found.grips.press[g, 0])),
+        (found.delivered[0][q, 0, 0], found.delivered[1][q, 0, 0]),
+    )
+    return weighed(alone, tried, found.frequencies[q], held, params.price, delivered=delivered)
+
+
 def as_earlier(found: Search, earlier: EarlierShake) -> Search | None:
     """Return the search with no other shakes than an earlier visit's, or None where none of them is allowed."""
     ratio = np.abs(np.log(found.frequencies / earlier.frequency))
@@ -215,6 +231,10 @@ def as_earlier(found: Search, earlier: EarlierShake) -> Search | None:
         d = int(np.abs(found.grips.directions[g] @ earlier.direction).argmax())
         score[q, g, d] = found.score[q, g, d]
     return found._replace(score=score) if np.any(score >= 0) else None
+
+
+def _machine(found: Search) -> list[Bound]:
+    return list(found.bounds.values())[:OF_THE_MACHINE]
 
 
 def limit_rows(found: Search, at: Place) -> list[LimitRow]:

@@ -155,15 +155,46 @@ def _draw_track(axes: Any, shake: ShakePlan, response: Response) -> None:
 
 
 def draw_plan(plan: ShakePlan) -> Figure:
-    """Return a figure of three panels."""
-    figure = Figure(figsize=(11, 7.2), layout="constrained")
-    grid = figure.add_gridspec(2, 2, width_ratios=(1, 1.2))
+    """Return a figure of four panels."""
+    figure = Figure(figsize=(13, 7.2), layout="constrained")
+    grid = figure.add_gridspec(2, 3, width_ratios=(1.1, 1.1, 0.8))
     _draw_response_map(figure, figure.add_subplot(grid[0, :]), plan)
-    _draw_limits(figure.add_subplot(grid[1, 0]), plan)
+    _draw_weighed(figure.add_subplot(grid[1, 0]), plan)
     _draw_flowers(figure.add_subplot(grid[1, 1]), plan)
+    _draw_limits(figure.add_subplot(grid[1, 2]), plan)
     shake = f"{1e3 * plan.amplitude:.2g} mm at {plan.frequency:.3g} Hz, {plan.duration:.2g} s"
     figure.suptitle(f"{shake}, held {100 * plan.grasp.arc_length:.0f} cm up the stem", x=0.01, ha="left")
     return figure
+
+
+def draw_decision(planned: ShakePlan, executed: ShakePlan | None, narrow: bool = False) -> Figure:
+    """Return what the planned shake is worth by its amplitude and, of one that was watched, what it was in the end."""
+    shown = [plan for plan in (planned, executed) if plan is not None and plan.weighed is not None]
+    size = (NARROW, 3.0 * len(shown)) if narrow else (5.2 * len(shown), 3.2)
+    figure = Figure(figsize=size, layout="constrained")
+    panels = figure.subplots(*((len(shown), 1) if narrow else (1, len(shown))), squeeze=False).ravel()
+    for axes, plan in zip(panels, shown, strict=True):
+        _draw_weighed(axes, plan)
+        axes.set_title("as planned" if plan is planned else "after the last look", loc="left", fontsize=9)
+    return figure
+
+
+def _draw_weighed(axes: Any, plan: ShakePlan) -> None:
+    """Draw gain, loss and worth over the amplitude, and what was taken."""
+    one = plan.weighed
+    if one is None:
+        axes.set_axis_off()
+        return
+    size = 1e3 * one.amplitude
+    axes.fill_between(size, *one.interval.T, color=GREEN, alpha=0.2, lw=0, label="worth, nine members in ten")
+    axes.plot(size, one.net, color=GREEN, lw=2, label="worth")
+    axes.plot(size, one.gain, color=ORANGE, lw=1, label="pollen freed")
+    axes.plot(size, one.lost, color=MAGENTA, lw=1, label="flowers lost")
+    axes.plot(size, one.others, color=MAGENTA, lw=1, ls="--", label="organs bent, slip")
+    axes.axvline(1e3 * plan.amplitude, color=INK, lw=1, ls=":")
+    top = 1.9 * max(float(one.gain.max()), 0.1)  # with room for the legend
+    axes.set(xlabel="amplitude of the grip [mm]", ylabel="share of the flowers", xlim=(0, None), ylim=(-0.2 * top, top))
+    axes.legend(frameon=False, fontsize=7, loc="upper left", ncols=2)
 
 
 def _draw_limits(axes: Any, plan: ShakePlan) -> None:
@@ -181,7 +212,7 @@ def _draw_flowers(axes: Any, plan: ShakePlan) -> None:
     index = np.arange(len(middle))
     axes.errorbar(index, middle, error, fmt="o", color=GREEN, ecolor=INK, capsize=3, lw=1)
     axes.set(xlabel="flower, by its acceleration", ylabel="predicted peak\nacceleration [m/s²]", ylim=(0, None))
-    axes.set_xticks(index, [str(k + 1) for k in order])
+    axes.set_xticks(index, [str(k + 1) for k in order], fontsize=9 if len(order) <= 12 else 6)
 
 
 def draw_steps(steps: Sequence[Step], start: float, narrow: bool = False) -> Figure:
