@@ -22,7 +22,7 @@ from anther.core.geometry import Array
 from anther.core.records import Range, Record, Shape
 from anther.plant.limits import GUSTS, HALF_DOSE, LOST_AT, TOLERANCE, Believed
 
-PRICES: dict[Preset, float] = {"gentle": 30.0, "default": 10.0, "bold": 3.0}
+PRICES: dict[Preset, float] = {"gentle": 15.0, "default": 5.0, "bold": 2.0}
 """By preset: so many fruit a person would forgo rather than lose one flower. A judgement; the dial is theirs."""
 COSTS = {"base_strain": 1.0, "stem_strain": 3.0, "leaf_load": 0.1, "grip_force": 1.0}
 """What it costs, in flowers lost for each flower of the plant, if the organ that is loaded most stays bent, or the grip
