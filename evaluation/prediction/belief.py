@@ -4,15 +4,17 @@ r"""Is what Anther believes of a shake calibrated? Flowers and loads of plants t
 
 Simulated plants whose truth is drawn wide (`anther.sim.truth.WIDE`) are scanned in ten views, modelled, held at four
 places and shaken a little at fifteen tones, as an arm and a motor do. The truth is MuJoCo's linear equations. The
-camera sees the nodes that are in sight at rest, each with an error of 12 % and 0.03 px. What is believed, before and
-after that observation, is every member of the ensemble with the lognormal error of `anther.pollination.decision.error`.
+camera sees the nodes that are in sight at rest, each with an error of 12 % and 0.03 px; how well a measured flower is
+known, only films tell (`evaluation.trials.shaking`). What is believed, before and after that observation, is every
+member of the ensemble with the lognormal error of `anther.pollination.decision.error`.
 
 A belief is calibrated where the share of it below the truth (the probability integral transform) is uniform over plants
 and shakes. With --development the plants are those on which the errors were fitted, and the fit is printed.
 
 Keys of --json: pit_error_max, how far the distribution of the transform is at most from uniform at 0.05, 0.1, ... 0.95,
 over kinds and bands; passed_95, the share of truths above the 95 % quantile; both also as <key>_<kind>_<when>_<band>;
-plants.
+motor_<species>_<tone>_ms2, the median flower's median over plants and grips when a motor moves the grip as far as it
+can; plants.
 """
 
 from __future__ import annotations
@@ -37,13 +39,15 @@ from anther.pollination.escalation import watch_points
 from anther.pollination.escalation._foresight import narrowed
 from anther.pollination.escalation._knowledge import Answer, known
 from anther.pollination.response.points import sight
+from anther.pollination.shake import VIBRATING_GRIPPER
+from anther.pollination.shake._actuators import ACCELERATION, STROKE
 from anther.pollination.shake.observables import ComplexArray, semi_major
 from anther.robot import Frame
 from anther.sim import Organ, Scene, SimPlant, layout
 from anther.sim._pieces import of_pedicels
 from anther.sim.robot import SIDE
 from anther.sim.simulated_cell import USUAL_DISTANCE
-from evaluation.harness import by_turns, finish, options, run_cases
+from evaluation.harness import CROPS, by_turns, finish, options, run_cases
 from evaluation.prediction import known_plant
 from evaluation.prediction.known_plant import stem_points
 from evaluation.prediction.shaken_plant import ShakenPlant
@@ -72,12 +76,15 @@ WORDS = {
     "stem_strain": "strain of stem and forks",
     "leaf_load": "load of the leaf loaded most",
 }
-WHEN = {"before": None, "after": False, "measured": True}
-"""Before an observation, after it, and after it of flowers that it measured -> `decision.error`'s `measured`."""
+WHEN = {"before": None, "after": False}
+"""Before an observation, and after it of what it did not measure itself -> `decision.error`'s `measured`."""
 SHARES = np.arange(0.05, 0.96, 0.05)
 FEWEST = 200
 """Values of which a distribution is told; those of one plant go together."""
 
+MOTOR = "motor"
+"""Kind of what the median flower truly feels when a motor moves the grip as far as it can [m/s2]: [kind, species, tone,
+[value]]."""
 Value = list[Any]
 """[kind, one of `WHEN`, tone, ln of the truth over each member's value]."""
 
@@ -108,6 +115,11 @@ def values_of(species: Crop, seed: int) -> Iterator[Value]:
         middles, motion = segment_motion(grip)
         gap, nearest = KDTree(middles).query(places)
         used, true = at.shown & (gap < NEAR), truths(grip, middles, motion)
+        yield from (
+            [MOTOR, species, tone, [float(np.median(felt)) * motor_amplitude(tone)]]
+            for tone, felt in zip(TONES.tolist(), true["flowers"], strict=True)
+            if len(felt)
+        )
         for k, tone in enumerate(TONES.tolist()):
             shown, std = (np.full((len(used), 3), np.nan, kind) for kind in (complex, float))
             shown[used] = np.einsum("px,pxa->pa", motion[k, nearest[used]], at.axes[used])
@@ -120,14 +132,20 @@ def values_of(species: Crop, seed: int) -> Iterator[Value]:
             of = Answer(narrowed(members, shown, std, at.axes, k), shown[own], std[own], at.axes[own])
             after = known(foresight, tone, of, 0.0)
             for answer, when in ((foresight.answer(members, tone), "before"), (after.answer, "after")):
-                found = [(kind, when, true[kind][k], getattr(answer, kind)) for kind in LARGEST]
+                found = [(kind, true[kind][k], getattr(answer, kind)) for kind in LARGEST]
                 for i, j in zip(it.i.tolist(), it.j.tolist(), strict=True):
-                    seen, felt = "measured" if when == "after" and after.seen[i] else when, answer.flowers[:, i]
-                    found.append(("flowers", seen, true["flowers"][k, j], felt))
-                    found.append(("pedicels", seen, true["pedicels"][k, j], PEDICEL_STRAIN.median * felt))
-                for kind, seen, truly, values in found:
+                    if when == "before" or not after.seen[i]:
+                        found.append(("flowers", true["flowers"][k, j], answer.flowers[:, i]))
+                        strain = PEDICEL_STRAIN.median * answer.flowers[:, i]
+                        found.append(("pedicels", true["pedicels"][k, j], strain))
+                for kind, truly, values in found:
                     if truly > 0 and values.min(initial=1.0) > 0:
-                        yield [kind, seen, tone, np.round(np.log(truly / values), 4).tolist()]
+                        yield [kind, when, tone, np.round(np.log(truly / values), 4).tolist()]
+
+
+def motor_amplitude(tone: float) -> float:
+    """Return how far a motor in the gripper can move the grip at a tone [Hz], whatever its band [m]."""
+    return min(STROKE, ACCELERATION / (2 * np.pi * tone) ** 2)
 
 
 def truths(grip: ShakenPlant, middles: Array, motion: ComplexArray) -> dict[str, Array]:
@@ -195,7 +213,12 @@ def transform(value: Value) -> float:
 
 def metrics(values: list[Value], plants: int) -> dict[str, float]:
     """Return the table's numbers."""
+    moved, values = ([v for v in values if (v[0] == MOTOR) == motor] for motor in (True, False))
     table, all_shares = {"plants": float(plants)}, np.array([transform(value) for value in values])
+    for species, tone in product(CROPS, TONES[VIBRATING_GRIPPER.lowest <= TONES]):
+        felt = [value[3][0] for value in moved if value[1] == species and value[2] == tone]
+        if felt:
+            table[f"motor_{species}_{tone:.0f}_ms2"] = float(np.median(felt))
     for kind, when, band in product(WORDS, WHEN, BANDS):
         shares = np.array([transform(value) for value in chosen(values, kind, when, band)])
         if len(shares) >= FEWEST:
@@ -217,6 +240,15 @@ def report(table: dict[str, float]) -> Table:
             for key in keys
         ]
         text.add_row(WORDS[kind], band.replace("_", "–"), *cells)
+    return text
+
+
+def by_motor(table: dict[str, float]) -> Table:
+    """Return what the median flower feels when a motor moves the grip as far as it can, by frequency."""
+    tones = TONES[VIBRATING_GRIPPER.lowest <= TONES]
+    text = markdown(["a motor at its limit: median flower (m/s2)", *(f"{tone:.0f} Hz" for tone in tones)])
+    for species in CROPS:
+        text.add_row(species, *(f"{table.get(f'motor_{species}_{tone:.0f}_ms2', np.nan):.0f}" for tone in tones))
     return text
 
 
@@ -253,11 +285,11 @@ def main() -> None:
     first, count = DEVELOPMENT if args.development else FIRST, 2 if args.quick else args.plants
     cases = [{"species": species, "seed": seed} for species, seed in by_turns(count, first + args.seed)]
     done = [part["values"] for part in run_cases(one_plant, cases, args.out, args.jobs, lambda _: {"values": []})]
-    width = min((len(value[3]) for part in done for value in part), default=0)
+    width = min((len(value[3]) for part in done for value in part if value[0] != MOTOR), default=0)
     values = [[*value[:3], value[3][:width]] for part in done for value in part]
     table = metrics(values, sum(bool(part) for part in done))
     words = f"{table['plants']:.0f} plants, {len(HEIGHTS)} grips, {len(TONES)} tones each."
-    finish(args, table, words, report(table), *([fitted(values)] if args.development else []))
+    finish(args, table, words, report(table), by_motor(table), *([fitted(values)] if args.development else []))
 
 
 if __name__ == "__main__":
