@@ -57,8 +57,8 @@ OBSERVED_ERRORS: Errors = {
 }
 """The same once a camera has seen this shake at a small amplitude, of all that was not measured itself."""
 MEASURED_ERROR = ((0.25, 0.35, -0.3, -0.5), (0.5, 0.5, 0.7, 0.8))
-"""The same of a flower whose swing was measured: 32 flowers of nine trials in the simulated cell, films and all; checked
-on others by `evaluation.trials.shaking`."""
+"""The same of a flower whose swing was measured: 32 flowers of nine trials in the simulated cell, films and all;
+checked on others by `evaluation.trials.shaking`."""
 
 
 Curve = Callable[[Array, Array], Array]
