@@ -228,6 +228,7 @@ class Escalation:
             predicted_acceleration=omega2 * middle,
             predicted_acceleration_interval=omega2 * wide,
             weighed=self._weighed(tone, direction),
+            nonlinear=None,
             reason=f"{self.plan.reason} Watched on the way: {' '.join(step.decided for step in steps)}",
         )
 

@@ -18,7 +18,7 @@ from anther.plant.model import LEARNED, Material, PlantModel
 from anther.pollination.learning._observed import ObservedShake
 from anther.pollination.shake.observables import ComplexArray, branch_of, semi_major
 from anther.pollination.shake.pads import PADS, PADS_LEARNED, Pads, grip_rows, pad_nodes
-from anther.pollination.shake.search import Phasors, Version, answer, deviates, drawn_version, flower_motion
+from anther.pollination.shake.search import Phasors, Version, answer, deviates, drawn_version
 from anther.rods import Array
 
 CLOCK_ERROR = 0.02
@@ -232,8 +232,7 @@ def _of_one_hold(believed: Version, members: Sequence[Version], observed: Sequen
     out = list[Predicted]()
     for k, one in enumerate(observed):
         shake, moved = one.shake, one.felt.moved if np.isfinite(one.felt.moved) else one.shake.amplitude
-        planned = flower_motion(Version(plant, shake.pads), grip, shake.direction, frequencies[k : k + 1])[0, 0]
-        gain = shake.predicted_amplitude / shake.amplitude / np.maximum(semi_major(planned), 1e-12)
+        gain = np.ones(flowers.shape[2]) if shake.nonlinear is None else shake.nonlinear
         out.append(Predicted(moved * gain[:, None] * flowers[:, k], moved * parts[k][:, k], moved * force[:, k]))
     return out
 

@@ -119,6 +119,7 @@ def plan_shake(
         tones=tones_at(found, at, actuator.tones, earlier),
         pads=params.pads,
         weighed=weighed_at(found, at, params),
+        nonlinear=done.nonlinear,
         notes=notes,
     )
 

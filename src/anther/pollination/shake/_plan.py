@@ -111,6 +111,7 @@ class ShakePlan(Stored):
         response_map, weighed: for the pictures; the latter of the shake before the nonlinear solver saw it.
         tones: other frequencies worth trying, for a shake that is watched.
         pads: what was believed of them.
+        nonlinear: (F,) each flower's amplitude by the nonlinear solver over that of linear theory; None: not computed.
         notes: what the stage wants the user to know.
     """
 
@@ -134,4 +135,5 @@ class ShakePlan(Stored):
     tones: Tones
     pads: Pads = PADS
     weighed: Weighed | None = None
+    nonlinear: Annotated[Array, Shape("F")] | None = None
     notes: tuple[str, ...] = ()

@@ -51,6 +51,7 @@ class Checked(NamedTuple):
 
     shake: Drive
     amplitude: Array  # (F,) median of what is expected [m]
+    nonlinear: Array  # (F,) amplitude by the nonlinear solver over that of linear theory
     spread: Array  # (F, 2) of which 5 % lie below and above, over that
     limits: list[LimitRow]
     notes: tuple[str, ...]
@@ -114,7 +115,8 @@ def check(plant: PlantModel, found: Search, at: Place, params: Params) -> Checke
     doubt = np.sqrt(members**2 + error("flowers", shake.frequency)[1] ** 2 + wrong**2)
     spread = np.exp(1.645 * doubt[:, None] * [-1, 1])
     limits = _limits(found, at, shake, done, params.lasts(shake.frequency))
-    return Checked(shake, over * done.amplitude, spread, limits, notes)
+    nonlinear = done.amplitude / np.maximum(expected, 1e-12)
+    return Checked(shake, over * done.amplitude, nonlinear, spread, limits, notes)
 
 
 MORE = 1.1
