@@ -47,10 +47,8 @@ def seen(plant: PlantModel, truth: Pads, frequency: float, believed: Pads, *, be
     point = plant.rods.nodes[plant.stem_nodes[HELD]]
     motion = SIZE * dense_motion(plant, HELD, truth, frequency)
     flowers = motion[plant.flower_nodes]
-    grip = pad_nodes(plant, np.array([HELD]))
-    planned = SIZE * semi_major(flower_motion(Version(plant, believed), grip, WAY, np.array([frequency]))[0, 0])
-    facts = {"direction": WAY, "amplitude": SIZE, "frequency": frequency, "pads": believed}
-    shake = cast(ShakePlan, SimpleNamespace(grasp=SimpleNamespace(point=point), predicted_amplitude=planned, **facts))
+    facts = {"direction": WAY, "amplitude": SIZE, "frequency": frequency, "pads": believed, "nonlinear": None}
+    shake = cast(ShakePlan, SimpleNamespace(grasp=SimpleNamespace(point=point), **facts))
     size, ways = semi_major(flowers), np.tile(WAY, (len(flowers), 1))
     told: dict = {"phase": np.angle(flowers @ WAY), "phase_std": np.full(len(size), 0.05), "axis": ways}
     if beside:

@@ -203,7 +203,7 @@ class Predicted(NamedTuple):
 
 
 def told(believed: Version, members: Sequence[Version], observed: Sequence[ObservedShake]) -> list[Predicted]:
-    """Return what the members say of every shake; the plan's flowers are reproduced for what it was made with.
+    """Return what the members say of every shake, with what the plan's nonlinear check added to linear theory.
 
     Shakes in one hold are answered together, which costs little more than one of them.
 
