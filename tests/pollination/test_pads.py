@@ -18,7 +18,6 @@ from anther.pollination.response import StemMotion
 from anther.pollination.shake import PADS, Pads, ShakePlan
 from anther.pollination.shake.observables import semi_major
 from anther.pollination.shake.pads import grip_rows, pad_nodes
-from anther.pollination.shake.search import Version, flower_motion
 from anther.rods import Springs
 from evaluation.prediction.expectation import amplitude_at
 
