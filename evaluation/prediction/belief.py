@@ -34,7 +34,7 @@ from anther.core import Array, StageFailure
 from anther.plant import Crop
 from anther.plant.limits import PEDICEL_STRAIN
 from anther.pollination import foresee
-from anther.pollination.decision import error
+from anther.pollination.decision import believed
 from anther.pollination.escalation import watch_points
 from anther.pollination.escalation._foresight import narrowed
 from anther.pollination.escalation._knowledge import Answer, known
@@ -86,7 +86,7 @@ MOTOR = "motor"
 """Kind of what the median flower truly feels when a motor moves the grip as far as it can [m/s2]: [kind, species, tone,
 [value]]."""
 Value = list[Any]
-"""[kind, one of `WHEN`, tone, ln of the truth over each member's value]."""
+"""[kind, one of `WHEN`, tone, ln of each member's value, and last of the truth]."""
 
 
 def one_plant(row: dict[str, Any], folder: Path) -> dict[str, Any]:
@@ -136,11 +136,10 @@ def values_of(species: Crop, seed: int) -> Iterator[Value]:
                 for i, j in zip(it.i.tolist(), it.j.tolist(), strict=True):
                     if when == "before" or not after.seen[i]:
                         found.append(("flowers", true["flowers"][k, j], answer.flowers[:, i]))
-                        strain = PEDICEL_STRAIN.median * answer.flowers[:, i]
-                        found.append(("pedicels", true["pedicels"][k, j], strain))
+                        found.append(("pedicels", true["pedicels"][k, j], answer.flowers[:, i]))
                 for kind, truly, values in found:
                     if truly > 0 and values.min(initial=1.0) > 0:
-                        yield [kind, when, tone, np.round(np.log(truly / values), 4).tolist()]
+                        yield [kind, when, tone, np.round(np.log([*values, truly]), 4).tolist()]
 
 
 def motor_amplitude(tone: float) -> float:
@@ -205,10 +204,11 @@ def chosen(values: list[Value], kind: str, when: str, band: str) -> list[Value]:
 
 def transform(value: Value) -> float:
     """Return the share of what was believed that lies below the truth."""
-    kind, when, tone, logs = value
-    mean, spread = error(kind.replace("pedicels", "flowers"), tone, WHEN[when])
-    spread = np.hypot(spread, PEDICEL_STRAIN.spread) if kind == "pedicels" else spread
-    return float(ndtr((np.array(logs) - mean) / spread).mean())
+    kind, when, tone, (*members, truth) = value
+    logs, spread = believed(kind.replace("pedicels", "flowers"), np.exp(members), tone, WHEN[when])
+    if kind == "pedicels":
+        logs, spread = logs + np.log(PEDICEL_STRAIN.median), np.hypot(spread, PEDICEL_STRAIN.spread)
+    return float(ndtr((truth - logs) / spread).mean())
 
 
 def metrics(values: list[Value], plants: int) -> dict[str, float]:
@@ -253,25 +253,30 @@ def by_motor(table: dict[str, float]) -> Table:
 
 
 def fitted(values: list[Value]) -> Table:
-    """Return the errors that are likeliest, mean and spread of ln, as `anther.pollination.decision` has them."""
+    """Return what is likeliest: intercept, slope and spread, as `anther.pollination.decision.ERRORS` has them."""
     text = markdown(["what", "when", *(band.replace("_", "–") for band in BANDS)])
     for kind, when in product(WORDS, WHEN):
-        cells = [_likeliest([value[3] for value in chosen(values, kind, when, band)]) for band in BANDS]
+        cells = [_likeliest(chosen(values, kind, when, band)) for band in BANDS]
         text.add_row(kind, when, *cells)
     return text
 
 
-def _likeliest(logs: list[list[float]]) -> str:
-    if len(logs) < 2:
+def _likeliest(values: list[Value]) -> str:
+    if len(values) < 2:
         return "–"
-    rows = np.array(logs)
+    inertia = 2 * np.log(2 * np.pi * np.array([[value[2]] for value in values]))
+    rows = np.array([value[3] for value in values]) - inertia
+    members, truth = rows[:, :-1], rows[:, -1:]
+    middle = members.mean()
 
     def unlikely(guess: Array) -> float:
-        parts = -(((rows - guess[0]) / np.exp(guess[1])) ** 2) / 2
-        return float(guess[1] - logsumexp(parts, axis=1).mean())
+        """Of an offset at the middle of what is modelled, a slope, and ln of a spread."""
+        parts = (truth - middle - guess[0] - guess[1] * (members - middle)) / np.exp(guess[2])
+        return float(guess[2] - logsumexp(-(parts**2) / 2, axis=1).mean())
 
-    mean, log_spread = minimize(unlikely, [rows.mean(), np.log(rows.mean(axis=1).std())], method="Nelder-Mead").x
-    return f"{mean:+.2f}, {np.exp(log_spread):.2f}"
+    start = [float(truth.mean() - middle), 1.0, float(np.log((truth[:, 0] - members.mean(axis=1)).std()))]
+    offset, slope, log_spread = minimize(unlikely, start, method="Nelder-Mead").x
+    return f"{offset + (1 - slope) * middle:+.2f}, {slope:.2f}, {np.exp(log_spread):.2f}"
 
 
 def main() -> None:
@@ -286,7 +291,7 @@ def main() -> None:
     cases = [{"species": species, "seed": seed} for species, seed in by_turns(count, first + args.seed)]
     done = [part["values"] for part in run_cases(one_plant, cases, args.out, args.jobs, lambda _: {"values": []})]
     width = min((len(value[3]) for part in done for value in part if value[0] != MOTOR), default=0)
-    values = [[*value[:3], value[3][:width]] for part in done for value in part]
+    values = [v if v[0] == MOTOR else [*v[:3], [*v[3][: width - 1], v[3][-1]]] for part in done for v in part]
     table = metrics(values, sum(bool(part) for part in done))
     words = f"{table['plants']:.0f} plants, {len(HEIGHTS)} grips, {len(TONES)} tones each."
     finish(args, table, words, report(table), by_motor(table), *([fitted(values)] if args.development else []))

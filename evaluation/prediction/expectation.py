@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from anther.core.checks import check_array
 from anther.plant.limits import PEDICEL_STRAIN
 from anther.pollination import ObservedShake, Refinement
-from anther.pollination.decision import COSTS, error
+from anther.pollination.decision import COSTS, believed
 from anther.pollination.escalation._foresight import FLOWER_SPREAD
 from anther.pollination.shake.observables import semi_major
 from anther.pollination.shake.pads import grip_rows, pad_nodes
@@ -115,13 +115,17 @@ def loads_at(learned: Refinement, points: Array, direction: Array, frequencies: 
     ways = np.broadcast_to(direction, (len(held), 1, 3))
     answer = gains(learned.members, held, np.ascontiguousarray(ways), frequencies).answer(frequencies)
     loads = {kind: getattr(answer, kind) for kind in COSTS}
-    loads["joint_strain"] = PEDICEL_STRAIN.median * answer.flowers.max(axis=-1)
+    loads["joint_strain"] = answer.flowers.max(axis=-1)
     found = {}
     for kind, values in loads.items():
         pedicels = kind == "joint_strain"
-        mean, spread = error("flowers" if pedicels else kind, frequencies[:, None])
-        spread = np.hypot(spread, PEDICEL_STRAIN.spread) if pedicels else spread
-        found[kind] = np.moveaxis(_quantiles(_log(values[..., 0]) + mean, spread), 1, 0)
+        logs, spread = believed("flowers" if pedicels else kind, values[..., 0], frequencies[:, None])
+        logs, spread = (
+            (logs + np.log(PEDICEL_STRAIN.median), np.hypot(spread, PEDICEL_STRAIN.spread))
+            if pedicels
+            else (logs, spread)
+        )
+        found[kind] = np.moveaxis(_quantiles(logs, spread), 1, 0)
     return found
 
 

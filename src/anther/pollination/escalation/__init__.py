@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.core.geometry import Array, Intrinsics
-from anther.pollination.decision import Weighed, error, expected
+from anther.pollination.decision import Weighed, believed
 from anther.pollination.escalation._foresight import Foresight, foresee, watch_points
 from anther.pollination.escalation._knowledge import (
     Answer,
@@ -35,7 +35,6 @@ from anther.pollination.response.points import likeness, sight, swings
 from anther.pollination.response.thresholds import overtones
 from anther.pollination.shake import Params as Limits
 from anther.pollination.shake import ShakePlan
-from anther.pollination.shake.observables import semi_major
 from anther.robot.devices import LEAD, ArmSample, Frame
 from anther.robot.swing import Swing
 
@@ -212,21 +211,23 @@ class Escalation:
         last, tones = steps[-1], self._foresight.tones
         tone, amplitude = int(np.abs(tones - last.frequencies[0]).argmin()), last.amplitudes[0]
         direction = np.array(last.direction)
-        size = amplitude * semi_major(self._foresight.of(tone, direction)[:, self._foresight.where["flowers"]])
-        middle = expected("flowers", size, float(tones[tone]))
-        doubt = np.hypot(np.log(np.maximum(size, 1e-12)).std(axis=0), error("flowers", float(tones[tone]))[1])
-        wide = middle[:, None] * np.exp(1.645 * doubt[:, None] * [-1, 1])
-        omega2 = (2 * np.pi * tones[tone]) ** 2
+        hertz = float(tones[tone])
+        logs, doubt = believed(
+            "flowers", self._foresight.answer(self._foresight.of(tone, direction), hertz).flowers, hertz
+        )
+        middle = amplitude * np.exp(logs.mean(axis=0))
+        wide = middle[:, None] * np.exp(1.645 * np.sqrt(logs.var(axis=0) + doubt**2)[:, None] * [-1, 1])
+        omega2 = (2 * np.pi * hertz) ** 2
         return replace(
             self.plan,
             direction=direction,
-            frequency=float(tones[tone]),
+            frequency=hertz,
             amplitude=amplitude,
             duration=last.end - last.begin,
-            predicted_amplitude=middle,
-            predicted_amplitude_interval=wide,
-            predicted_acceleration=omega2 * middle,
-            predicted_acceleration_interval=omega2 * wide,
+            predicted_amplitude=middle / omega2,
+            predicted_amplitude_interval=wide / omega2,
+            predicted_acceleration=middle,
+            predicted_acceleration_interval=wide,
             weighed=self._weighed(tone, direction),
             nonlinear=None,
             reason=f"{self.plan.reason} Watched on the way: {' '.join(step.decided for step in steps)}",

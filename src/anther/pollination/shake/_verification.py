@@ -14,8 +14,7 @@ import numpy as np
 from anther.core.errors import StageFailure
 from anther.plant.limits import PEAKS
 from anther.plant.model import PlantModel
-from anther.pollination.decision import error
-from anther.pollination.decision import expected as believed
+from anther.pollination.decision import believed
 from anther.pollination.shake._plan import LimitRow
 from anther.pollination.shake.choice import Place, Search, best, closest, limit_rows
 from anther.pollination.shake.observables import Observables, observables, semi_major
@@ -110,9 +109,10 @@ def check(plant: PlantModel, found: Search, at: Place, params: Params) -> Checke
     if largest > 0.25:
         notes += (f"shake: a flower's nonlinear amplitude differs from the linear one by {100 * largest:.0f} %.",)
     shift, wrong = (float(part[q, 0, 0]) for part in found.delivered)
-    over = np.exp(shift) * believed("flowers", gain, shake.frequency) / np.maximum(gain[0], 1e-12)
-    members = np.log(np.maximum(gain, 1e-12)).std(axis=0)
-    doubt = np.sqrt(members**2 + error("flowers", shake.frequency)[1] ** 2 + wrong**2)
+    omega2 = (2 * np.pi * shake.frequency) ** 2
+    logs, doubt = believed("flowers", omega2 * gain, shake.frequency)
+    over = np.exp(shift + logs.mean(axis=0)) / np.maximum(omega2 * gain[0], 1e-12)
+    doubt = np.sqrt(logs.var(axis=0) + doubt**2 + wrong**2)
     spread = np.exp(1.645 * doubt[:, None] * [-1, 1])
     limits = _limits(found, at, shake, done, params.lasts(shake.frequency))
     nonlinear = done.amplitude / np.maximum(expected, 1e-12)
