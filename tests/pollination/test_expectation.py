@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from sample_plants import branched
 
-from anther.plant.limits import PEAKS
+from anther.plant.limits import PEAKS, PEDICEL_STRAIN
 from anther.plant.model import TOMATO, PlantModel, build_plant
 from anther.pollination import decision
+from anther.pollination.escalation._foresight import FLOWER_SPREAD
 from anther.pollination.learning import Felt, ObservedShake, Params, Refinement, refine
 from anther.pollination.shake import PADS, Pads, ShakePlan
 from anther.pollination.shake.observables import semi_major
 from anther.pollination.shake.pads import grip_rows, pad_nodes
-from anther.pollination.shake.params import FLOWER_SPREAD
 from anther.pollination.shake.search import Version, flower_motion, gains
 from anther.rods import Array
 from evaluation.prediction.expectation import expect, flowers_at, loads_at
@@ -154,9 +154,11 @@ def test_expected_loads_are_the_plants_own_and_as_uncertain_as_each_kind_is(
     told = loads_at(sure, point[None], WAY, pitches)
     assert set(told) == {*PEAKS, "grip_force"}
     own = gains([Version(plant, FIRM)], pad_nodes(plant, grip_rows(plant, point[None])), WAY[None, None], pitches)
-    loads = own._asdict() | {"joint_strain": own.pedicel.max(axis=-1)}
+    felt = own.answer(pitches).flowers.max(axis=-1)
+    loads = own._asdict() | {"joint_strain": PEDICEL_STRAIN.median * felt}
     for kind, found in told.items():
-        mean, spread = decision.error(kind.replace("joint_strain", "pedicels"), pitches)
+        mean, spread = decision.error(kind.replace("joint_strain", "flowers"), pitches)
+        spread = np.hypot(spread, PEDICEL_STRAIN.spread) if kind == "joint_strain" else spread
         low, middle, high = np.moveaxis(found, -1, 0)
         assert middle == pytest.approx(np.exp(mean) * np.maximum(loads[kind][0, :, :, 0].T, 1e-12), rel=1e-4)
         assert np.log(high / low) == pytest.approx(2 * NINETY * spread[None])

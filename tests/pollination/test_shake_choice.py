@@ -14,7 +14,7 @@ from anther.core.errors import InputError, StageFailure
 from anther.core.geometry import Array
 from anther.perception.flowers import Flowers
 from anther.plant.belief import EarlierShake
-from anther.plant.limits import GUSTS, LOADED, PEAKS
+from anther.plant.limits import GUSTS, LOADED, PEAKS, PEDICEL_STRAIN
 from anther.plant.model import TOMATO, PlantModel, build_plant
 from anther.pollination import shake
 from anther.pollination.decision import PRICES, error, worth
@@ -32,12 +32,11 @@ from anther.pollination.shake import (
     sawyer_limit,
     with_preset,
 )
-from anther.pollination.shake._actuators import RAMPS
+from anther.pollination.shake._actuators import RAMPS, Actuator
 from anther.pollination.shake._verification import Checked, Shaken, check, steadily_shaken, verified
 from anther.pollination.shake.choice import (
     APART,
     DIRECTIONS,
-    LEAST_PRESS,
     OF_THE_MACHINE,
     PRESS,
     Bound,
@@ -50,13 +49,16 @@ from anther.pollination.shake.choice import (
 )
 from anther.pollination.shake.choice import QUICK as SLOWEST
 from anther.pollination.shake.pads import friction_force, grip_rows, pad_nodes
-from anther.pollination.shake.params import FLOWER_SPREAD
 from anther.pollination.shake.search import Gains, Version, drawn_material, gains, scenarios
 from anther.robot.pressing import PRESSING, Pressing
 from anther.rods import Clamp, Drive, Rods, observed_response
 from anther.rods._response import displacements
 
 QUICK, ALL = Params(frequencies=12), Params()
+LOADS = (*PEAKS, "grip_force")
+ARM = arm_shaker()
+EXACT = np.zeros((2, 1, 1, 1))
+"""What an actuator delivers that does as it is told."""
 
 
 @pytest.fixture(scope="module")
@@ -72,22 +74,26 @@ def grasps() -> list[Grasp]:
 
 
 def weighed(
-    grasps: list[Grasp], flower: Array, reach: float, params: Params = ALL, **loads: Array
+    grasps: list[Grasp],
+    flower: Array,
+    reach: float,
+    params: Params = ALL,
+    machine: Actuator = ARM,
+    **loads: Array,
 ) -> tuple[Search, Gains]:
     """Return the search of shakes at 2 Hz that move flowers (M, G, F) so far, and what they do to the plant.
 
     Loads that are not given are none, see `Gains`.
     """
     shape = (len(flower), 1, flower.shape[1], 1)
-    none = {kind: np.full(shape, 1e-9) for kind in ("stem_strain", "base_strain", "leaf_load", "grip_force")}
-    given = {"pedicel": np.full((*shape, flower.shape[2]), 1e-9)} | none
-    given |= {kind: np.reshape(values, given[kind].shape) for kind, values in loads.items()}
+    given = {kind: np.full(shape, 1e-9) for kind in LOADS}
+    given |= {kind: np.reshape(values, shape) for kind, values in loads.items()}
     response = Gains(flower[:, None, :, None], **given)
     count = flower.shape[1]
     grips = Grips(
         [], np.zeros(count), np.zeros(count, int), np.tile(np.eye(3)[:1], (count, 1, 1)), np.full((count, 1), 10.0)
     )
-    machine = arm_shaker(lambda g, d, f: np.full(len(f), reach))
+    machine = replace(machine, amplitude=lambda g, d, f: np.full(len(f), reach))
     found = search(response, grips, (grasps * count)[:count], np.array([2.0]), machine, params)
     return found, response
 
@@ -110,8 +116,7 @@ def test_every_shake_is_as_large_as_it_is_worth_most(grasps: list[Grasp]) -> Non
         "leaf_load": spread[..., 0] * rng.uniform(100, 1000, (1, count)),
         "grip_force": spread[..., 0] * rng.uniform(30, 300, (1, count)),
     }
-    pedicel = spread * rng.uniform(0.2, 10, (1, count, 3))
-    found, response = weighed(grasps, flower, reach, pedicel=pedicel, **loads)
+    found, response = weighed(grasps, flower, reach, **loads)
     amplitude, hertz = found.amplitude, np.full((1, 1, 1), 2.0)
 
     def net(size: Array) -> Array:
@@ -130,12 +135,42 @@ def test_every_shake_is_as_large_as_it_is_worth_most(grasps: list[Grasp]) -> Non
 
 
 def test_a_shake_that_costs_more_than_it_adds_is_none(grasps: list[Grasp]) -> None:
-    """A pedicel that is bent before its flower feels anything."""
-    soft = np.full((1, 1, 1), 1e3)
-    assert weighed(grasps, np.ones((1, 1, 1)), 0.01, pedicel=soft)[0].score.max() == -1
-    assert weighed(grasps, np.ones((1, 1, 1)), 0.01)[0].score.max() > 0
-    heedless = weighed(grasps, np.ones((1, 1, 1)), 0.01, Params(keeps_limits=False), pedicel=soft)[0]
+    """A branch that is bent before its flower feels anything; what the rods say of a pedicel is not weighed."""
+    soft, still = np.full((1, 1, 1), 1e3), np.ones((1, 1, 1))
+    assert weighed(grasps, still, 0.01, base_strain=soft)[0].score.max() == -1
+    assert weighed(grasps, still, 0.01)[0].score.max() > 0
+    assert weighed(grasps, still, 0.01, joint_strain=soft)[0].score == pytest.approx(
+        weighed(grasps, still, 0.01)[0].score
+    )
+    heedless = weighed(grasps, still, 0.01, Params(keeps_limits=False), base_strain=soft)[0]
     assert heedless.amplitude == pytest.approx(0.01), "as large as the machine allows where nothing is weighed"
+
+
+def test_the_bound_of_pedicels_is_that_of_the_flower_that_is_expected_to_feel_most(grasps: list[Grasp]) -> None:
+    """Of each member the flower that feels most; the nonlinear check compares with the rods' own pedicel."""
+    flower, hertz = np.array([[[1.0, 4.0]], [[9.0, 1.0]]]), 2.0
+    found, _ = weighed(grasps, flower, 0.02, joint_strain=np.array([0.7, 0.2]))
+    one, delivered = found.bounds[PEAKS["joint_strain"]], arm_shaker().delivers(np.array(hertz))[0]
+    felt = (2 * np.pi * hertz) ** 2 * np.sqrt(4.0 * 9.0) * np.exp(error("flowers", hertz)[0] + delivered)
+    assert one.value.item() == pytest.approx(PEDICEL_STRAIN.median * felt)
+    assert one.believed.item() == pytest.approx(0.7)
+    assert one.limit.item() == LOADED["joint_strain"].low
+
+
+@pytest.mark.parametrize("kind", LOADS)
+def test_bounds_count_what_the_actuator_delivers(grasps: list[Grasp], kind: str) -> None:
+    """Of the plant and of slip; what the machine manages is in what it is told."""
+    exact, twice = (_bounds_of(grasps, mean) for mean in (0.0, np.log(2)))
+    name = PRESS if kind == "grip_force" else PEAKS[kind]
+    assert twice[name].value == pytest.approx(2 * exact[name].value)
+    assert twice[name].believed == pytest.approx(exact[name].believed)
+    for machine in list(exact)[:OF_THE_MACHINE]:
+        assert twice[machine].value == pytest.approx(exact[machine].value)
+
+
+def _bounds_of(grasps: list[Grasp], mean: float) -> dict[str, Bound]:
+    machine = replace(arm_shaker(), delivers=lambda f: (np.full_like(f, mean), np.zeros_like(f)))
+    return weighed(grasps, np.ones((2, 1, 1)), 0.01, machine=machine, **dict.fromkeys(LOADS, np.ones((2, 1))))[0].bounds
 
 
 def test_the_grips_force_is_that_of_a_cantilever() -> None:
@@ -213,21 +248,37 @@ def test_two_pads_hold_and_the_more_the_better_they_grip() -> None:
     assert limits_of(Params(pad_friction=0.4), 10.0, 5.0)["grip_force"] == pytest.approx(8.0)
 
 
-def test_the_pads_press_as_the_shake_needs_and_it_is_made_smaller_where_they_may_not(
-    plant: PlantModel, grasps: list[Grasp], monkeypatch: pytest.MonkeyPatch
+def test_the_pads_press_as_hard_as_they_may_and_the_shake_is_smaller_where_that_is_less(
+    plant: PlantModel, grasps: list[Grasp]
 ) -> None:
-    params = replace(QUICK, least_amplitude=1e-6)
-    assert plan_shake(plant, grasps, params=params).press == LEAST_PRESS
-    monkeypatch.setattr(choice, "LEAST_PRESS", 1e-6)
-    free = plan_shake(plant, grasps, params=params)
-    assert free.press == pytest.approx({name: value for name, value, *_ in free.limits}[PRESS])
-    rough = plan_shake(plant, grasps, params=replace(params, pad_friction=2 * params.pad_friction))
-    assert (rough.amplitude, 2 * rough.press) == pytest.approx((free.amplitude, free.press))
-    weak = Pressing(holding=max(free.press / 3, 0.1))
-    held = plan_shake(plant, grasps[:1], params=replace(params, lowest=1.5, highest=1.5), pressing=weak)
-    again = plan_shake(plant, grasps[:1], params=replace(params, lowest=1.5, highest=1.5))
-    assert held.press <= weak.holding < again.press
-    assert held.amplitude < again.amplitude
+    params = replace(QUICK, lowest=1.5, highest=1.5, least_amplitude=1e-6)
+    weak, hard = Pressing(holding=0.1), PRESSING
+    held, free = (plan_shake(plant, grasps[:1], params=params, pressing=one) for one in (weak, hard))
+    assert (held.press, free.press) == (weak.holding, hard.holding)
+    assert held.amplitude < free.amplitude
+    assert held.score < free.score
+
+
+def test_the_table_of_limits_compares_the_force_that_is_expected_with_that_of_the_pads(
+    plant: PlantModel, grasps: list[Grasp]
+) -> None:
+    """Twice the friction needs half the force, whatever the pads press with."""
+    params = replace(QUICK, lowest=6, highest=6, most_amplitude=1e-3)
+    plans = [
+        plan_shake(plant, grasps[:1], params=replace(params, pad_friction=times * params.pad_friction))
+        for times in (1, 2)
+    ]
+    needed = []
+    for plan in plans:
+        rows = {name: (value, limit) for name, value, limit, _ in plan.limits}
+        value, limit = rows[PRESS]
+        assert limit == plan.press == PRESSING.holding
+        needed.append(value / plan.amplitude)
+    assert needed[0] == pytest.approx(2 * needed[1])
+    held = pad_nodes(plant, grip_rows(plant, plans[0].grasp.point[None]))
+    modelled = gains(scenarios(plant, shake.DRAWS), held, plans[0].direction[None, None], np.array([6.0])).grip_force
+    mean = np.log(modelled).mean() + error("grip_force", 6.0)[0] + arm_shaker().delivers(np.array(6.0))[0]
+    assert needed[0] == pytest.approx(np.exp(mean) / params.held(1.0))
 
 
 def test_a_thin_stem_is_pressed_less_and_none_beyond_what_it_bears() -> None:
@@ -237,8 +288,9 @@ def test_a_thin_stem_is_pressed_less_and_none_beyond_what_it_bears() -> None:
         plant = build_plant(skeleton, stem, flowers, None, TOMATO)
         plan = plan_shake(plant, grasps_on(skeleton, stem, [8]), params=QUICK, pressing=hard)
         presses.append(plan.press)
+        assert plan.press == pytest.approx(hard.most(2 * skeleton.radius[8]), rel=0.02)
         assert hard.stress(plan.press, 2 * skeleton.radius[8]) < hard.stem_stress
-    assert presses[1] < presses[0] < LEAST_PRESS
+    assert presses[1] < presses[0] < hard.holding
 
 
 def test_narrow_pads_must_press_harder_against_what_turns_the_stem(plant: PlantModel) -> None:
@@ -317,7 +369,14 @@ def test_a_tone_reaches_as_far_as_the_machine_allows_in_every_way_and_the_plant_
     plant = {"stem strain": Bound(np.full((2, 1, 1), 1e9), np.ones((1, 1)), np.ones((2, 1, 1)))}
     grips = Grips([], np.zeros(1), np.zeros(1, dtype=int), np.array([[[1.0, 0, 0]]]), np.ones((1, 1)))
     found = Search(
-        grips, np.ones((4, 2, 1, 1, 3)), hertz, np.full((2, 1, 1), 1e-3), np.ones((2, 1, 1)), {**machine, **plant}, 1e-4
+        grips,
+        np.ones((4, 2, 1, 1, 3)),
+        hertz,
+        np.full((2, 1, 1), 1e-3),
+        np.ones((2, 1, 1)),
+        {**machine, **plant},
+        EXACT,
+        1e-4,
     )
     tones = tones_at(found, (0, 0, 0), 2, None)
     assert tones.reach[:, 0] == pytest.approx(0.01 / tones.frequencies)
@@ -328,7 +387,7 @@ def test_an_earlier_shake_is_done_again_only_where_the_same_pads_would_hold() ->
     arc, hertz = np.array([0.15, 0.179, 0.181, 0.2, 0.219, 0.221, 0.3]), np.array([5.0, 9.0])
     grips = Grips([], arc, np.arange(7), np.tile(np.eye(3)[:2], (7, 1, 1)), np.ones((7, 1)))
     shape = (2, 7, 2)
-    found = Search(grips, np.ones((1, *shape, 1)), hertz, np.ones(shape), np.ones(shape), {}, 1e-4)
+    found = Search(grips, np.ones((1, *shape, 1)), hertz, np.ones(shape), np.ones(shape), {}, EXACT, 1e-4)
     again = as_earlier(found, EarlierShake(0.2, np.array([0, -1.0, 0]), 9.1, 1e-3))
     assert again is not None
     assert np.argwhere(again.score >= 0).tolist() == [[1, g, 1] for g in (2, 3, 4)]
@@ -347,12 +406,14 @@ def test_the_table_of_limits_says_what_is_expected_beside_what_nineteen_of_twent
     assert {kind for kind in PEAKS if PEAKS[kind] in rows} == set(kept)
     held = pad_nodes(plant, grip_rows(plant, plan.grasp.point[None]))
     modelled = gains(scenarios(plant, shake.DRAWS), held, plan.direction[None, None], np.array([plan.frequency]))
-    loads = modelled._asdict() | {"joint_strain": modelled.pedicel.max(axis=-1)}
+    felt = (2 * np.pi * plan.frequency) ** 2 * modelled.flower.max(axis=-1)
+    loads = modelled._asdict() | {"joint_strain": PEDICEL_STRAIN.median * felt}
+    delivered = float(arm_shaker().delivers(np.array(plan.frequency))[0])
     for kind in kept:
         value, limit = rows[PEAKS[kind]]
         assert limit == LOADED[kind].low < LOADED[kind].median
-        shift, _ = error(kind.replace("joint_strain", "pedicels"), plan.frequency)
-        expected = plan.amplitude * np.exp(np.log(loads[kind]).mean() + shift)
+        shift, _ = error(kind.replace("joint_strain", "flowers"), plan.frequency)
+        expected = plan.amplitude * np.exp(np.log(loads[kind]).mean() + shift + delivered)
         assert value >= 0.999 * expected, "or more where the nonlinear solver says so"
         assert value <= max(limit, 1.001 * _verification.MORE * expected)
 
@@ -360,7 +421,7 @@ def test_the_table_of_limits_says_what_is_expected_beside_what_nineteen_of_twent
 def test_a_shake_that_is_cut_takes_its_neighbours_in_frequency_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """What the solver halves is worth half, and so is the next tone; another tone and another grip are as they were."""
     frequencies, score = np.array([5.0, 5.2, 9.0]), np.array([1.0, 0.9, 0.7])[:, None, None] * [[1.0], [0.5]]
-    found = Search(*cast(Any, (None, None)), frequencies, np.full((3, 2, 1), 4e-3), score, {}, 1e-4)
+    found = Search(*cast(Any, (None, None)), frequencies, np.full((3, 2, 1), 4e-3), score, {}, EXACT, 1e-4)
 
     def halved_below_6_hz(*given: Any) -> Checked:
         at = given[2]
@@ -386,7 +447,7 @@ def test_who_plans_is_told_where_a_flower_moves_otherwise_than_linear_theory_say
         _verification, "verified", lambda _, asked, *__, **___: (replace(asked, amplitude=2e-3), done, ())
     )
     grips = cast(Any, SimpleNamespace(nodes=[[0, 1]], directions=np.eye(3)[None, :1]))
-    found = Search(grips, gain[None, None, None, None], np.array([5.0]), size, size, {}, 1e-4)
+    found = Search(grips, gain[None, None, None, None], np.array([5.0]), size, size, {}, EXACT, 1e-4)
     notes = check(plant, found, (0, 0, 0), replace(QUICK, keeps_limits=False)).notes
     assert [f"by {100 * abs(times - 1):.0f} %" in note for note in notes] == [True] * told
 
@@ -418,12 +479,31 @@ def test_flowers_that_grow_from_the_stem_itself_are_planned_for() -> None:
     assert np.all(plan.predicted_amplitude > 0)
 
 
-def test_without_scenarios_the_plant_as_believed_decides(
+def test_without_scenarios_the_interval_is_of_what_model_and_actuator_are_off(
     plant: PlantModel, grasps: list[Grasp], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(shake, "DRAWS", 0)
     plan = plan_shake(plant, grasps, params=QUICK)
+    _, doubt = error("flowers", plan.frequency)
+    only = np.exp(1.645 * np.hypot(doubt, arm_shaker().delivers(np.array(plan.frequency))[1]))
     low, high = plan.predicted_amplitude_interval.T
-    only = np.exp(1.645 * FLOWER_SPREAD)  # what one flower differs from its plant
     assert low * only == pytest.approx(plan.predicted_amplitude)
     assert high / only == pytest.approx(plan.predicted_amplitude)
+
+
+def test_what_is_predicted_of_flowers_is_the_median_that_is_expected(
+    plant: PlantModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of members, their error, and what the actuator delivers; the nonlinear solver's share stays."""
+    hertz, size, gain = 5.0, np.full((1, 1, 1), 4e-3), np.array([[0.5, 0.75], [0.9, 0.2], [2.0, 0.75]])
+    solver = size.item() * gain[0] * [1.1, 0.95]
+    monkeypatch.setattr(_verification, "verified", lambda _, asked, *__, **___: (asked, Shaken(solver, {}), ()))
+    grips = cast(Any, SimpleNamespace(nodes=[[0, 1]], directions=np.eye(3)[None, :1]))
+    delivered = np.full((1, 1, 1), 0.3), np.full((1, 1, 1), 0.4)
+    found = Search(grips, gain[:, None, None, None], np.array([hertz]), size, size, {}, delivered, 1e-4)
+    told = check(plant, found, (0, 0, 0), replace(QUICK, keeps_limits=False))
+    (shift, spread), logs = error("flowers", hertz), np.log(gain)
+    expected = size.item() * np.exp(logs.mean(axis=0) + shift + 0.3) * [1.1, 0.95]
+    assert told.amplitude == pytest.approx(expected)
+    doubt = np.sqrt(logs.var(axis=0) + spread**2 + 0.4**2)
+    assert np.log(told.spread) == pytest.approx(1.645 * doubt[:, None] * [-1, 1])

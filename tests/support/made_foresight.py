@@ -11,7 +11,7 @@ from fake_robot import horizontal_grasp
 from numpy.typing import NDArray
 
 from anther.core.geometry import Array, Intrinsics, look_at
-from anther.plant.limits import PEAKS
+from anther.plant.limits import PEAKS, PEDICEL_STRAIN
 from anther.pollination.escalation import Escalation, Params
 from anther.pollination.escalation._foresight import Foresight
 from anther.pollination.response.points import Swings
@@ -186,8 +186,10 @@ class World:
         return self.arm @ told
 
     def loads(self, tone: int, direction: Array = ALONG) -> dict[str, float]:
-        """Return each kind's load in truth, per metre."""
-        return {kind: float(self.foresight.load(kind, self.answer(tone, direction)[None])[0]) for kind in KINDS}
+        """Return each kind's load in truth, per metre; of pedicels what the flower that feels most bends its own by."""
+        truth = self.answer(tone, direction)[None]
+        loads = {kind: float(self.foresight.load(kind, truth)[0]) for kind in KINDS}
+        return loads | {"joint_strain": PEDICEL_STRAIN.median * float(self.flowers(tone, direction).max())}
 
     def flowers(self, tone: int, direction: Array = ALONG) -> Array:
         """Return (F,) accelerations in truth, per metre [1/s2]."""
