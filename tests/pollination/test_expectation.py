@@ -154,13 +154,14 @@ def test_expected_loads_are_the_plants_own_and_as_uncertain_as_each_kind_is(
     told = loads_at(sure, point[None], WAY, pitches)
     assert set(told) == {*PEAKS, "grip_force"}
     own = gains([Version(plant, FIRM)], pad_nodes(plant, grip_rows(plant, point[None])), WAY[None, None], pitches)
-    felt = own.answer(pitches).flowers.max(axis=-1)
-    loads = own._asdict() | {"joint_strain": PEDICEL_STRAIN.median * felt}
+    loads = own._asdict() | {"joint_strain": own.answer(pitches).flowers.max(axis=-1)}
     for kind, found in told.items():
-        mean, spread = decision.error(kind.replace("joint_strain", "flowers"), pitches)
-        spread = np.hypot(spread, PEDICEL_STRAIN.spread) if kind == "joint_strain" else spread
+        logs, spread = decision.believed(kind.replace("joint_strain", "flowers"), loads[kind][..., 0], pitches[:, None])
+        pedicels = kind == "joint_strain"
+        spread = np.hypot(spread, PEDICEL_STRAIN.spread) if pedicels else spread
         low, middle, high = np.moveaxis(found, -1, 0)
-        assert middle == pytest.approx(np.exp(mean) * np.maximum(loads[kind][0, :, :, 0].T, 1e-12), rel=1e-4)
+        once = PEDICEL_STRAIN.median if pedicels else 1.0
+        assert middle == pytest.approx(once * np.exp(logs[0]).T, rel=1e-4)
         assert np.log(high / low) == pytest.approx(2 * NINETY * spread[None])
 
 

@@ -59,7 +59,7 @@ OBSERVED_ERRORS: Errors = {
     "grip_force": ((-0.69,) * 4, (1.0,) * 4, (0.55,) * 4),
 }
 """The same once a camera has seen this shake at a small amplitude, of all that was not measured itself."""
-MEASURED_ERROR = ((0.25, 0.35, -0.3, -0.5), (1.0,) * 4, (0.5, 0.5, 0.7, 0.8))
+MEASURED_ERROR = ((0.25, 0.35, -0.3, -0.5), (1.0,) * 4, (0.4, 0.4, 0.6, 0.8))
 """The same of a flower whose swing was measured: 32 flowers of nine trials in the simulated cell, films and all;
 checked on others by `evaluation.trials.shaking`."""
 
