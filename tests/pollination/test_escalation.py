@@ -15,7 +15,7 @@ from made_foresight import ALONG, FLOWERS, POINTS, TONES, World, lines_across, m
 from anther.core.errors import InputError
 from anther.pollination import escalation
 from anther.pollination.decision import Answer as Answers
-from anther.pollination.decision import error, worth
+from anther.pollination.decision import believed, worth
 from anther.pollination.escalation import Escalation, Params
 from anther.pollination.escalation import _foresight as foresight_module
 from anther.pollination.escalation._knowledge import (
@@ -505,14 +505,13 @@ def test_the_plan_as_carried_out_is_the_last_step(shaken: Shaken) -> None:
     assert (done.frequency, done.amplitude) == (last.frequencies[0], last.amplitudes[0])
     assert done.duration == pytest.approx(last.end - last.begin)
     tone = int(np.flatnonzero(done.frequency == TONES)[0])
-    logs = np.log(done.amplitude * semi_major(foresight.of(tone, ALONG)[:, :FLOWERS]))
-    shift, spread = error("flowers", done.frequency)
-    middle, doubt = logs.mean(axis=0) + shift, np.sqrt(logs.var(axis=0) + spread**2)
-    assert np.log(done.predicted_amplitude) == pytest.approx(middle)
-    assert np.log(done.predicted_amplitude_interval) == pytest.approx(
+    omega2 = (2 * np.pi * done.frequency) ** 2
+    logs, spread = believed("flowers", omega2 * semi_major(foresight.of(tone, ALONG)[:, :FLOWERS]), done.frequency)
+    middle, doubt = np.log(done.amplitude) + logs.mean(axis=0), np.sqrt(logs.var(axis=0) + spread**2)
+    assert np.log(done.predicted_acceleration) == pytest.approx(middle)
+    assert np.log(done.predicted_acceleration_interval) == pytest.approx(
         middle[:, None] + 1.645 * doubt[:, None] * [-1, 1]
     )
-    omega2 = (2 * np.pi * done.frequency) ** 2
     assert done.predicted_acceleration == pytest.approx(omega2 * done.predicted_amplitude)
     assert done.predicted_acceleration_interval == pytest.approx(omega2 * done.predicted_amplitude_interval)
     assert last.decided in done.reason

@@ -13,7 +13,7 @@ from sample_plants import branched
 from anther.plant.limits import PEDICEL_STRAIN
 from anther.plant.model import TOMATO, build_plant
 from anther.pollination import decision
-from anther.pollination.decision import BANDS, OBSERVED_ERRORS, error
+from anther.pollination.decision import BANDS, OBSERVED_ERRORS, expected
 from anther.pollination.escalation import _foresight as foresight_module
 from anther.pollination.escalation import _knowledge as knowledge
 from anther.pollination.escalation._foresight import (
@@ -397,12 +397,10 @@ def test_what_is_expected_is_the_median_with_the_errors_of_what_was_measured_and
     one = told(foresight, look(World(foresight, foresight.vectors[5], shown=[shown])), 1, 0.0)
     assert one.seen.tolist() == shown[:FLOWERS].tolist()
     for f, measured in enumerate(one.seen.tolist()):
-        middle = np.exp(np.log(one.answer.flowers[:, f]).mean() + error("flowers", tone, measured)[0])
-        assert one.flowers[f] == pytest.approx(middle)
-    assert error("flowers", tone, measured=True)[0] != error("flowers", tone, measured=False)[0]
+        assert one.flowers[f] == pytest.approx(expected("flowers", one.answer.flowers[:, f], tone, measured))
+    assert one.flowers[2] != pytest.approx(expected("flowers", one.answer.flowers[:, 2], tone, measured=True))
     for kind in decision.COSTS:
-        members = np.log(getattr(one.answer, kind)).mean()
-        assert one.loads[kind] == pytest.approx(np.exp(members + error(kind, tone, measured=False)[0]))
+        assert one.loads[kind] == pytest.approx(expected(kind, getattr(one.answer, kind), tone, measured=False))
     assert one.loads["joint_strain"] == pytest.approx(PEDICEL_STRAIN.median * one.flowers.max())
 
 

@@ -17,7 +17,7 @@ from anther.plant.belief import EarlierShake
 from anther.plant.limits import GUSTS, LOADED, PEAKS, PEDICEL_STRAIN
 from anther.plant.model import TOMATO, PlantModel, build_plant
 from anther.pollination import shake
-from anther.pollination.decision import PRICES, error, worth
+from anther.pollination.decision import PRICES, believed, expected, worth
 from anther.pollination.escalation._option import limits_of
 from anther.pollination.grasp import Grasp
 from anther.pollination.shake import (
@@ -151,7 +151,7 @@ def test_the_bound_of_pedicels_is_that_of_the_flower_that_is_expected_to_feel_mo
     flower, hertz = np.array([[[1.0, 4.0]], [[9.0, 1.0]]]), 2.0
     found, _ = weighed(grasps, flower, 0.02, joint_strain=np.array([0.7, 0.2]))
     one, delivered = found.bounds[PEAKS["joint_strain"]], arm_shaker().delivers(np.array(hertz))[0]
-    felt = (2 * np.pi * hertz) ** 2 * np.sqrt(4.0 * 9.0) * np.exp(error("flowers", hertz)[0] + delivered)
+    felt = float(expected("flowers", (2 * np.pi * hertz) ** 2 * np.array([4.0, 9.0]), hertz) * np.exp(delivered))
     assert one.value.item() == pytest.approx(PEDICEL_STRAIN.median * felt)
     assert one.believed.item() == pytest.approx(0.7)
     assert one.limit.item() == LOADED["joint_strain"].low
@@ -277,8 +277,8 @@ def test_the_table_of_limits_compares_the_force_that_is_expected_with_that_of_th
     assert needed[0] == pytest.approx(2 * needed[1])
     held = pad_nodes(plant, grip_rows(plant, plans[0].grasp.point[None]))
     modelled = gains(scenarios(plant, shake.DRAWS), held, plans[0].direction[None, None], np.array([6.0])).grip_force
-    mean = np.log(modelled).mean() + error("grip_force", 6.0)[0] + arm_shaker().delivers(np.array(6.0))[0]
-    assert needed[0] == pytest.approx(np.exp(mean) / params.held(1.0))
+    force = expected("grip_force", modelled.ravel(), 6.0) * np.exp(arm_shaker().delivers(np.array(6.0))[0])
+    assert needed[0] == pytest.approx(float(force) / params.held(1.0))
 
 
 def test_a_thin_stem_is_pressed_less_and_none_beyond_what_it_bears() -> None:
@@ -407,15 +407,16 @@ def test_the_table_of_limits_says_what_is_expected_beside_what_nineteen_of_twent
     held = pad_nodes(plant, grip_rows(plant, plan.grasp.point[None]))
     modelled = gains(scenarios(plant, shake.DRAWS), held, plan.direction[None, None], np.array([plan.frequency]))
     felt = (2 * np.pi * plan.frequency) ** 2 * modelled.flower.max(axis=-1)
-    loads = modelled._asdict() | {"joint_strain": PEDICEL_STRAIN.median * felt}
+    loads = modelled._asdict() | {"joint_strain": felt}
     delivered = float(arm_shaker().delivers(np.array(plan.frequency))[0])
     for kind in kept:
         value, limit = rows[PEAKS[kind]]
         assert limit == LOADED[kind].low < LOADED[kind].median
-        shift, _ = error(kind.replace("joint_strain", "flowers"), plan.frequency)
-        expected = plan.amplitude * np.exp(np.log(loads[kind]).mean() + shift + delivered)
-        assert value >= 0.999 * expected, "or more where the nonlinear solver says so"
-        assert value <= max(limit, 1.001 * _verification.MORE * expected)
+        middle = expected(kind.replace("joint_strain", "flowers"), loads[kind].ravel(), plan.frequency)
+        middle *= PEDICEL_STRAIN.median if kind == "joint_strain" else 1.0
+        reached = plan.amplitude * float(middle) * np.exp(delivered)
+        assert value >= 0.999 * reached, "or more where the nonlinear solver says so"
+        assert value <= max(limit, 1.001 * _verification.MORE * reached)
 
 
 def test_a_shake_that_is_cut_takes_its_neighbours_in_frequency_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -484,7 +485,7 @@ def test_without_scenarios_the_interval_is_of_what_model_and_actuator_are_off(
 ) -> None:
     monkeypatch.setattr(shake, "DRAWS", 0)
     plan = plan_shake(plant, grasps, params=QUICK)
-    _, doubt = error("flowers", plan.frequency)
+    _, doubt = believed("flowers", np.ones(1), plan.frequency)
     only = np.exp(1.645 * np.hypot(doubt, arm_shaker().delivers(np.array(plan.frequency))[1]))
     low, high = plan.predicted_amplitude_interval.T
     assert low * only == pytest.approx(plan.predicted_amplitude)
@@ -500,10 +501,12 @@ def test_what_is_predicted_of_flowers_is_the_median_that_is_expected(
     monkeypatch.setattr(_verification, "verified", lambda _, asked, *__, **___: (asked, Shaken(solver, {}), ()))
     grips = cast(Any, SimpleNamespace(nodes=[[0, 1]], directions=np.eye(3)[None, :1]))
     delivered = np.full((1, 1, 1), 0.3), np.full((1, 1, 1), 0.4)
-    found = Search(grips, gain[:, None, None, None], np.array([hertz]), size, size, {}, delivered, 1e-4)
+    answer: Any = None
+    found = Search(grips, gain[:, None, None, None], answer, np.array([hertz]), size, size, {}, delivered, 1e-4)
     told = check(plant, found, (0, 0, 0), replace(QUICK, keeps_limits=False))
-    (shift, spread), logs = error("flowers", hertz), np.log(gain)
-    expected = size.item() * np.exp(logs.mean(axis=0) + shift + 0.3) * [1.1, 0.95]
-    assert told.amplitude == pytest.approx(expected)
+    omega2 = (2 * np.pi * hertz) ** 2
+    logs, spread = believed("flowers", omega2 * gain, hertz)
+    assert told.amplitude == pytest.approx(size.item() * np.exp(logs.mean(axis=0) + 0.3) / omega2 * [1.1, 0.95])
+    assert told.nonlinear == pytest.approx([1.1, 0.95])
     doubt = np.sqrt(logs.var(axis=0) + spread**2 + 0.4**2)
     assert np.log(told.spread) == pytest.approx(1.645 * doubt[:, None] * [-1, 1])
