@@ -289,7 +289,7 @@ def test_a_late_clock_is_found(late: float) -> None:
 def trusted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let members be trusted, and loads as they are narrowed."""
     monkeypatch.setattr(foresight_module, "MISFIT", 1e-3)
-    sure = ((0.0,) * len(BANDS), (1e-9,) * len(BANDS))
+    sure = ((0.0,) * len(BANDS), (1.0,) * len(BANDS), (1e-9,) * len(BANDS))
     monkeypatch.setattr(decision, "OBSERVED_ERRORS", dict.fromkeys(OBSERVED_ERRORS, sure))
     monkeypatch.setattr(decision, "MEASURED_ERROR", sure)
 

@@ -187,7 +187,9 @@ class Escalation:
         else:
             self._options[active[0]].looked_at(told[0])
             follows = self._decided(active[0])
-        felt = np.sqrt(sum((a * one.flowers) ** 2 for a, _, one in shaken))
+        felt = np.sqrt(
+            sum((a * one.answer.flowers[0]) ** 2 for a, _, one in shaken)
+        )  # of one measured all say the same
         step = Step(
             steady[0].time,
             steady[-1].time,
