@@ -464,6 +464,7 @@ def test_depth_tells_of_fast_tones_only_swings_that_it_cannot_feign() -> None:
         assert np.all(np.isfinite(answered(quick, at, 1, 0.0).std[:, 2]) == told_by_depth)
 
 
+@pytest.mark.usefixtures("trusted")
 def test_all_counts_per_metre_that_was_commanded() -> None:
     foresight = made_foresight(3)
     world = World(foresight, foresight.vectors[5])
