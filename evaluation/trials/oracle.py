@@ -12,7 +12,7 @@ Q tones, D directions, A amplitudes, F flowers.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any, NamedTuple, cast
 
@@ -20,6 +20,7 @@ import numpy as np
 
 from anther.core import Array
 from anther.plant import Crop
+from anther.plant.limits import MOVED
 from anther.pollination.grasp import Grasp
 from anther.pollination.shake import VIBRATING_GRIPPER, Actuator, arm_shaker
 from anther.pollination.shake.choice import DIRECTIONS, MOST_SPEED
@@ -51,7 +52,8 @@ class Shakes(NamedTuple):
     """Shakes from one grip, and what each does.
 
     Attributes:
-        amplitude: (A, Q, D) of the grip [m].
+        point: (3,) the grip's [m].
+        amplitude: (A, Q, D) of the grip [m]; 0 where the machine cannot be trusted with as little as it can.
         hertz: (Q, 1).
         directions: (D, 3).
         felt: (A, Q, D, F) peak acceleration of each flower [m/s2].
@@ -60,6 +62,7 @@ class Shakes(NamedTuple):
         slipped: (A, Q, D) whether the pads' friction holds less than the plant pulls.
     """
 
+    point: Array
     amplitude: Array
     hertz: Array
     directions: Array
@@ -84,15 +87,21 @@ def foreseen(species: Crop, seed: int, viewpoint: float, truth: Truth, way: str)
         truth: of plant and pads.
         way: of `ACTUATORS`.
     """
-    plant, limits = grow(species, seed, viewpoint, USUAL_DISTANCE, truth), tolerances(species, seed)
-    most, row = dict.fromkeys(MEASURES, 0.0), _row(None, (), limits)
-    for shakes, share in zip(tried(plant, truth, ACTUATORS[way]), SHARES, strict=True):
+    plant = grow(species, seed, viewpoint, USUAL_DISTANCE, truth)
+    return best(tried(plant, truth, ACTUATORS[way]), tolerances(species, seed))
+
+
+def best(grips: Iterable[Shakes], limits: Mapping[str, float]) -> dict[str, Any]:
+    """Return the row of the best of all shakes on a plant that bears these limits; see `foreseen`."""
+    row: dict[str, Any] = {"success": True, "held": True, "failure": None, "message": "none is worth anything"}
+    most = dict.fromkeys(MEASURES, 0.0)
+    for shakes in grips:
         for name, measure in MEASURES.items():
             net = shakes.net(limits, measure)
-            if net.max() > most[name]:
-                most[name] = float(net.max())
-                at = np.unravel_index(int(net.argmax()), net.shape)
-                row = _row(shakes, at, limits, share) if measure == "acceleration" else row
+            at = np.unravel_index(int(net.argmax()), net.shape)
+            if net[at] > most[name]:
+                most[name] = float(net[at])
+                row = _row(shakes, at, limits) if name == "acceleration" else row
     return row | {"best": most}
 
 
@@ -155,15 +164,11 @@ def shakes_of(
         for values in (size(found.flowers) * omega2[..., None], *of_flower_stalks(plant, pieces, strain))
     )
     largest = {kind: amplitude * values.max(axis=-1, initial=0.0) for kind, values in loads.items()}
-    return Shakes(amplitude, hertz, directions, felt, stalks[0], stalks[1], largest, amplitude * pulls > holds)
+    return Shakes(grip.point, amplitude, hertz, directions, felt, *stalks, largest, amplitude * pulls > holds)
 
 
-def _row(
-    shakes: Shakes | None, at: tuple[Any, ...], limits: Mapping[str, float], share: float = np.nan
-) -> dict[str, Any]:
-    """Return the row of a shake at (A, Q, D); None: nothing is worth doing."""
-    if shakes is None:
-        return {"success": True, "held": True, "harmed": "", "failure": None, "message": "nothing is worth doing"}
+def _row(shakes: Shakes, at: tuple[Any, ...], limits: Mapping[str, float]) -> dict[str, Any]:
+    """Return the row of a shake at (A, Q, D), which does not slip."""
     loads, felt = {kind: float(load[at]) for kind, load in shakes.loads.items()}, shakes.felt[at]
     harm = Harm(loads, limits, shakes.pedicels[at], shakes.peduncles[at])
     freed = dict(zip(("low", "median", "high"), pollen_freed(felt), strict=True))
@@ -174,12 +179,13 @@ def _row(
         "message": harm.words,
         "harmed": ", ".join(harm.passed),
         "harm_probability": harm.probability,
-        "grip_share": float(share),
+        "grip_point": shakes.point.tolist(),
         "direction": shakes.directions[at[2]].tolist(),
         "shake_frequency_hz": float(shakes.hertz[at[1], 0]),
         "shake_amplitude_m": float(shakes.amplitude[at]),
         "true_flower_acceleration_peak_ms2": felt.tolist(),
         "true_flower_acceleration_median_ms2": float(np.median(felt)) if len(felt) else None,
+        "share_above_5_ms2": float(np.mean(felt > MOVED)) if len(felt) else None,
         "true_pedicel_strains": harm.pedicels.tolist(),
         "true_peduncle_strains": harm.peduncles.tolist(),
         "flowers_lost": harm.flowers_lost,

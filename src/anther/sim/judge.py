@@ -165,7 +165,7 @@ def net_fruit(
     parts = [DOSE_MEASURES[measure]._replace(probability=1.0)] if measure else DOSE_MEASURES.values()
     motion = np.log(np.maximum(np.nan_to_num(felt), 1e-12))
     ratio = np.log(np.asarray(hertz, dtype=np.float64) / DOSE_MIDDLE)[..., None]
-    freed = sum(share * np.interp(motion + power * ratio, *_expected()) for power, share in parts)
+    freed = sum(share * np.interp(motion + power * ratio, *_expected(), left=0.0) for power, share in parts)
     gain = np.sum(freed, axis=-1) / max(np.shape(felt)[-1], 1)
     slips = np.asarray(slipped, dtype=bool)
     cost = sum(COSTS[kind] * np.asarray(bent[kind]) for kind in ("base", "leaf")) + COSTS["slip"] * slips
