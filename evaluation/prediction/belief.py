@@ -40,7 +40,6 @@ from anther.pollination.response.points import sight
 from anther.pollination.shake.observables import ComplexArray, semi_major
 from anther.robot import Frame
 from anther.sim import Organ, Scene, SimPlant, layout
-from anther.sim._pieces import of_flower_stalks
 from anther.sim.robot import SIDE
 from anther.sim.simulated_cell import USUAL_DISTANCE
 from evaluation.harness import by_turns, finish, options, run_cases
@@ -137,7 +136,7 @@ def truths(grip: ShakenPlant, middles: Array, motion: ComplexArray) -> dict[str,
     trunk = np.isin(organ, (Organ.STEM, Organ.BRANCH))
     return {
         "flowers": semi_major(grip.linear(TONES)) * (2 * np.pi * TONES[:, None]) ** 2,
-        "pedicels": of_flower_stalks(plant, pieces, strain)[0],
+        "pedicels": grip.flower_stalks(strain)[0],
         "base_strain": strain[:, ~trunk & (organ != Organ.PEDICEL)].max(axis=1, initial=0.0),
         "stem_strain": strain[:, trunk].max(axis=1, initial=0.0),
         "leaf_load": leaf_load(grip.plant, middles, motion),

@@ -29,7 +29,6 @@ from anther.pollination.shake.pads import PADS, friction_force
 from anther.pollination.shake.params import Params
 from anther.robot.pressing import PRESSING
 from anther.sim import Organ, SimPlant, Truth, cell, grow
-from anther.sim._pieces import of_flower_stalks
 from anther.sim.judge import LEAF_BAND, Harm, lost_flowers, net_fruit, pollen_freed
 from anther.sim.simulated_cell import USUAL_DISTANCE
 from anther.sim.truth import DOSE_MEASURES, TOLERANCE, tolerances
@@ -161,7 +160,7 @@ def shakes_of(
     amplitude = np.where(most < least, 0.0, least * ratio)
     felt, *stalks = (
         amplitude[..., None] * values
-        for values in (size(found.flowers) * omega2[..., None], *of_flower_stalks(plant, pieces, strain))
+        for values in (size(found.flowers) * omega2[..., None], *grip.flower_stalks(strain))
     )
     largest = {kind: amplitude * values.max(axis=-1, initial=0.0) for kind, values in loads.items()}
     return Shakes(grip.point, amplitude, hertz, directions, felt, *stalks, largest, amplitude * pulls > holds)

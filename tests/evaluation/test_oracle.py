@@ -12,7 +12,6 @@ from straight_plant import straight_plant
 from anther.pollination.shake import VIBRATING_GRIPPER, arm_shaker
 from anther.pollination.shake.observables import semi_major
 from anther.sim import cell
-from anther.sim._pieces import of_flower_stalks
 from anther.sim.judge import Harm, net_fruit
 from anther.sim.truth import Truth, tolerances
 from evaluation.prediction import shaken_plant
@@ -49,8 +48,8 @@ def test_no_shake_of_its_grid_is_worth_more_than_the_oracles(
             felt = amplitude * semi_major(grip.linear([hertz]))[0] * (2 * np.pi * hertz) ** 2
             assert felt == pytest.approx(shakes.felt[a, q, d], rel=1e-6), "one shake along its own direction"
             strain = amplitude * semi_major(grip.bending([hertz]))[0]
-            stalks = of_flower_stalks(grip.mechanics.plant, grip.mechanics.pieces, strain)
-            harm = Harm({kind: load[a, q, d] for kind, load in shakes.loads.items()}, limits, *stalks)
+            loads = {kind: load[a, q, d] for kind, load in shakes.loads.items()}
+            harm = Harm(loads, limits, *grip.flower_stalks(strain))
             bent = {kind: harm.loads[kind] > limits[kind] for kind in limits}
             slipped = bool(shakes.slipped[a, q, d])
             assert net_fruit(felt, hertz, harm.flowers_lost / 1, bent, slipped, measure) <= found["best"][name] + 1e-9
