@@ -19,11 +19,11 @@ from anther.plant.limits import MOVED
 from anther.sim.judge import net_fruit
 from evaluation.statistics import bootstrap, interval, median
 from evaluation.tables import markdown
-from evaluation.trials.oracle import ACTUATORS, MEASURES
+from evaluation.trials.oracle import ACCELERATIONS, ACTUATORS, MEASURES
 
 Row = dict[str, Any]
 
-ACCELERATION, ACCELERATIONS = "true_flower_acceleration_median_ms2", "true_flower_acceleration_peak_ms2"
+ACCELERATION = "true_flower_acceleration_median_ms2"
 MAIN = "acceleration"
 """The measure of motion by which worth is told, where no other is named."""
 
