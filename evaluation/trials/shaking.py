@@ -10,7 +10,7 @@ plan       Anther's plan alone: what the model allows
 escalated  the plan raised by what the side camera sees
 again      a second visit, with other errors of arm and cameras, that begins with what the first ended with
 motor      the same with a motor in the gripper
-oracle     the best shake of an arm that knows the plant, by linear equations (`oracle.py`); oracle_motor: of a motor
+oracle     the best within the reach of an arm, on a plant that is known (`oracle.py`); oracle_motor: of a motor
 
 Every trial ends in one JSON in --out and is not run again. Keys of --json: those of `shaking_table.metrics`.
 """
