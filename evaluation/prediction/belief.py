@@ -44,7 +44,6 @@ from anther.pollination.shake._actuators import ACCELERATION, STROKE
 from anther.pollination.shake.observables import ComplexArray, semi_major
 from anther.robot import Frame
 from anther.sim import Organ, Scene, SimPlant, layout
-from anther.sim._pieces import of_pedicels
 from anther.sim.robot import SIDE
 from anther.sim.simulated_cell import USUAL_DISTANCE
 from evaluation.harness import CROPS, by_turns, finish, options, run_cases
@@ -154,7 +153,7 @@ def truths(grip: ShakenPlant, middles: Array, motion: ComplexArray) -> dict[str,
     trunk = np.isin(organ, (Organ.STEM, Organ.BRANCH))
     return {
         "flowers": semi_major(grip.linear(TONES)) * (2 * np.pi * TONES[:, None]) ** 2,
-        "pedicels": of_pedicels(plant, pieces, strain),
+        "pedicels": grip.flower_stalks(strain)[0],
         "base_strain": strain[:, ~trunk & (organ != Organ.PEDICEL)].max(axis=1, initial=0.0),
         "stem_strain": strain[:, trunk].max(axis=1, initial=0.0),
         "leaf_load": leaf_load(grip.plant, middles, motion),

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco as mujoco_module
 import numpy as np
@@ -27,6 +27,7 @@ from anther.core.checks import check_range
 from anther.core.oscillation import fit_swing
 from anther.pollination.shake.observables import semi_major
 from anther.sim import NOMINAL, Organ, SimPlant, Truth, _plant_mechanics
+from anther.sim._pieces import of_flower_stalks
 from anther.sim._plant_mechanics import PlantMechanics
 from anther.sim.sway import Air
 from evaluation.judge.finer_plant import divided
@@ -87,6 +88,22 @@ class Shaken:
     amplitude: Array
     grip_amplitude: float
     unsteadiness: float
+
+
+class Across(NamedTuple):
+    """What small shakes along world x and y do, per metre of grip motion; L leaves.
+
+    Attributes:
+        flowers: (Q, 2, F, 3) their motion [-].
+        leaves: (Q, 2, L, 3) the motion of the petioles' bases [-].
+        bending: (Q, 2, B, 2) strain at each piece's root [1/m].
+        load: (Q, 2, 5) of the pads, two forces across [N/m] and three moments [N].
+    """
+
+    flowers: NDArray[np.complex128]
+    leaves: NDArray[np.complex128]
+    bending: NDArray[np.complex128]
+    load: NDArray[np.complex128]
 
 
 class ShakenPlant:
@@ -196,7 +213,9 @@ class ShakenPlant:
             amplitude: of the grip [m], at which the air's drag is taken; 0 is a shake too small to feel it.
             loss_factor: of hysteretic damping instead of the plant's own: springs times 1 + i loss_factor.
         """
-        flowers, phasors = self._jacobians(), self._phasors(frequencies, amplitude, loss_factor)
+        bodies = self.mechanics.bodies[self.mechanics.pieces.body[self._part[self.plant.flower_segment]]]
+        flowers = self._jacobians(bodies, self.plant.flower_position)
+        phasors = self._phasors(frequencies, amplitude, loss_factor)
         return np.array([np.tensordot(flowers, phasor, 1) for phasor in phasors])
 
     def bending(
@@ -207,6 +226,29 @@ class ShakenPlant:
         Arguments as of `linear`.
         """
         return np.array([self.mechanics.bending(p) for p in self._phasors(frequencies, amplitude, loss_factor)])
+
+    def across(self, frequencies: ArrayLike) -> Across:
+        """Return what small shakes (Q,) [Hz] along world x and y do, whatever the plant's own direction.
+
+        Any shake across is a sum of both.
+        """
+        (mass, damping, stiffness, _), pieces = self._linear, self.mechanics.pieces
+        plant, bodies = self.mechanics.plant, self.mechanics.bodies
+        petiole = plant.organ == Organ.PETIOLE
+        base = np.flatnonzero(petiole & (plant.organ[plant.parent] != Organ.PETIOLE))
+        flowers = self._jacobians(bodies[pieces.body[plant.flower_segment]], plant.flower_position)
+        leaves = self._jacobians(bodies[pieces.body[base]], plant.start[base])
+        rows = []
+        for omega in 2 * np.pi * np.atleast_1d(np.asarray(frequencies, dtype=np.float64)):
+            dynamic = stiffness + 1j * omega * damping - omega**2 * mass
+            motion, load = self._held_motion(dynamic, omega, np.eye(5, 2))
+            bent = np.stack([self.mechanics.bending(one) for one in motion.T])
+            rows.append((*(np.moveaxis(jacobian @ motion, 2, 0) for jacobian in (flowers, leaves)), bent, load.T))
+        return Across(*map(np.array, zip(*rows, strict=True)))
+
+    def flower_stalks(self, strain: Array) -> tuple[Array, Array]:
+        """Return (..., F) the largest of the pieces' strains (..., B) in each flower's pedicel, and in its peduncle."""
+        return of_flower_stalks(self.mechanics.plant, self.mechanics.pieces, strain)
 
     def force(self, frequency: float) -> NDArray[np.complex128]:
         """Return (3,) the force of a small shake between pads and plant, across, per metre of grip motion [N/m]."""
@@ -288,13 +330,16 @@ class ShakenPlant:
         return motion
 
     def _held_motion(
-        self, dynamic: NDArray[np.complex128], omega: float
+        self, dynamic: NDArray[np.complex128], omega: float, wanted: Array | None = None
     ) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-        """Return (D,) what the dynamic stiffness (D, D) answers to a metre of grip motion, and the pads' load (5,)."""
+        """Return (D,) what the dynamic stiffness (D, D) answers to a metre of grip motion, and the pads' load (5,).
+
+        `wanted`: (5, n) other motions of the grip, two across and three turns; then (D, n) and (5, n).
+        """
         grip = self._linear[3]
         reached = np.linalg.solve(dynamic, grip.T.astype(np.complex128))
         give = np.diag(1 / self._pads / (1 + 1j * omega * PAD_LOSS))
-        wanted = np.concatenate([self.direction[:2], np.zeros(3)])
+        wanted = np.concatenate([self.direction[:2], np.zeros(3)]) if wanted is None else wanted
         load = np.linalg.pinv(grip @ reached + give, rcond=1e-9) @ wanted
         return reached @ load, load
 
@@ -313,13 +358,12 @@ class ShakenPlant:
         """Pieces on which there is drag."""
         return np.flatnonzero(self.air.linear(np.ones(len(self.mechanics.bodies))))
 
-    def _jacobians(self) -> Array:
-        """Return (F, 3, D) of the flowers at rest."""
+    def _jacobians(self, bodies: NDArray[Any], places: Array) -> Array:
+        """Return (n, 3, D) of places (n, 3) on bodies (n,) at rest."""
         m, data = self.model, mujoco.MjData(self.model)
         mujoco.mj_forward(m, data)
-        bodies = self.mechanics.bodies[self.mechanics.pieces.body[self._part[self.plant.flower_segment]]]
         out = np.zeros((len(bodies), 3, m.nv))
-        for row, body, place in zip(out, bodies, self.plant.flower_position, strict=True):
+        for row, body, place in zip(out, bodies, places, strict=True):
             mujoco.mj_jac(m, data, row, None, place, int(body))
         return out[:, :, self.mechanics.dofs]
 

@@ -191,6 +191,9 @@ def performed(cell: SimulatedCell, perform: Callable[[], Done]) -> tuple[dict[st
     visit = summarise(Visit("simulated", "plant", held_unharmed=False), cell, done, verdict, failure)
     summary = {k: v for k, v in as_counted(visit.flat()).items() if k not in NAMED}
     row = {k: v for k, v in summary.items() if k in LISTED or not isinstance(v, dict | list)}
+    if verdict is not None:
+        harm = verdict.harm
+        row |= {"true_pedicel_strains": harm.pedicels.tolist(), "true_peduncle_strains": harm.peduncles.tolist()}
     row["stem_held"] = shaken is not None and row.get("grasp_organ") == "stem"
     row["axis_held"] = shaken is not None and row.get("grasp_organ") in ("stem", "branch")
     if shaken is not None:

@@ -10,6 +10,7 @@ plan       Anther's plan alone: what the model allows
 escalated  the plan raised by what the side camera sees
 again      a second visit, with other errors of arm and cameras, that begins with what the first ended with
 motor      the same with a motor in the gripper
+oracle     the best within the reach of an arm, on a plant that is known (`oracle.py`); oracle_motor: of a motor
 
 Every trial ends in one JSON in --out and is not run again. Keys of --json: those of `shaking_table.metrics`.
 """
@@ -31,7 +32,7 @@ from anther.sim import WIDE, SimulatedCell, build
 from anther.sim.simulated_cell import PRESETS
 from evaluation.harness import by_turns, failed, finish, options, run_cases
 from evaluation.prediction.known_plant import matched
-from evaluation.trials import shaking_table
+from evaluation.trials import oracle, shaking_table
 from evaluation.trials.grasping_trial import Memory, paper_plan, performed, truth_of
 
 FIRST, DEVELOPMENT = 9500, 7700
@@ -40,7 +41,7 @@ PAPER_SHAKE = {"amplitude": 0.012, "frequency": 1.9, "duration": 5.0}
 """Of the paper's largest and fastest shakes (docs/paper.md)."""
 PAPER_FORCE = 150.0
 """The paper's shakes pull with 15 to 141 N (facts: pollination 6); a guard's 10 N would stop most."""
-WAYS = ("paper", "plan", "escalated", "again", "motor")
+WAYS = ("paper", "plan", "escalated", "again", "motor", *oracle.ACTUATORS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,12 +97,15 @@ def ended_with(row: dict[str, Any]) -> dict[str, Any] | None:
 
 def shaken(case: Case, folder: Path, earlier: EarlierShake | None = None) -> dict[str, Any]:
     """Run one trial and return what became of it."""
+    viewpoint, truth = 90.0 * (case.seed % 4), truth_of(case.truth, case.seed)
+    if case.way in oracle.ACTUATORS:
+        return asdict(case) | oracle.foreseen(case.species, case.seed, viewpoint, truth, case.way)
     cell = build(
         case.species,
         case.seed,
-        90.0 * (case.seed % 4),
+        viewpoint,
         PRESETS["fast"],
-        truth=truth_of(case.truth, case.seed),
+        truth=truth,
         actuator="gripper" if case.way == "motor" else "arm",
         visit=int(case.way == "again"),
     )

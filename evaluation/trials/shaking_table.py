@@ -1,4 +1,10 @@
-"""What `shaking.py` makes of its trials: effect, harm, time, by way of shaking; with 95 % intervals. P plants."""
+"""What `shaking.py` makes of its trials: effect, harm, worth, time, by way of shaking; with 95 % intervals. P plants.
+
+Keys of the worth of shakes (`anther.sim.judge.net_fruit`), of each way: net_fruit_<way>, its mean over plants;
+net_fruit_<way>_<measure> by another measure of motion that frees pollen, "drawn" for the mean over all;
+oracle_share_<way>, net fruit over the oracle's on the same plants (a ratio of sums); regret_<way>_<measure>, by how
+much less it is; regret_<way>, the largest of them; bent_<way>, plants with a stem, fork or base that stays bent.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +14,18 @@ from typing import Any
 import numpy as np
 from rich.console import RenderableType
 
+from anther.core import Array
 from anther.plant.limits import MOVED
+from anther.sim.judge import net_fruit
 from evaluation.statistics import bootstrap, interval, median
 from evaluation.tables import markdown
+from evaluation.trials.oracle import ACCELERATIONS, ACTUATORS, MEASURES
 
 Row = dict[str, Any]
 
 ACCELERATION = "true_flower_acceleration_median_ms2"
+MAIN = "acceleration"
+"""The measure of motion by which worth is told, where no other is named."""
 
 
 def of(rows: Sequence[Row], way: str, species: str | None = None) -> list[Row]:
@@ -35,9 +46,9 @@ def harmed(row: Row) -> bool:
 def within(rows: Sequence[Row], share: float) -> float:
     """Return the share of flowers in sight whose last measured acceleration is within `share` of the true one."""
     miss = [
-        abs(measured / row["true_flower_acceleration_peak_ms2"][k] - 1)
+        abs(measured / row[ACCELERATIONS][k] - 1)
         for row in rows
-        if row.get("flowers") and row.get("true_flower_acceleration_peak_ms2")
+        if row.get("flowers") and row.get(ACCELERATIONS)
         for measured, k in zip(row["flowers"]["measured"], row["flowers"]["of"], strict=True)
         if measured is not None and np.isfinite(measured)
     ]
@@ -45,9 +56,61 @@ def within(rows: Sequence[Row], share: float) -> float:
 
 
 def flowers_lost(rows: Sequence[Row]) -> float:
-    """Return the share of all flowers that hang on pedicels bent further than their plant's bear."""
-    flowers = sum(len(row.get("true_flower_acceleration_peak_ms2") or ()) for row in rows)
+    """Return the share of all flowers that hang on stalks bent further than their plant's bear."""
+    flowers = sum(len(row.get(ACCELERATIONS) or ()) for row in rows)
     return sum(row.get("flowers_lost") or 0 for row in rows) / max(flowers, 1)
+
+
+def bent(row: Row, *kinds: str) -> bool:
+    """Whether an organ of one of these kinds of load stays bent."""
+    return any(kind in str(row.get("harmed") or "").split(", ") for kind in kinds)
+
+
+def net(row: Row, measure: str = MAIN) -> float:
+    """Return what a shake was truly worth, by a measure of `MEASURES`; 0 of a plant that was not shaken.
+
+    Of an oracle the most that one is worth by that measure.
+    """
+    if "best" in row:
+        return float(row["best"][measure])
+    felt = np.array(row.get(ACCELERATIONS) or (), dtype=float)
+    if not len(felt):
+        return 0.0
+    organs = {kind: bent(row, kind) for kind in ("stem", "base", "leaf")}
+    lost, slipped = (row.get("flowers_lost") or 0) / len(felt), row.get("failure") == "slipped"
+    return float(net_fruit(felt, row["shake_frequency_hz"], lost, organs, slipped, MEASURES[measure]))
+
+
+def beside_oracle(rows: Sequence[Row], way: str, measure: str = MAIN) -> Array:
+    """Return (P, 2) the net fruit of a way and of the oracle with the same machine, on plants that have both."""
+    best = {(row["species"], row["seed"]): row for row in of(rows, "oracle_motor" if way == "motor" else "oracle")}
+    mine = [row for row in of(rows, way) if (row["species"], row["seed"]) in best and way not in ACTUATORS]
+    pairs = [(net(row, measure), net(best[row["species"], row["seed"]], measure)) for row in mine]
+    return np.array(pairs).reshape(-1, 2)
+
+
+def share(pairs: Array, axis: int = 0) -> Array:
+    """Return the first over the second of the sums of pairs (..., 2) along an axis."""
+    mine, best = np.moveaxis(pairs.sum(axis=axis), -1, 0)
+    return np.divide(mine, best, out=np.full_like(mine, np.nan), where=best > 0)
+
+
+def worth(rows: Sequence[Row], way: str, name: str) -> dict[str, float]:
+    """Return the numbers of what the shakes of a way were worth, under its name."""
+    mine = of(rows, way)
+    values = np.array([net(row) for row in mine])
+    low, high = bootstrap(values, np.mean)
+    table = {f"net_fruit_{name}": float(values.mean()), f"net_fruit_{name}_low": low, f"net_fruit_{name}_high": high}
+    table |= {f"net_fruit_{name}_{m}": float(np.mean([net(row, m) for row in mine])) for m in MEASURES if m != MAIN}
+    table[f"bent_{name}"] = float(sum(bent(row, "stem", "base") for row in mine))
+    if len(pairs := beside_oracle(rows, way)):
+        low, high = bootstrap(pairs, share)
+        table |= {f"oracle_share_{name}": float(share(pairs))}
+        table |= {f"oracle_share_{name}_low": low, f"oracle_share_{name}_high": high}
+        regrets = {m: float(np.diff(beside_oracle(rows, way, m)).mean()) for m in MEASURES}
+        table |= {f"regret_{name}_{measure}": regret for measure, regret in regrets.items()}
+        table[f"regret_{name}"] = max(regrets.values())
+    return table
 
 
 def metrics(rows: Sequence[Row]) -> dict[str, float]:
@@ -66,11 +129,13 @@ def metrics(rows: Sequence[Row]) -> dict[str, float]:
         table[f"share_above_5_{name}"] = float(np.mean(values >= MOVED))
         table[f"past_limit_{name}"] = float(sum(map(harmed, mine)))
         table[f"flowers_lost_{name}"] = flowers_lost(mine)
+        table |= worth(rows, way, name)
         table[f"held_{name}"] = float(np.mean([bool(row.get("held")) for row in mine]))
         table[f"harm_probability_{name}"] = float(np.mean([row.get("harm_probability") or 0.0 for row in mine]))
         table[f"shaking_s_{name}"] = float(np.median([row.get("shaking_s") or 0.0 for row in mine]))
     if "share_above_5_arm" in table:
-        table["share_above_5"], table["shaking_s"] = table["share_above_5_arm"], table["shaking_s_arm"]
+        whole = ("share_above_5", "shaking_s", "flowers_lost", "oracle_share")
+        table |= {key: table[f"{key}_arm"] for key in whole if f"{key}_arm" in table}
         table["measured_within_15"] = within(of(rows, "escalated"), 0.15)
         table["over_paper"] = over_paper(rows)
     return table
@@ -100,7 +165,13 @@ def report(rows: Sequence[Row]) -> list[RenderableType]:
         "flowers lost", "plants harmed (95 % interval)", "probability of harm",
     )  # fmt: skip
     plants = markdown(heads, [(way, *map(_known, _plants(mine))) for way, mine in ways.items()])
-    lost = [row for row in rows if not row.get("held") or harmed(row)]
+    heads = (
+        "way", "net fruit (95 % interval)", *(f"by {name}" for name in MEASURES if name != MAIN),
+        "of the oracle's (95 % interval)", f"short of the oracle's by {', '.join(MEASURES)}",
+        "plants with stem, fork or base bent",
+    )  # fmt: skip
+    fruit = markdown(heads, [(way, *map(_known, _worth(rows, way))) for way in ways])
+    lost = [row for row in rows if "best" not in row and (not row.get("held") or harmed(row))]
     lines = [(r["way"], f"{r['species']} {r['seed']}", r.get("message")) for r in lost]
     wrong = markdown(("way", "plant", "what happened"), lines) if lines else "No trial failed."
     parts = [
@@ -108,6 +179,10 @@ def report(rows: Sequence[Row]) -> list[RenderableType]:
         flowers,
         "What the plants bore: the largest bending strains, and the acceleration at leaf bases below 5 Hz.",
         plants,
+        "What the shakes were worth, by the judge: pollen freed less flowers lost and organs bent, as a share of all "
+        "flowers of a plant. An oracle knows the plant; it has a best shake for each measure of motion that may free "
+        "pollen.",
+        fruit,
     ]
     return [*parts, *_compared(rows), "Trials that did not hold the stem or went past what the plant bears.", wrong]
 
@@ -144,6 +219,20 @@ def _flowers(rows: Sequence[Row]) -> list[str]:
         f"{_middle(rows, 'share_above_5_ms2', 100):.0f} %",
         f"{pollen[0]:.0f} % ({pollen[1]:.0f} to {pollen[2]:.0f})",
         f"{_middle(rows, 'shaking_s'):.1f}",
+    ]
+
+
+def _worth(rows: Sequence[Row], way: str) -> list[str]:
+    table = worth(rows, way, "x")
+    others = [f"{table[f'net_fruit_x_{name}']:.2f}" for name in MEASURES if name != MAIN]
+    regrets = ", ".join(f"{table.get(f'regret_x_{name}', np.nan):.2f}" for name in MEASURES)
+    shares = [table.get(f"oracle_share_x{end}", np.nan) for end in ("", "_low", "_high")]
+    return [
+        "{:.2f} ({:.2f} to {:.2f})".format(*(table[f"net_fruit_x{end}"] for end in ("", "_low", "_high"))),
+        *others,
+        f"{shares[0]:.0%} ({100 * shares[1]:.0f} to {100 * shares[2]:.0f})",
+        regrets,
+        f"{table['bent_x']:.0f}",
     ]
 
 

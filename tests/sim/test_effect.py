@@ -9,6 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from straight_plant import BASE, chain, plant_of
 
 from anther.core.errors import StageFailure
 from anther.core.geometry import Array
@@ -19,8 +20,10 @@ from anther.pollination.response import Response
 from anther.show.report import write_report
 from anther.show.results import RunResults
 from anther.show.summary import _truth, _verdict, summarise
-from anther.sim.judge import Harm, Verdict, pollen_freed
-from anther.sim.truth import HALF_DOSE, TOLERANCE, tolerances
+from anther.sim._pieces import Params, cut, of_flower_stalks
+from anther.sim.judge import COSTS, Harm, Verdict, net_fruit, pollen_freed
+from anther.sim.plant import Organ
+from anther.sim.truth import DOSE_EXPONENT, DOSE_MEASURES, DOSE_MIDDLE, HALF_DOSE, TOLERANCE, tolerances
 
 GENTLE = {"stem": 0.005, "pedicel": 0.001, "base": 0.001, "leaf": 1.0}
 BREEZE = (4.0, 6.0, 12.0)
@@ -85,6 +88,76 @@ def test_a_plant_that_loses_more_than_a_sixth_of_its_flowers_is_harmed(flowers: 
     harm = Harm(dict.fromkeys(TOLERANCE, 0.0) | {"pedicel": 0.02}, limits, bent)
     assert harm.flowers_lost == lost
     assert harm.passed == (("pedicel",) if harmed else ())
+
+
+@pytest.mark.parametrize(
+    ("peduncles", "lost"), [((0.0, 0.0, 0.0), 1), ((0.0, 0.02, 0.0), 1), ((0.02, 0.02, 0.0), 2), ((), 1)]
+)
+def test_flowers_are_lost_with_their_pedicel_or_their_peduncle(peduncles: tuple[float, ...], lost: int) -> None:
+    harm = Harm({}, dict.fromkeys(TOLERANCE, 0.01), np.array([0.005, 0.02, 0.005]), np.array(peduncles))
+    assert harm.flowers_lost == lost
+
+
+WHOLE: dict[str, Any] = {"lost": 0.0, "bent": {"stem": False, "base": False, "leaf": False}}
+MIXED = np.array([3.0, 12.0, 60.0])
+
+
+def test_a_shake_is_worth_the_pollen_freed_whatever_the_dose() -> None:
+    rng = np.random.default_rng(0)
+    half, power = (np.array([one.draw(rng) for _ in range(20000)])[:, None] for one in (HALF_DOSE, DOSE_EXPONENT))
+    freed = (MIXED**power / (MIXED**power + half**power)).mean()
+    assert net_fruit(MIXED, DOSE_MIDDLE, **WHOLE) == pytest.approx(freed, abs=0.005)
+    assert net_fruit(np.append(MIXED, np.nan), 5.0, **WHOLE) == pytest.approx(0.75 * freed, abs=0.005)
+    assert net_fruit(np.zeros(0), 5.0, **WHOLE) == 0
+
+
+@pytest.mark.parametrize("hertz", [3.0, DOSE_MIDDLE, 40.0])
+def test_measures_of_motion_agree_at_the_middle_and_part_beyond_it(hertz: float) -> None:
+    by = {name: float(net_fruit(MIXED, hertz, **WHOLE, measure=name)) for name in DOSE_MEASURES}
+    order = np.sign([by["jerk"] - by["acceleration"], by["acceleration"] - by["velocity"]])
+    assert order.tolist() == [np.sign(hertz - DOSE_MIDDLE)] * 2
+    mean = sum(by[name] * measure.probability for name, measure in DOSE_MEASURES.items())
+    assert net_fruit(MIXED, hertz, **WHOLE, measure=None) == pytest.approx(mean)
+    assert sum(measure.probability for measure in DOSE_MEASURES.values()) == pytest.approx(1)
+    slower = net_fruit(MIXED * hertz / DOSE_MIDDLE, DOSE_MIDDLE, **WHOLE)
+    assert by["jerk"] == pytest.approx(slower), "as much jerk at the middle"
+
+
+@pytest.mark.parametrize(
+    ("change", "cost"),
+    [
+        ({"lost": 1 / 3}, 1 / 3),
+        ({"bent": WHOLE["bent"] | {"stem": True}, "lost": 1 / 3}, 1.0),
+        ({"bent": WHOLE["bent"] | {"base": True}}, COSTS["base"]),
+        ({"bent": WHOLE["bent"] | {"leaf": True}}, COSTS["leaf"]),
+    ],
+)
+def test_what_is_lost_or_stays_bent_costs(change: dict[str, Any], cost: float) -> None:
+    whole = net_fruit(MIXED, 8.0, **WHOLE)
+    assert net_fruit(MIXED, 8.0, **WHOLE | change) == pytest.approx(whole - cost)
+    assert net_fruit(MIXED, 8.0, **WHOLE | change, slipped=True) == pytest.approx(-cost - COSTS["slip"])
+
+
+def test_a_flowers_stalks_are_its_pedicel_and_what_carries_it_up_to_the_stem() -> None:
+    up = np.linspace(0, 0.3, 7)[:, None] * [0, 0, 1.0]
+    stem = chain(BASE + up, 0.004)
+    peduncle = chain(
+        stem["end"][3] + np.linspace(0, 0.06, 4)[:, None] * [1.0, 0, 0], 0.0015, organ=Organ.PEDUNCLE, joins=3, first=6
+    )
+    pedicel = chain(
+        peduncle["end"][-1] + np.linspace(0, 0.015, 2)[:, None] * [0, 0, -1.0],
+        0.0005,
+        organ=Organ.PEDICEL,
+        joins=8,
+        first=9,
+    )
+    plant = plant_of(stem, peduncle, pedicel, flower=9)
+    pieces = cut(plant, Params())
+    organ = plant.organ[pieces.first]
+    strain = np.arange(1.0, 1 + len(organ))
+    own, carrier = of_flower_stalks(plant, pieces, np.stack([strain, 2 * strain]))
+    assert own[:, 0].tolist() == [strain[organ == Organ.PEDICEL].max(), 2 * strain[organ == Organ.PEDICEL].max()]
+    assert carrier[:, 0].tolist() == [strain[organ == Organ.PEDUNCLE].max(), 2 * strain[organ == Organ.PEDUNCLE].max()]
 
 
 def test_pollen_freed_spans_what_is_not_known_of_the_dose() -> None:

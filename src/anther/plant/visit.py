@@ -163,7 +163,7 @@ class TruthRecord(Record):
         borne_stem_strain, borne_pedicel_strain, borne_base_strain, borne_leaf_acceleration: what this plant bears.
         true_effort_share: largest share of a motor's torque limit.
         true_held_beside: other organs between the pads, by commas.
-        flowers_lost: flowers on pedicels that were bent further than this plant's bear.
+        flowers_lost: flowers on pedicels or peduncles that were bent further than this plant's bear.
     """
 
     harm_probability: float

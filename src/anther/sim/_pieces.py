@@ -74,15 +74,19 @@ class Pieces:
     twist: Array
 
 
-def of_pedicels(plant: SimPlant, pieces: Pieces, strain: Array) -> Array:
-    """Return (..., F) the largest of the strains (..., B) of the pieces that are each flower's pedicel."""
-    stalk, found = plant.organ[pieces.first] == Organ.PEDICEL, np.zeros((*strain.shape[:-1], len(plant.flower_segment)))
+def of_flower_stalks(plant: SimPlant, pieces: Pieces, strain: Array) -> tuple[Array, Array]:
+    """Return (..., F) the largest of the strains (..., B) of the pieces that are each flower's pedicel.
+
+    Then that of the pieces that carry the pedicel, up to stem or branch: 0 where it hangs on one of those.
+    """
+    organ, found = plant.organ[pieces.first], np.zeros((2, *strain.shape[:-1], len(plant.flower_segment)))
     for f, segment in enumerate(plant.flower_segment):
         piece = int(pieces.body[segment])
-        while piece >= 0 and stalk[piece]:
-            found[..., f] = np.maximum(found[..., f], strain[..., piece])
+        while piece >= 0 and organ[piece] not in (Organ.STEM, Organ.BRANCH):
+            of = found[int(organ[piece] != Organ.PEDICEL), ..., f]
+            of[...] = np.maximum(of, strain[..., piece])
             piece = int(pieces.parent[piece])
-    return found
+    return found[0], found[1]
 
 
 def cut(plant: SimPlant, params: Params) -> Pieces:

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.signal import butter, sosfiltfilt
 from scipy.stats import norm
 
@@ -18,10 +19,10 @@ from anther.core.errors import FailureKind
 from anther.core.geometry import Array, inverse
 from anther.core.oscillation import fit_swing
 from anther.plant.limits import moved
-from anther.sim._pieces import of_pedicels
+from anther.sim._pieces import of_flower_stalks
 from anther.sim.cell import Cell, CellLog
 from anther.sim.plant import Organ
-from anther.sim.truth import DOSE_EXPONENT, HALF_DOSE, TOLERANCE, tolerances
+from anther.sim.truth import DOSE_EXPONENT, DOSE_MEASURES, DOSE_MIDDLE, HALF_DOSE, TOLERANCE, tolerances
 
 MUCH = 10.0
 """Another threshold to count flowers by [m/s2]: the middle of what that breeze gives."""
@@ -48,16 +49,19 @@ class Harm:
             acceleration [m/s2] of "leaf".
         limits: what this plant bears of each, in the same units.
         pedicels: (F,) peak of the bending strain of each flower's pedicel [-]; empty: not known one by one.
+        peduncles: (F,) the same of what carries that pedicel up to stem or branch, 0 where nothing does; likewise.
     """
 
     loads: Mapping[str, float]
     limits: Mapping[str, float]
     pedicels: Array = field(default_factory=lambda: np.zeros(0))
+    peduncles: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def flowers_lost(self) -> int:
-        """How many flowers hang on a pedicel that was bent further than this plant's bear."""
-        return int(np.sum(~(self.pedicels <= self.limits["pedicel"]))) if len(self.pedicels) else 0
+        """How many flowers hang on a pedicel or a peduncle that was bent further than this plant's bear."""
+        peduncles = self.peduncles if len(self.peduncles) else np.zeros(len(self.pedicels))
+        return int(lost_flowers(self.pedicels, peduncles, self.limits).sum()) if len(self.pedicels) else 0
 
     @property
     def passed(self) -> tuple[str, ...]:
@@ -92,6 +96,11 @@ def _size(kind: str, load: float) -> str:
     return f"{load / 9.81:.2f} g" if kind == "leaf" else f"{load:.2%}"
 
 
+def lost_flowers(pedicels: Array, peduncles: Array, limits: Mapping[str, float]) -> NDArray[np.bool_]:
+    """Return (..., F) which flowers hang on stalks that were bent, by (..., F) strains, further than a plant bears."""
+    return ~((pedicels <= limits["pedicel"]) & (peduncles <= limits["base"]))
+
+
 def pollen_freed(acceleration: Array) -> tuple[float, float, float]:
     """Return the mean share of pollen that leaves the flowers: its 5 %, 50 % and 95 % quantile over what is not known.
 
@@ -107,11 +116,60 @@ def pollen_freed(acceleration: Array) -> tuple[float, float, float]:
     known = acceleration[np.isfinite(acceleration)]
     if len(known) == 0:
         return np.nan, np.nan, np.nan
+    low, middle, high = np.quantile(_freed(known).mean(axis=1), [0.05, 0.5, 0.95])
+    return float(low), float(middle), float(high)
+
+
+def _freed(acceleration: Array) -> Array:
+    """Return (200, F, 21) the share of pollen that (F,) accelerations free, by half dose and exponent."""
     middles = (np.arange(200) + 0.5) / 200
     half = HALF_DOSE.median * np.exp(HALF_DOSE.sigma * norm.ppf(middles))
-    ratio = (known / half[:, None])[..., None] ** np.linspace(DOSE_EXPONENT.low, DOSE_EXPONENT.high, 21)  # (200, F, 21)
-    low, middle, high = np.quantile((ratio / (1 + ratio)).mean(axis=1), [0.05, 0.5, 0.95])
-    return float(low), float(middle), float(high)
+    ratio = (acceleration / half[:, None])[..., None] ** np.linspace(DOSE_EXPONENT.low, DOSE_EXPONENT.high, 21)
+    return ratio / (1 + ratio)
+
+
+@cache
+def _expected() -> tuple[Array, Array]:
+    """Return ln of accelerations and the share of pollen that they free, its mean over all doses."""
+    logs = np.linspace(np.log(1e-3), np.log(1e4), 321)
+    return logs, _freed(np.exp(logs)).mean(axis=(0, 2))
+
+
+COSTS = {"base": 0.05, "leaf": 0.05, "slip": 0.1}
+"""What is lost beside flowers, in the fruit of the whole plant: by a petiole or a leaf that stays bent half of what one
+leaf of ten makes, by a stem that slips through the pads its bark. A judgement."""
+
+
+def net_fruit(
+    felt: Array,
+    hertz: ArrayLike,
+    lost: ArrayLike,
+    bent: Mapping[str, ArrayLike],
+    slipped: ArrayLike = False,
+    measure: str | None = "acceleration",
+) -> Array:
+    """Return (...) what shakes were worth, in the fruit of the whole plant: at most 1.
+
+    That is the mean share of pollen freed over the flowers, its mean over all that is not known of the dose, less the
+    share of flowers lost. A stem or fork that stays bent loses them all; `COSTS` says what else costs. A shake that
+    slipped frees nothing. Velocity and jerk are to first order those of a sine: acceleration over, and times, 2 pi f.
+
+    Args:
+        felt: (..., F) peak acceleration of each flower [m/s2]; NaN, where unknown, is none.
+        hertz: (...) frequency of the shake [Hz].
+        lost: (...) share of the flowers on pedicels or peduncles that stay bent.
+        bent: kind of `truth.TOLERANCE` -> (...) whether such an organ stays bent; pedicels are in `lost`.
+        slipped: (...) whether the stem slipped through the pads.
+        measure: of motion that frees pollen, of `truth.DOSE_MEASURES`; None: their mean, each as probable as it is.
+    """
+    parts = [DOSE_MEASURES[measure]._replace(probability=1.0)] if measure else DOSE_MEASURES.values()
+    motion = np.log(np.maximum(np.nan_to_num(felt), 1e-12))
+    ratio = np.log(np.asarray(hertz, dtype=np.float64) / DOSE_MIDDLE)[..., None]
+    freed = sum(share * np.interp(motion + power * ratio, *_expected(), left=0.0) for power, share in parts)
+    gain = np.sum(freed, axis=-1) / max(np.shape(felt)[-1], 1)
+    slips = np.asarray(slipped, dtype=bool)
+    cost = sum(COSTS[kind] * np.asarray(bent[kind]) for kind in ("base", "leaf")) + COSTS["slip"] * slips
+    return np.where(slips, 0.0, gain) - np.where(bent["stem"], 1.0, lost) - cost
 
 
 TRAVEL, TRAVEL_TIME = 0.01, 0.2
@@ -204,8 +262,8 @@ def judge(
     push = _push(log, shake)
     poses = np.stack([cell.segment_poses(q) for q in log.qpos[shaking]]) if shake else None
     leaf = _leaf_acceleration(cell, log.times[shaking], poses)
-    strains, pedicels = _strain(cell, log, shaking)
-    harm = Harm(strains | {"leaf": leaf}, tolerances(cell.plant.species, cell.plant.seed), pedicels)
+    strains, *stalks = _strain(cell, log, shaking)
+    harm = Harm(strains | {"leaf": leaf}, tolerances(cell.plant.species, cell.plant.seed), *stalks)
     dosed = slice(*np.searchsorted(log.times[shaking], steady or (-np.inf, np.inf)))
     amplitude, peak = _flower_motion(
         cell, log.times[shaking][dosed], None if poses is None else poses[dosed], frequency
@@ -309,23 +367,24 @@ def _push(log: CellLog, shake: tuple[float, float] | None) -> float:
     return float(np.bincount(log.contact_sample[before], log.contact_force[before], minlength=1).max())
 
 
-def _strain(cell: Cell, log: CellLog, shaking: NDArray[np.bool_]) -> tuple[dict[str, float], Array]:
+def _strain(cell: Cell, log: CellLog, shaking: NDArray[np.bool_]) -> tuple[dict[str, float], Array, Array]:
     """Return the peak bending strain during the shake: all that is added in stem and branches, the swing elsewhere; and
-    that of each flower's pedicel (F,).
+    that of each flower's pedicel (F,) and peduncle (F,).
 
     Keys: "stem" with branches, "pedicel", and "base" for all the rest, which is bent most where it begins. A petiole
     that the gripper holds aside is bent, which it survives; what counts there is how the shake swings it.
     """
     if not shaking.any():
-        return {"stem": 0.0, "pedicel": 0.0, "base": 0.0}, np.zeros(len(cell.plant.flower_segment))
+        still = np.zeros(len(cell.plant.flower_segment))
+        return {"stem": 0.0, "pedicel": 0.0, "base": 0.0}, still, still
     organ = cell.plant.organ[cell.mechanics.pieces.first]
     trunk, stalk = np.isin(organ, (Organ.STEM, Organ.BRANCH)), organ == Organ.PEDICEL
     qpos = log.qpos[shaking]
     bent = np.max([cell.mechanics.strain(q) for q in qpos], axis=0)
     swung = np.max([cell.mechanics.strain(q) for q in qpos - qpos.mean(axis=0)], axis=0)
     parts = {"stem": bent[trunk], "pedicel": swung[stalk], "base": swung[~trunk & ~stalk]}
-    pedicels = of_pedicels(cell.plant, cell.mechanics.pieces, swung)
-    return {kind: float(strain.max(initial=0)) for kind, strain in parts.items()}, pedicels
+    stalks = of_flower_stalks(cell.plant, cell.mechanics.pieces, swung)
+    return {kind: float(strain.max(initial=0)) for kind, strain in parts.items()}, *stalks
 
 
 def _leaf_acceleration(cell: Cell, times: Array, poses: Array | None) -> float:

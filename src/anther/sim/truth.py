@@ -3,7 +3,8 @@
 No stage reads this file. Only leaf mass, pedicels and the pads' turning are centred near what a planner takes for
 granted. `NOMINAL` is a plant and a robot without these doubts; `draw` draws all of them, or one group only, which shows
 what that one assumption is worth.
-`TOLERANCE` is what plants bear, `tolerances` what one of them does; `HALF_DOSE` is what its flowers ask for.
+`TOLERANCE` is what plants bear, `tolerances` what one of them does; `HALF_DOSE` and `DOSE_MEASURES` are what its
+flowers ask for.
 Sources are the facts (docs: facts) where they are named; what is called a guess has none.
 """
 
@@ -229,6 +230,21 @@ HALF_DOSE = Lognormal(5.0, 80.0)
 that wide (facts: pollination 6)."""
 DOSE_EXPONENT = Spread(1.0, 2.0, log=False)
 """n of the share freed, a^n / (a^n + half^n) [-] (facts: pollination 6)."""
+DOSE_MIDDLE = 12.0
+"""Where every measure of motion frees the same, so that the half dose of one is that of all [Hz]: the geometric middle
+of the 5 and 30 Hz at which tomato flowers answer (KAKEN 19KT0040). A guess."""
+
+
+class Measure(NamedTuple):
+    """A measure of motion that may free pollen: the peak acceleration times the frequency to a power."""
+
+    power: int
+    probability: float
+
+
+DOSE_MEASURES = {"acceleration": Measure(0, 0.6), "jerk": Measure(1, 0.25), "velocity": Measure(-1, 0.15)}
+"""No dose-response tells which it is. 5 m/s2 at 100 Hz raised tomato yield, which speaks for jerk and against velocity
+(facts: limits 7). The probabilities are a judgement."""
 
 
 def tolerances(species: str, seed: int) -> dict[str, float]:
