@@ -57,6 +57,7 @@ from anther.rods._response import displacements
 QUICK, ALL = Params(frequencies=12), Params()
 LOADS = (*PEAKS, "grip_force")
 ARM = arm_shaker()
+NO_ANSWER: Any = None
 EXACT = np.zeros((2, 1, 1, 1))
 """What an actuator delivers that does as it is told."""
 
@@ -319,7 +320,7 @@ def test_a_grip_bears_the_stiffness_of_a_bare_stem_and_the_moment_of_its_bending
 def test_a_dearer_flower_makes_a_gentler_shake(plant: PlantModel, grasps: list[Grasp]) -> None:
     strong = arm_shaker(lambda g, d, f: 9 * sawyer_limit(g, d, f))
     plans = [
-        plan_shake(plant, grasps, strong, with_preset(name, replace(QUICK, lowest=6, highest=6, least_amplitude=1e-6)))
+        plan_shake(plant, grasps, strong, with_preset(name, replace(QUICK, lowest=6, highest=6, least_amplitude=3e-4)))
         for name in ("gentle", "default", "bold")
     ]
     assert [with_preset(name).price for name in PRICES] == list(PRICES.values())
@@ -371,6 +372,7 @@ def test_a_tone_reaches_as_far_as_the_machine_allows_in_every_way_and_the_plant_
     found = Search(
         grips,
         np.ones((4, 2, 1, 1, 3)),
+        NO_ANSWER,
         hertz,
         np.full((2, 1, 1), 1e-3),
         np.ones((2, 1, 1)),
@@ -387,7 +389,7 @@ def test_an_earlier_shake_is_done_again_only_where_the_same_pads_would_hold() ->
     arc, hertz = np.array([0.15, 0.179, 0.181, 0.2, 0.219, 0.221, 0.3]), np.array([5.0, 9.0])
     grips = Grips([], arc, np.arange(7), np.tile(np.eye(3)[:2], (7, 1, 1)), np.ones((7, 1)))
     shape = (2, 7, 2)
-    found = Search(grips, np.ones((1, *shape, 1)), hertz, np.ones(shape), np.ones(shape), {}, EXACT, 1e-4)
+    found = Search(grips, np.ones((1, *shape, 1)), NO_ANSWER, hertz, np.ones(shape), np.ones(shape), {}, EXACT, 1e-4)
     again = as_earlier(found, EarlierShake(0.2, np.array([0, -1.0, 0]), 9.1, 1e-3))
     assert again is not None
     assert np.argwhere(again.score >= 0).tolist() == [[1, g, 1] for g in (2, 3, 4)]
@@ -422,13 +424,13 @@ def test_the_table_of_limits_says_what_is_expected_beside_what_nineteen_of_twent
 def test_a_shake_that_is_cut_takes_its_neighbours_in_frequency_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """What the solver halves is worth half, and so is the next tone; another tone and another grip are as they were."""
     frequencies, score = np.array([5.0, 5.2, 9.0]), np.array([1.0, 0.9, 0.7])[:, None, None] * [[1.0], [0.5]]
-    found = Search(*cast(Any, (None, None)), frequencies, np.full((3, 2, 1), 4e-3), score, {}, EXACT, 1e-4)
+    found = Search(*cast(Any, (None, None, None)), frequencies, np.full((3, 2, 1), 4e-3), score, {}, EXACT, 1e-4)
 
     def halved_below_6_hz(*given: Any) -> Checked:
         at = given[2]
         kept = 0.5 if frequencies[at[0]] < 6 else 1.0
         shake = Drive(0, np.array([1.0, 0, 0]), kept * found.amplitude[at], frequencies[at[0]], 0)
-        return Checked(shake, np.zeros(1), np.zeros((1, 2)), [], ())
+        return Checked(shake, np.zeros(1), np.ones(1), np.zeros((1, 2)), [], ())
 
     monkeypatch.setattr(_verification, "check", halved_below_6_hz)
     left, at, _ = _verification.best_that_holds(cast(Any, None), found, QUICK)
@@ -448,7 +450,7 @@ def test_who_plans_is_told_where_a_flower_moves_otherwise_than_linear_theory_say
         _verification, "verified", lambda _, asked, *__, **___: (replace(asked, amplitude=2e-3), done, ())
     )
     grips = cast(Any, SimpleNamespace(nodes=[[0, 1]], directions=np.eye(3)[None, :1]))
-    found = Search(grips, gain[None, None, None, None], np.array([5.0]), size, size, {}, EXACT, 1e-4)
+    found = Search(grips, gain[None, None, None, None], NO_ANSWER, np.array([5.0]), size, size, {}, EXACT, 1e-4)
     notes = check(plant, found, (0, 0, 0), replace(QUICK, keeps_limits=False)).notes
     assert [f"by {100 * abs(times - 1):.0f} %" in note for note in notes] == [True] * told
 
@@ -501,8 +503,7 @@ def test_what_is_predicted_of_flowers_is_the_median_that_is_expected(
     monkeypatch.setattr(_verification, "verified", lambda _, asked, *__, **___: (asked, Shaken(solver, {}), ()))
     grips = cast(Any, SimpleNamespace(nodes=[[0, 1]], directions=np.eye(3)[None, :1]))
     delivered = np.full((1, 1, 1), 0.3), np.full((1, 1, 1), 0.4)
-    answer: Any = None
-    found = Search(grips, gain[:, None, None, None], answer, np.array([hertz]), size, size, {}, delivered, 1e-4)
+    found = Search(grips, gain[:, None, None, None], NO_ANSWER, np.array([hertz]), size, size, {}, delivered, 1e-4)
     told = check(plant, found, (0, 0, 0), replace(QUICK, keeps_limits=False))
     omega2 = (2 * np.pi * hertz) ** 2
     logs, spread = believed("flowers", omega2 * gain, hertz)

@@ -36,6 +36,8 @@ GRIP = Believed(1.0, 0.25)
 
 BANDS = np.array([6.0, 17.0, 28.0, 70.0])
 """Middles of 1-14, 14-20, 20-40 and 40-120 Hz, between which errors go as the logarithm of the frequency does [Hz]."""
+NONE = 1e-12
+"""A load per metre that is not more is none: there is no such organ."""
 Errors = Mapping[str, tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]]
 ERRORS: Errors = {
     "flowers": ((0.05, 0.03, -0.18, -0.68), (0.85, 0.63, 0.45, 0.75), (0.49, 0.68, 0.76, 0.85)),
@@ -140,7 +142,9 @@ def believed(kind: str, values: Array, hertz: ArrayLike, measured: bool | None =
     at = np.log(np.asarray(hertz, dtype=np.float64))
     intercept, slope, spread = (np.interp(at, np.log(BANDS), row) for row in rows)
     inertia = 0.0 if kind == "grip_force" else 2 * (at + np.log(2 * np.pi))
-    return intercept + inertia + slope * (np.log(np.maximum(values, 1e-12)) - inertia), np.asarray(spread)
+    logs = np.log(np.maximum(values, NONE))
+    regressed = intercept + inertia + slope * (logs - inertia)
+    return np.where(values > NONE, regressed, logs), np.asarray(spread)
 
 
 def expected(kind: str, values: Array, hertz: ArrayLike, measured: bool | None = None) -> Array:

@@ -137,11 +137,14 @@ def search(
         PRESS: load(response.grip_force / params.held(1.0), grips.press, "grip_force"),
     }
     answer = response.answer(frequencies)
-    felt = load(PEDICEL_STRAIN.median * answer.flowers.max(axis=-1), LOADED["joint_strain"].low, "flowers")
+    felt = load(answer.flowers.max(axis=-1), LOADED["joint_strain"].low, "flowers")
     for kind, name in PEAKS.items():
         limit = np.where((kind == "leaf_load") & (hertz > GUSTS), np.inf, LOADED[kind].low)
         of_rods = getattr(response, kind)
-        bounds[name] = felt._replace(believed=of_rods[0]) if kind == "joint_strain" else load(of_rods, limit, kind)
+        if kind == "joint_strain":
+            bounds[name] = felt._replace(value=PEDICEL_STRAIN.median * felt.value, believed=of_rods[0])
+        else:
+            bounds[name] = load(of_rods, limit, kind)
     machine = list(bounds.values())[:OF_THE_MACHINE]
     reach = np.min([one.limit / np.maximum(one.value, 1e-12) for one in machine], axis=0)
     least = actuator.least_amplitude if params.least_amplitude is None else params.least_amplitude
