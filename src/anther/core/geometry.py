@@ -183,8 +183,10 @@ class Box:
 
     def contains(self, points: ArrayLike) -> NDArray[np.bool_]:
         """Return (N,) whether each of (N, 3) points lies within."""
-        p = np.asarray(points)
-        return np.all((p >= self.lower) & (p <= self.upper), axis=-1)
+        p, inside = np.asarray(points), np.True_
+        for axis in range(3):  # over an axis of three numpy's own `all` takes several times as long
+            inside = inside & (p[..., axis] >= self.lower[axis]) & (p[..., axis] <= self.upper[axis])
+        return np.asarray(inside)
 
 
 def occupied_cells(points: Array, edge: float) -> NDArray[np.int64]:

@@ -91,7 +91,10 @@ class Sample:
 
 
 def match(sample: Sample, at: Estimate, use: NDArray[np.bool_], distance: float) -> NDArray[np.int64]:
-    """Return (P, 2) pairs of points of different views within `distance` [m], alike in normal, the first in `use`."""
+    """Return (P, 2) pairs of points of different views within `distance` [m], alike in normal, the first in `use`.
+
+    Pairs of the same two views follow one another.
+    """
     points, normals = sample.world(at)
     first = np.flatnonzero(use)
     if len(first) == 0:
@@ -99,8 +102,12 @@ def match(sample: Sample, at: Estimate, use: NDArray[np.bool_], distance: float)
     tree = small_gicp.KdTree(np.ascontiguousarray(points), num_threads=THREADS)
     near, squared = tree.batch_knn_search(points[first], NEIGHBOURS, num_threads=THREADS)
     near, first = near.astype(np.int64), np.broadcast_to(first[:, None], near.shape)
-    alike = np.einsum("nki,nki->nk", normals[first], normals[near]) > np.cos(np.deg2rad(25))  # one side of a stem
-    pair = (squared < distance**2) & (sample.view[first] != sample.view[near]) & alike
+    close = squared < distance**2
+    first, near = first[close], near[close]
+    views, other = sample.view[first], sample.view[near]
+    alike = np.einsum("pi,pi->p", normals[first], normals[near]) > np.cos(np.deg2rad(25))  # one side of a stem
+    pair = np.flatnonzero((views != other) & alike)
+    pair = pair[np.argsort((views * len(at.poses) + other)[pair], kind="stable")]
     return np.stack([first[pair], near[pair]], axis=1)
 
 

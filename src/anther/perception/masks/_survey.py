@@ -84,7 +84,8 @@ def survey(capture: Capture, workspace: Box | None, params: Params) -> Survey:
         soil = 0.06  # [m]: without colour, a leaf of 35 mm could be mistaken for it
         below, rim = ground_cells(total >= 2, VOXEL, params.ground_radius, soil, rings=False)
     else:
-        bare = (total >= 5) & (votes[GREEN - 1] <= 0.1 * total)
+        bare = total >= 5
+        bare[bare] = votes[GREEN - 1][bare] <= 0.1 * total[bare]
         below, rim = ground_cells(bare, VOXEL, params.ground_radius, params.ground_radius, rings=True)
     source = "geometry" if rule is None else "geometry; light without green" if rule.learned else "colour and geometry"
     return Survey(grid, cameras, classes, votes, total, below, rim, source)
