@@ -101,14 +101,13 @@ def match(sample: Sample, at: Estimate, use: NDArray[np.bool_], distance: float)
         return np.zeros((0, 2), dtype=np.int64)
     tree = small_gicp.KdTree(np.ascontiguousarray(points), num_threads=THREADS)
     near, squared = tree.batch_knn_search(points[first], NEIGHBOURS, num_threads=THREADS)
-    near, first = near.astype(np.int64), np.broadcast_to(first[:, None], near.shape)
-    close = squared < distance**2
-    first, near = first[close], near[close]
-    views, other = sample.view[first], sample.view[near]
+    near, views = near.astype(np.int64), sample.view
+    pair = np.flatnonzero((squared < distance**2) & (views[near] != views[first][:, None]))
+    first, near = first[pair // NEIGHBOURS], near.ravel()[pair]
     alike = np.einsum("pi,pi->p", normals[first], normals[near]) > np.cos(np.deg2rad(25))  # one side of a stem
-    pair = np.flatnonzero((views != other) & alike)
-    pair = pair[np.argsort((views * len(at.poses) + other)[pair], kind="stable")]
-    return np.stack([first[pair], near[pair]], axis=1)
+    first, near = first[alike], near[alike]
+    order = np.argsort(views[first] * len(at.poses) + views[near], kind="stable")
+    return np.stack([first[order], near[order]], axis=1)
 
 
 def plane_distances(sample: Sample, at: Estimate, pairs: NDArray[Any]) -> Array:
