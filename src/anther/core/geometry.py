@@ -140,8 +140,9 @@ class Intrinsics:
             mask: (H, W) pixels to use; None means all.
         """
         use = depth > 0 if mask is None else (depth > 0) & mask
-        v, u = np.nonzero(use)
-        z = depth[v, u].astype(np.float64)
+        pixels = np.flatnonzero(use)
+        v, u = np.divmod(pixels, use.shape[1])
+        z = depth.ravel()[pixels].astype(np.float64)
         return np.stack([(u - self.cx) / self.fx * z, (v - self.cy) / self.fy * z, z], axis=1)
 
 

@@ -161,12 +161,24 @@ def voxel_groups(points: Array, voxel: float) -> tuple[NDArray[np.int64], NDArra
 
     Points (N, 3) [m] are less than 2^20 voxels from the origin.
     """
+    return _groups(_voxel_keys(points, voxel))
+
+
+def _voxel_keys(points: Array, voxel: float) -> NDArray[np.int64]:
+    """Return (N,) a number for the voxel of each point; arguments as in `voxel_groups`."""
     key = np.zeros(len(points), dtype=np.int64)
     for column in points.T:
         key = key << 21 | np.floor(column * (1 / voxel)).astype(np.int64) & 0x1FFFFF
+    return key
+
+
+def _groups(key: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return what `voxel_groups` does, of keys (N,)."""
     order = np.argsort(key, kind="stable")  # quick where, as in an image, neighbours share a voxel
-    start = np.flatnonzero(np.diff(key[order], prepend=key[order[:1]] - 1))
-    count, first = np.diff(start, append=len(key)), np.zeros(len(key), dtype=bool)
+    key, first = key[order], np.ones(len(key), dtype=bool)
+    np.not_equal(key[1:], key[:-1], out=first[1:])
+    start = np.flatnonzero(first)
+    count, first[:] = np.diff(start, append=len(key)), False
     first[order[start]] = True
     number = (np.cumsum(first) - 1)[order[start]]
     group, counts = np.empty_like(order), np.empty_like(count)
@@ -187,20 +199,21 @@ def _means(columns: Iterable[Array], group: NDArray[np.int64], count: NDArray[np
 def fuse_voxels(pixels: list[SurfacePoints], poses: Array, box: Box, voxel: float) -> SurfacePoints:
     """Return the mean point, normal, label and colour of every occupied voxel within the box."""
 
-    def placed(view: int) -> SurfacePoints:
+    def placed(view: int) -> tuple[SurfacePoints, NDArray[np.int64]]:
         seen, T = pixels[view], poses[view]
-        world = SurfacePoints(transform_points(T, seen.points), seen.normals @ T[:3, :3].T, seen.labels, seen.colors)
-        return world.only(box.contains(world.points))
+        world = SurfacePoints(transform_points(T, seen.points), seen.normals, seen.labels, seen.colors)
+        world = world.only(box.contains(world.points))
+        return world, _voxel_keys(world.points, voxel)
 
-    views = in_threads(placed, range(len(poses)))
-    groups = voxel_groups(np.concatenate([view.points for view in views]), voxel)
+    views, keys = zip(*in_threads(placed, range(len(poses))), strict=True)
+    groups = _groups(np.concatenate(keys))
     columns = [
-        *([view.points[:, axis] for view in views] for axis in range(3)),
-        *([view.normals[:, axis] for view in views] for axis in range(3)),
-        [view.labels == FLOWER for view in views],
-        *([view.colors[:, channel] for view in views] for channel in range(3)),
-    ]
-    means = _means((np.concatenate(column) for column in columns), *groups)
+        *((lambda view, T, a=axis: view.points[:, a]) for axis in range(3)),
+        *((lambda view, T, a=axis: view.normals @ T[a, :3]) for axis in range(3)),
+        lambda view, T: view.labels == FLOWER,
+        *((lambda view, T, c=channel: view.colors[:, c]) for channel in range(3)),
+    ]  # one after the other: all at once would double the memory
+    means = _means((np.concatenate([of(*seen) for seen in zip(views, poses, strict=True)]) for of in columns), *groups)
     facing = means[:, 3:6] / np.maximum(np.linalg.norm(means[:, 3:6], axis=1, keepdims=True), 1e-9)
     majority = np.where(means[:, 6] >= 0.5, FLOWER, PLANT).astype(np.uint8)
     return SurfacePoints(means[:, :3].copy(), facing, majority, np.round(means[:, 7:]).astype(np.uint8))

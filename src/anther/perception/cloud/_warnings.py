@@ -121,7 +121,7 @@ JUDGED = 600
 
 
 def seen_through(
-    points_cam: Sequence[Array], poses: Array, depth: NDArray[Any], intrinsics: Intrinsics
+    points_cam: Sequence[Array], poses: Array, depth: Sequence[NDArray[Any]] | NDArray[Any], intrinsics: Intrinsics
 ) -> tuple[float, int]:
     """Return the share of judgements by which other views see through a view's points, and how many there are.
 
@@ -151,7 +151,8 @@ def find_disagreement(
     if len(views) < 2:
         return (), 0.0
     points = [points_cam[v] for v in views]
-    share, count = seen_through(points, poses[views], capture.depth[views], capture.intrinsics)
+    depth = [capture.depth[v] for v in views]  # no copy
+    share, count = seen_through(points, poses[views], depth, capture.intrinsics)
     enough = count >= 200  # judgements; fewer are no evidence
     if enough and share <= MOST_SEEN_THROUGH:
         return (), 0.0

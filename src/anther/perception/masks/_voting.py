@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -14,12 +15,14 @@ from numpy.typing import NDArray
 
 from anther.core.compiling import numba
 from anther.core.geometry import Array, Box, Intrinsics
-from anther.perception.masks._light import GREEN, GREEN_NO_DEPTH, OTHER, OUTSIDE, WHITE, YELLOW, ColourRule
+from anther.perception.masks._light import GREEN, GREEN_NO_DEPTH, OTHER, WHITE, YELLOW, ColourRule
 
 EMPTY, GROUND, RIM, GREEN_CELL, BROWN_CELL, FLOWER_CELL, NEAR_FLOWER = range(7)
 """What a cell of the grid was found to be. RIM: green, but about a pot's rim. BROWN_CELL: a part of the plant that is
 not green."""
 
+_COUNTING = Lock()
+"""Views vote at the same time, in one grid."""
 PETAL_VIEWS, LAYERS = 4, 5
 """Layer of the vote grid after the four colours: in how many views petals voted; and the number of all layers."""
 
@@ -65,10 +68,13 @@ def vote(
         kind = rule.classes(colours[seen])
         petals = np.flatnonzero(kind >= YELLOW)
         kind[petals[_bleeds(rgb, depth, seen[petals], rule.alike)]] = OTHER
-        counts[PETAL_VIEWS].ravel()[cell[kind >= YELLOW]] += 1  # one of each cell, however often it is named
         classes.ravel()[blind[rule.classes(colours[blind]) == GREEN]] = GREEN_NO_DEPTH
     classes.ravel()[seen] = kind
-    np.add.at(counts.reshape(-1), (kind - np.int64(1)) * counts[0].size + cell, np.uint16(1))
+    at, petal_cells = (kind - np.int64(1)) * counts[0].size + cell, cell[kind >= YELLOW]
+    with _COUNTING:
+        np.add.at(counts.reshape(-1), at, np.uint16(1))
+        if len(petal_cells):
+            counts[PETAL_VIEWS].ravel()[petal_cells] += 1  # one of each cell, however often it is named
     return classes
 
 
@@ -100,9 +106,7 @@ def _cells(depth, m, shape):
     return at
 
 
-def _bleeds(
-    rgb: NDArray[Any], depth: NDArray[Any], pixels: NDArray[np.int64], alike: float
-) -> NDArray[np.bool_]:
+def _bleeds(rgb: NDArray[Any], depth: NDArray[Any], pixels: NDArray[np.int64], alike: float) -> NDArray[np.bool_]:
     """Return (n,) which pixels have the colour of a background near them: then they are that, wrongly placed.
 
     The pixels (n,) are counted along the rows of an image.
