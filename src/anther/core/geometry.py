@@ -140,8 +140,9 @@ class Intrinsics:
             mask: (H, W) pixels to use; None means all.
         """
         use = depth > 0 if mask is None else (depth > 0) & mask
-        v, u = np.nonzero(use)
-        z = depth[v, u].astype(np.float64)
+        pixels = np.flatnonzero(use)
+        v, u = np.divmod(pixels, use.shape[1])
+        z = depth.ravel()[pixels].astype(np.float64)
         return np.stack([(u - self.cx) / self.fx * z, (v - self.cy) / self.fy * z, z], axis=1)
 
 
@@ -183,8 +184,10 @@ class Box:
 
     def contains(self, points: ArrayLike) -> NDArray[np.bool_]:
         """Return (N,) whether each of (N, 3) points lies within."""
-        p = np.asarray(points)
-        return np.all((p >= self.lower) & (p <= self.upper), axis=-1)
+        p, inside = np.asarray(points), np.True_
+        for axis in range(3):  # over an axis of three numpy's own `all` takes several times as long
+            inside = inside & (p[..., axis] >= self.lower[axis]) & (p[..., axis] <= self.upper[axis])
+        return np.asarray(inside)
 
 
 def occupied_cells(points: Array, edge: float) -> NDArray[np.int64]:

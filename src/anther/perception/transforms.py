@@ -321,7 +321,7 @@ def _colour(
         if own != size and (own < size or not same_shape(size, own)):
             read_image(path, cv2.IMREAD_COLOR, stated)  # which refuses it
         image = image if own == size else cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-        rgb[view] = image[..., ::-1]
+        cv2.cvtColor(image, cv2.COLOR_BGR2RGB, dst=rgb[view])
 
     in_threads(read, range(len(frames)))
     return rgb

@@ -7,7 +7,7 @@ Dimensions: V views, H x W pixels, N points.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -38,14 +38,27 @@ def supported_pixels(depth: NDArray[Any], mask: NDArray[np.bool_]) -> NDArray[np
     A flying pixel lies between two surfaces and few neighbours share its depth; a pixel of a petiole has the
     petiole's other pixels. A gradient filter would drop both (facts: perception, a 15 mm edge filter eats petioles).
     """
-    return _supported(_inverse(depth), mask)
+    around, keep = _around(mask), np.zeros(mask.shape, dtype=bool)
+    keep[around] = _supported(_inverse(depth[around]), np.ascontiguousarray(mask[around]))
+    return keep
 
 
 def pixel_normals(depth: NDArray[Any], keep: NDArray[np.bool_], intrinsics: Intrinsics) -> NDArray[np.float32]:
     """Return the unit normals (N, 3), towards the camera, of the pixels `keep` (H, W) that have a depth, row by row."""
-    rows = np.flatnonzero(keep & (depth > 0))
-    camera = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy])
-    return _fitted_planes(np.pad(_inverse(depth), FIT_WINDOW), rows, camera)
+    around = _around(keep)
+    v, u = (part.start for part in around)
+    rows = np.flatnonzero(keep[around] & (depth[around] > 0))
+    camera = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx - u, intrinsics.cy - v])
+    return _fitted_planes(np.pad(_inverse(depth[around]), FIT_WINDOW), rows, camera)
+
+
+def _around(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
+    """Return the part of an image (H, W) that holds the `mask` and what its pixels are compared with."""
+    parts = []
+    for axis in (1, 0):
+        held = np.flatnonzero(mask.any(axis=axis))
+        parts.append(slice(max(0, held[0] - FIT_WINDOW), held[-1] + 1 + FIT_WINDOW) if len(held) else slice(0, 0))
+    return parts[0], parts[1]
 
 
 def slant(points: Array, normals: NDArray[Any]) -> Array:
@@ -131,6 +144,10 @@ class SurfacePoints:
 
     def only(self, keep: NDArray[Any]) -> SurfacePoints:
         """Return the points chosen by a mask (N,) or by indices."""
+        if keep.dtype == bool:
+            if keep.all():
+                return self
+            keep = np.flatnonzero(keep)
         return SurfacePoints(self.points[keep], self.normals[keep], self.labels[keep], self.colors[keep])
 
     def unbiased(self, reach: float) -> SurfacePoints:
@@ -144,12 +161,29 @@ def voxel_groups(points: Array, voxel: float) -> tuple[NDArray[np.int64], NDArra
 
     Points (N, 3) [m] are less than 2^20 voxels from the origin.
     """
+    return _groups(_voxel_keys(points, voxel))
+
+
+def _voxel_keys(points: Array, voxel: float) -> NDArray[np.int64]:
+    """Return (N,) a number for the voxel of each point; arguments as in `voxel_groups`."""
     key = np.zeros(len(points), dtype=np.int64)
     for column in points.T:
         key = key << 21 | np.floor(column * (1 / voxel)).astype(np.int64) & 0x1FFFFF
-    _, first, group, count = np.unique(key, return_index=True, return_inverse=True, return_counts=True)
-    order = np.argsort(first)
-    return np.argsort(order)[group], count[order]
+    return key
+
+
+def _groups(key: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return what `voxel_groups` does, of keys (N,)."""
+    order = np.argsort(key, kind="stable")  # quick where, as in an image, neighbours share a voxel
+    key, first = key[order], np.ones(len(key), dtype=bool)
+    np.not_equal(key[1:], key[:-1], out=first[1:])
+    start = np.flatnonzero(first)
+    count, first[:] = np.diff(start, append=len(key)), False
+    first[order[start]] = True
+    number = (np.cumsum(first) - 1)[order[start]]
+    group, counts = np.empty_like(order), np.empty_like(count)
+    group[order], counts[number] = np.repeat(number, count), count
+    return group, counts
 
 
 def voxel_means(points: Array, voxel: float) -> Array:
@@ -157,7 +191,7 @@ def voxel_means(points: Array, voxel: float) -> Array:
     return _means(points.T, *voxel_groups(points, voxel))
 
 
-def _means(columns: Sequence[Array] | Array, group: NDArray[np.int64], count: NDArray[np.int64]) -> Array:
+def _means(columns: Iterable[Array], group: NDArray[np.int64], count: NDArray[np.int64]) -> Array:
     """Return (M, K) the means of K columns (N,) over groups (N,) that hold `count` (M,) of them."""
     return np.stack([np.bincount(group, column, len(count)) for column in columns], axis=1) / count[:, None]
 
@@ -165,17 +199,21 @@ def _means(columns: Sequence[Array] | Array, group: NDArray[np.int64], count: ND
 def fuse_voxels(pixels: list[SurfacePoints], poses: Array, box: Box, voxel: float) -> SurfacePoints:
     """Return the mean point, normal, label and colour of every occupied voxel within the box."""
 
-    def placed(view: int) -> SurfacePoints:
+    def placed(view: int) -> tuple[SurfacePoints, NDArray[np.int64]]:
         seen, T = pixels[view], poses[view]
-        world = SurfacePoints(transform_points(T, seen.points), seen.normals @ T[:3, :3].T, seen.labels, seen.colors)
-        return world.only(box.contains(world.points))
+        world = SurfacePoints(transform_points(T, seen.points), seen.normals, seen.labels, seen.colors)
+        world = world.only(box.contains(world.points))
+        return world, _voxel_keys(world.points, voxel)
 
-    views = in_threads(placed, range(len(poses)))
-    points, normals, labels, colors = (
-        np.concatenate([getattr(view, name) for view in views]) for name in SurfacePoints.__slots__
-    )
-    columns = (*points.T, *normals.T, labels == FLOWER, *colors.T)
-    means = _means(columns, *voxel_groups(points, voxel))
+    views, keys = zip(*in_threads(placed, range(len(poses))), strict=True)
+    groups = _groups(np.concatenate(keys))
+    columns = [
+        *((lambda view, T, a=axis: view.points[:, a]) for axis in range(3)),
+        *((lambda view, T, a=axis: view.normals @ T[a, :3]) for axis in range(3)),
+        lambda view, T: view.labels == FLOWER,
+        *((lambda view, T, c=channel: view.colors[:, c]) for channel in range(3)),
+    ]  # one after the other: all at once would double the memory
+    means = _means((np.concatenate([of(*seen) for seen in zip(views, poses, strict=True)]) for of in columns), *groups)
     facing = means[:, 3:6] / np.maximum(np.linalg.norm(means[:, 3:6], axis=1, keepdims=True), 1e-9)
     majority = np.where(means[:, 6] >= 0.5, FLOWER, PLANT).astype(np.uint8)
     return SurfacePoints(means[:, :3].copy(), facing, majority, np.round(means[:, 7:]).astype(np.uint8))
@@ -235,14 +273,16 @@ def clusters(points: Array, gap: float) -> NDArray[Any]:
     edge = gap / np.sqrt(3) * (1 - 1e-9)
     cell, count = voxel_groups(points, edge)
     order = np.argsort(cell, kind="stable")
-    start = np.concatenate([[0], np.cumsum(count)])
-    centres = (np.floor(points[order[start[:-1]]] / edge) + 0.5) * edge
+    start, ordered = np.concatenate([[0], np.cumsum(count)]), points[order]
+    centres = (np.floor(ordered[start[:-1]] / edge) + 0.5) * edge
     pairs = KDTree(centres).query_pairs(2 * gap, output_type="ndarray") if len(count) else np.zeros((0, 2), np.int64)
     pairs = pairs[np.argsort(np.sum((centres[pairs[:, 0]] - centres[pairs[:, 1]]) ** 2, axis=1))]
     links, part = pairs[:0], np.arange(len(count))
     for some in np.array_split(pairs, 20):
         apart = some[part[some[:, 0]] != part[some[:, 1]]]
-        links = np.concatenate([links, apart[_touching(points[order], start, apart, gap * gap)]])
+        if len(apart) == 0:
+            continue
+        links = np.concatenate([links, apart[_touching(ordered, start, apart, gap * gap)]])
         graph = sparse.coo_array((np.ones(len(links)), tuple(links.T)), shape=(len(count), len(count)))
         part = connected_components(graph, directed=False)[1]
     return part[cell]
@@ -256,9 +296,10 @@ def _touching(points, start, pairs, gap2):
         a, b = pairs[p]
         for i in range(start[a], start[a + 1]):
             for j in range(start[b], start[b + 1]):
-                if not touching[p]:
-                    offset = points[i] - points[j]
-                    touching[p] = offset[0] ** 2 + offset[1] ** 2 + offset[2] ** 2 <= gap2
+                x, y, z = points[i, 0] - points[j, 0], points[i, 1] - points[j, 1], points[i, 2] - points[j, 2]
+                if x * x + y * y + z * z <= gap2:
+                    touching[p] = True
+                    break
             if touching[p]:
                 break
     return touching

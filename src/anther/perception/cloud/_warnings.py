@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from anther.core.errors import InputError, StageFailure
 from anther.core.geometry import Array, Box, Intrinsics, inverse, transform_points
-from anther.perception.capture import OPENGL_TO_OPENCV, Capture
+from anther.perception.capture import OPENGL_TO_OPENCV, Capture, in_threads
 from anther.perception.cloud._fusion import balances
 
 
@@ -26,7 +26,7 @@ def warn_of_views(depth: NDArray[Any], labels: NDArray[Any]) -> tuple[str, ...]:
     A blind view has less than 0.3 of the median view's readings; in a blocked one something at less than 0.4 of the
     plant's distance covers 0.15 of the image.
     """
-    thin, nearest, farthest = depth[:, ::4, ::4], 0.05, 10.0  # a D405 measures from 0.09 m (facts: perception)
+    thin, nearest, farthest = depth[:, ::4, ::4].copy(), 0.05, 10.0  # a D405 measures from 0.09 m (facts: perception)
     usable = (thin > nearest) & (thin < farthest)
     seen = usable.mean(axis=(1, 2))
     plant = thin[usable & (labels[:, ::4, ::4] > 0)]
@@ -121,22 +121,22 @@ JUDGED = 600
 
 
 def seen_through(
-    points_cam: Sequence[Array], poses: Array, depth: NDArray[Any], intrinsics: Intrinsics
+    points_cam: Sequence[Array], poses: Array, depth: Sequence[NDArray[Any]] | NDArray[Any], intrinsics: Intrinsics
 ) -> tuple[float, int]:
     """Return the share of judgements by which other views see through a view's points, and how many there are.
 
     A view judges a point of another if it sees something there: at the point's depth, or at least `SEEN_THROUGH` [m]
     behind it in all pixels around (`_fusion.balances`). Points of a view (N_v, 3) are in its camera frame [m].
     """
-    supports = contradictions = 0
-    for view, points in enumerate(points_cam):
-        few = points[:: max(1, len(points) // JUDGED)]
-        world = transform_points(poses[view], few)
-        for other in range(len(poses)):
-            if other != view and len(few):
-                judged = balances(world, depth[other], intrinsics, poses[other])
-                supports, contradictions = supports + int((judged > 0).sum()), contradictions + int((judged < 0).sum())
-    count = supports + contradictions
+    few = [points[:: max(1, len(points) // JUDGED)] for points in points_cam]
+    world = np.concatenate([transform_points(T, points) for T, points in zip(poses, few, strict=True)])
+    view = np.repeat(np.arange(len(few)), [len(points) for points in few])
+
+    def judgements(other: int) -> NDArray[np.int64]:
+        judged = balances(world[view != other], depth[other], intrinsics, poses[other])
+        return np.array([(judged < 0).sum(), (judged != 0).sum()])
+
+    contradictions, count = sum(in_threads(judgements, range(len(poses))), np.zeros(2, dtype=np.int64)).tolist()
     return (contradictions / count if count else 0.0), count
 
 
@@ -151,7 +151,8 @@ def find_disagreement(
     if len(views) < 2:
         return (), 0.0
     points = [points_cam[v] for v in views]
-    share, count = seen_through(points, poses[views], capture.depth[views], capture.intrinsics)
+    depth = [capture.depth[v] for v in views]  # no copy
+    share, count = seen_through(points, poses[views], depth, capture.intrinsics)
     enough = count >= 200  # judgements; fewer are no evidence
     if enough and share <= MOST_SEEN_THROUGH:
         return (), 0.0

@@ -91,17 +91,23 @@ class Sample:
 
 
 def match(sample: Sample, at: Estimate, use: NDArray[np.bool_], distance: float) -> NDArray[np.int64]:
-    """Return (P, 2) pairs of points of different views within `distance` [m], alike in normal, the first in `use`."""
+    """Return (P, 2) pairs of points of different views within `distance` [m], alike in normal, the first in `use`.
+
+    Pairs of the same two views follow one another.
+    """
     points, normals = sample.world(at)
     first = np.flatnonzero(use)
     if len(first) == 0:
         return np.zeros((0, 2), dtype=np.int64)
     tree = small_gicp.KdTree(np.ascontiguousarray(points), num_threads=THREADS)
     near, squared = tree.batch_knn_search(points[first], NEIGHBOURS, num_threads=THREADS)
-    near, first = near.astype(np.int64), np.broadcast_to(first[:, None], near.shape)
-    alike = np.einsum("nki,nki->nk", normals[first], normals[near]) > np.cos(np.deg2rad(25))  # one side of a stem
-    pair = (squared < distance**2) & (sample.view[first] != sample.view[near]) & alike
-    return np.stack([first[pair], near[pair]], axis=1)
+    near, views = near.astype(np.int64), sample.view
+    pair = np.flatnonzero((squared < distance**2) & (views[near] != views[first][:, None]))
+    first, near = first[pair // NEIGHBOURS], near.ravel()[pair]
+    alike = np.einsum("pi,pi->p", normals[first], normals[near]) > np.cos(np.deg2rad(25))  # one side of a stem
+    first, near = first[alike], near[alike]
+    order = np.argsort(views[first] * len(at.poses) + views[near], kind="stable")
+    return np.stack([first[order], near[order]], axis=1)
 
 
 def plane_distances(sample: Sample, at: Estimate, pairs: NDArray[Any]) -> Array:

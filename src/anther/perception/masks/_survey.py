@@ -31,7 +31,6 @@ from anther.perception.masks._voting import (
 if TYPE_CHECKING:
     from anther.perception.masks import Params
 
-_THREADS = 2  # each votes in a grid of its own
 VOXEL = 0.005
 """Edge of the cells in which the views vote [m]; above the kinematic pose error (3.6 mm RMS, facts: perception) so that
 views agree."""
@@ -72,7 +71,7 @@ class Survey:
 def survey(capture: Capture, workspace: Box | None, params: Params) -> Survey:
     """Let all views vote, and find the ground in the votes."""
     layers = 1 if capture.rgb is None else LAYERS
-    grid = Grid.over(workspace or viewed_box(capture), VOXEL, 2.5e9 / (2 * _THREADS * layers + 16))  # bytes in all
+    grid = Grid.over(workspace or viewed_box(capture), VOXEL, 2.5e9 / (2 * layers + 16))  # bytes in all
     rule, light = None, None
     if capture.rgb is not None:
         light = Light.on(capture.rgb, params.green)
@@ -84,7 +83,8 @@ def survey(capture: Capture, workspace: Box | None, params: Params) -> Survey:
         soil = 0.06  # [m]: without colour, a leaf of 35 mm could be mistaken for it
         below, rim = ground_cells(total >= 2, VOXEL, params.ground_radius, soil, rings=False)
     else:
-        bare = (total >= 5) & (votes[GREEN - 1] <= 0.1 * total)
+        bare = total >= 5
+        bare[bare] = votes[GREEN - 1][bare] <= 0.1 * total[bare]
         below, rim = ground_cells(bare, VOXEL, params.ground_radius, params.ground_radius, rings=True)
     source = "geometry" if rule is None else "geometry; light without green" if rule.learned else "colour and geometry"
     return Survey(grid, cameras, classes, votes, total, below, rim, source)
@@ -94,20 +94,15 @@ def _votes(
     capture: Capture, grid: Grid, cameras: Array, rule: ColourRule | None
 ) -> tuple[NDArray[Any], NDArray[np.uint16]]:
     """Return the classes (V, H, W) and the votes of all views."""
-    counts = np.zeros((_THREADS, LAYERS if rule else 1, *grid.shape), dtype=np.uint16)
+    counts = np.zeros((LAYERS if rule else 1, *grid.shape), dtype=np.uint16)
     classes = np.zeros(capture.depth.shape, dtype=np.uint8)
 
-    def vote_views(thread: int) -> None:
-        for view in range(thread, capture.views, _THREADS):
-            rgb = None if capture.rgb is None else cv2.medianBlur(capture.rgb[view], 3)
-            classes[view] = vote(rgb, capture.depth[view], cameras[view], rule, counts[thread])
+    def vote_view(view: int) -> None:
+        rgb = None if capture.rgb is None else cv2.medianBlur(capture.rgb[view], 3)
+        classes[view] = vote(rgb, capture.depth[view], cameras[view], rule, counts)
 
-    def add_layer(layer: int) -> None:
-        counts[0, layer] += counts[1, layer]
-
-    in_threads(vote_views, range(_THREADS))
-    in_threads(add_layer, range(counts.shape[1]))
-    return classes, counts[0]
+    in_threads(vote_view, range(capture.views))
+    return classes, counts
 
 
 def _learned(capture: Capture, grid: Grid, params: Params) -> ColourRule:

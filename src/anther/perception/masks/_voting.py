@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -14,12 +15,14 @@ from numpy.typing import NDArray
 
 from anther.core.compiling import numba
 from anther.core.geometry import Array, Box, Intrinsics
-from anther.perception.masks._light import GREEN, GREEN_NO_DEPTH, OTHER, OUTSIDE, WHITE, YELLOW, ColourRule
+from anther.perception.masks._light import GREEN, GREEN_NO_DEPTH, OTHER, WHITE, YELLOW, ColourRule
 
 EMPTY, GROUND, RIM, GREEN_CELL, BROWN_CELL, FLOWER_CELL, NEAR_FLOWER = range(7)
 """What a cell of the grid was found to be. RIM: green, but about a pot's rim. BROWN_CELL: a part of the plant that is
 not green."""
 
+_COUNTING = Lock()
+"""Views vote at the same time, in one grid."""
 PETAL_VIEWS, LAYERS = 4, 5
 """Layer of the vote grid after the four colours: in how many views petals voted; and the number of all layers."""
 
@@ -57,19 +60,21 @@ def vote(
         rule: None without colour.
         counts: (LAYERS, X, Y, Z) uint16, added to in place; without colour the first layer is enough.
     """
-    at = _cell_of(depth, camera, counts.shape[1:])
-    seen = at >= 0
-    classes = seen * np.uint8(OTHER)
+    at = _cell_of(depth, camera, counts.shape[1:]).ravel()
+    seen, classes = np.flatnonzero(at >= 0), np.zeros(depth.shape, dtype=np.uint8)  # OUTSIDE
+    cell, kind = at[seen], np.full(len(seen), OTHER, dtype=np.uint8)
     if rgb is not None and rule is not None:
-        colour = rule.classes(rgb)
-        classes = np.where(seen, colour, np.uint8(OUTSIDE))
-        v, u = np.nonzero(classes >= YELLOW)
-        bleeding = _bleeds(rgb, depth, v, u, rule.alike)
-        classes[v[bleeding], u[bleeding]] = OTHER
-        counts[PETAL_VIEWS].ravel()[np.unique(at[classes >= YELLOW])] += 1
-        classes[(depth <= 0) & (colour == GREEN)] = GREEN_NO_DEPTH
-    layer = classes[seen] - np.int64(1)
-    np.add.at(counts.reshape(-1), layer * counts[0].size + at[seen], np.uint16(1))
+        colours, blind = rgb.reshape(-1, 3), np.flatnonzero(depth <= 0)
+        kind = rule.classes(colours[seen])
+        petals = np.flatnonzero(kind >= YELLOW)
+        kind[petals[_bleeds(rgb, depth, seen[petals], rule.alike)]] = OTHER
+        classes.ravel()[blind[rule.classes(colours[blind]) == GREEN]] = GREEN_NO_DEPTH
+    classes.ravel()[seen] = kind
+    at, petal_cells = (kind - np.int64(1)) * counts[0].size + cell, cell[kind >= YELLOW]
+    with _COUNTING:
+        np.add.at(counts.reshape(-1), at, np.uint16(1))
+        if len(petal_cells):
+            counts[PETAL_VIEWS].ravel()[petal_cells] += 1  # one of each cell, however often it is named
     return classes
 
 
@@ -101,15 +106,19 @@ def _cells(depth, m, shape):
     return at
 
 
-def _bleeds(
-    rgb: NDArray[Any], depth: NDArray[Any], v: NDArray[Any], u: NDArray[Any], alike: float
-) -> NDArray[np.bool_]:
-    """Return (n,) which pixels have the colour of a background near them: then they are that, wrongly placed."""
-    bleeding, steps, behind_by = np.zeros(len(v), dtype=bool), (-3, 0, 3), np.float32(0.05)  # [px], [m]
-    for dv, du in product(steps, steps):
-        j, i = np.clip(v + dv, 0, depth.shape[0] - 1), np.clip(u + du, 0, depth.shape[1] - 1)
-        behind = (depth[j, i] > depth[v, u] + behind_by) | (depth[j, i] <= 0)
-        bleeding |= behind & (np.abs(rgb[j, i].astype(np.int16) - rgb[v, u]) < alike).all(axis=1)
+def _bleeds(rgb: NDArray[Any], depth: NDArray[Any], pixels: NDArray[np.int64], alike: float) -> NDArray[np.bool_]:
+    """Return (n,) which pixels have the colour of a background near them: then they are that, wrongly placed.
+
+    The pixels (n,) are counted along the rows of an image.
+    """
+    (height, width), colours, depths = depth.shape, rgb.reshape(-1, 3), depth.ravel()
+    v, u = np.divmod(pixels, width)
+    bleeding, steps, nearer_than = np.zeros(len(pixels), dtype=bool), (-3, 0, 3), depths[pixels] + np.float32(0.05)
+    for dv, du in product(steps, steps):  # [px], [m]
+        near = np.clip(v + dv, 0, height - 1) * width + np.clip(u + du, 0, width - 1)
+        behind = np.flatnonzero((depths[near] > nearer_than) | (depths[near] <= 0))
+        apart = np.abs(colours[near[behind]].astype(np.int16) - colours[pixels[behind]])
+        bleeding[behind] |= apart.max(axis=1, initial=0) < alike
     return bleeding
 
 
@@ -127,7 +136,10 @@ def read_back(depth: NDArray[Any], camera: Array, classes: NDArray[Any], cells: 
     A green pixel is plant unless its cell is ground. Others need a cell that holds a brown part or a flower: next to
     green parts they are background that the depth sensor's matching window fattened the plant with.
     """
-    return _LABEL[classes, cells.ravel()[_cell_of(depth, camera, cells.shape)]]
+    at = _cell_of(depth, camera, cells.shape).ravel()
+    seen, labels = np.flatnonzero(at >= 0), np.zeros(depth.shape, dtype=np.uint8)
+    labels.ravel()[seen] = _LABEL[classes.ravel()[seen], cells.ravel()[at[seen]]]
+    return labels
 
 
 def clear(

@@ -291,7 +291,7 @@ def _connected(solid: VoxelSolid, size: float) -> tuple[Voxels, tuple[str, ...]]
     links = bridges(points, label, _BRIDGE * size)
     joined = np.isin(label, np.concatenate([[0], label[links[:, 1]]]))
     rank = np.cumsum(joined) - 1
-    edges = rank[np.concatenate([edges[joined[edges].all(axis=1)], links])]
+    edges = rank[np.concatenate([edges[joined[edges[:, 0]] & joined[edges[:, 1]]], links])]
     flat, off_middle = surroundings(solid.index[joined], reach=6)  # [voxels]; a guess that matters
     flat = np.minimum(2 * flat, 1)  # a planarity of one half is a blade; matters too
     voxels = Voxels(points[joined], edges, solid.voxel, solid.thickness[joined], flat, off_middle)

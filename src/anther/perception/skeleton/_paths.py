@@ -68,8 +68,10 @@ def shortest_paths(points: Array, edges: NDArray[Any], cost: Array, source: int)
 
     `cost` (N,) >= 1 is how much longer a way seems at each voxel; the graph is connected.
     """
-    length = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1) * cost[edges].mean(axis=1)
-    graph = sparse.coo_matrix((length, (edges[:, 0], edges[:, 1])), (len(points), len(points))).tocsr()
+    first, second = edges.T.copy()
+    x, y, z = (column[first] - column[second] for column in points.T.copy())
+    length = np.sqrt(x * x + y * y + z * z) * ((cost[first] + cost[second]) / 2)
+    graph = sparse.coo_matrix((length, (first, second)), (len(points), len(points))).tocsr()
     distance, before = dijkstra(graph, directed=False, indices=source, return_predecessors=True)
     return distance, np.where(before < 0, -1, before)
 

@@ -199,7 +199,7 @@ def _thickness(keys: NDArray[Any]) -> Array:
     """
     steps = _keys(np.eye(3, dtype=np.int64))
     around = [keys + step for step in (*steps, *-steps)]
-    occupied = [np.isin(neighbours, keys) for neighbours in around]
+    occupied = [keys[np.minimum(np.searchsorted(keys, near), len(keys) - 1)] == near for near in around]
     inside = np.all(occupied, axis=0)
     shell = _distinct(np.concatenate([near[~held] for near, held in zip(around, occupied, strict=True)]))
     distance = np.ones(len(keys))

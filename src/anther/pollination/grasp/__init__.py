@@ -306,12 +306,15 @@ def _costs(c: Candidates, met: Clearance, cloud: Cloud, params: Params, length: 
 def _first_reached(ranking: _Ranking, reach: Reach | None) -> list[Grasp]:
     """Return the best candidates, `APART` from each other, that the arm confirms, until enough are found."""
     found, asked, refused = list[Grasp](), 0, set[bytes]()
-    apart = min(APART, float(ranking.candidates.arc_length.max(initial=0)) / 20) - 1e-9
+    along = ranking.candidates.arc_length
+    apart, near_one = min(APART, float(along.max(initial=0)) / 20) - 1e-9, np.zeros(len(along), dtype=bool)
     for i in ranking.order:
         if reach is not None and (len(found) == WANTED or asked >= ASKED * (1 if found else PATIENCE)):
             break
+        if near_one[i]:
+            continue
         pose = ranking.candidates.T_world_flange[i].tobytes()  # the arm reaches it with either opening or with none
-        if pose in refused or any(abs(ranking.candidates.arc_length[i] - g.arc_length) < apart for g in found):
+        if pose in refused:
             continue
         grasp = _grasp(ranking, int(i))
         if reach is not None:
@@ -322,6 +325,7 @@ def _first_reached(ranking: _Ranking, reach: Reach | None) -> list[Grasp]:
                 continue
             grasp = replace(grasp, joints=joints)
         found.append(grasp)
+        near_one |= np.abs(along - along[i]) < apart
     if not found:
         raise _nothing(ranking, asked)
     return found
