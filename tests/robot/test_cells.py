@@ -120,7 +120,7 @@ def test_an_own_driver_is_told_only_what_it_takes(write: Write) -> None:
 def test_an_arm_that_anther_never_saw_is_a_urdf_and_a_driver_of_under_sixty_lines(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """`tests/robot/test_devices.py` puts that driver through the conformance test."""
+    """`test_devices.py` puts that driver through the checks of `anther.robot.testing`."""
     cell = read_cell(CELL)
     assert (cell.model.name, cell.model.count, cell.model.floor) == ("my_arm", 6, -0.9)
     assert cell.safety_limits().joint_acceleration == pytest.approx(0.1 * np.full(6, 8.0))

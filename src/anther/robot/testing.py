@@ -28,7 +28,6 @@ __all__ = [
     "ArmRig",
     "CameraRig",
     "GripperRig",
-    "check_arm_refusal",
 ]
 
 WAY, SECONDS = 0.25, 0.9
@@ -38,8 +37,9 @@ PAUSE = 0.3
 JUMP = 2e-3
 """An arm further than this from where its acceleration lets it go on has jumped [rad]."""
 
-ArmFault = Literal["silence", "not a number", "clock jump", "force lost"]
-"""The machine tells no joints any more, or NaN; its clock goes back by a second; it tells no force any more."""
+ArmFault = Literal["silence", "not a number", "clock jump", "force lost", "stop"]
+"""The machine tells no joints any more, or NaN; its clock goes back by a second; it tells no force any more; it stops by
+itself and refuses to move, as with a pressed stop button."""
 T = TypeVar("T")
 
 
@@ -377,23 +377,18 @@ def check_missing_force(rig: ArmRig) -> None:
         _require(bool(np.isnan(seen[-1].force)), f"force: got {seen[-1].force:g} N after it was lost; allowed: NaN")
 
 
-def check_arm_refusal(rig: ArmRig, stop: Callable[[], Any]) -> str:
-    """Check that a stop of the machine's own ends a motion, and that the next is refused; return the second message.
-
-    Args:
-        rig: of the driver.
-        stop: makes the machine refuse to move, such as a pressed stop button.
-    """
+def check_refusal(rig: ArmRig) -> None:
+    """A stop of the machine's own ends a motion, and the next motion is refused and not commanded."""
+    stop, commands = _need(rig.faults.get("stop"), "fault 'stop'"), _need(rig.commands, "commands")
     with _connected(rig.connect) as arm:
         start = arm.joints()
         with _raises(DeviceError, "follow, where the machine stops"):
             arm.follow(_motion(start), _once_beyond(start, stop))
         rig.sleep(0.2)
-        before = _need(rig.commands, "commands")()
-        with _raises(DeviceError, "follow, after the machine stopped") as caught:
+        before = commands()
+        with _raises(DeviceError, "follow, after the machine stopped"):
             arm.follow(_motion(start))
-        _require(rig.commands is not None and rig.commands() == before, "the arm was commanded after the stop")
-    return str(caught[0])
+        _require(commands() == before, "the arm was commanded after the stop")
 
 
 ARM_CHECKS = (check_motion, check_watcher_error, check_hold_at_rest, check_joined_motions, check_close)
@@ -407,6 +402,7 @@ ARM_FAULT_CHECKS = (
     check_stale_readings_in_motion,
     check_nan_readings,
     check_missing_force,
+    check_refusal,
 )
 """What an arm keeps whose driver streams to it in real time; the rig needs a history."""
 
