@@ -217,7 +217,12 @@ class Generous(FakeGripper):
         (
             check_refusal,
             ArmRig(
-                FakeArm, time.time, lambda s: None, sawyer.ACCELERATION, commands=lambda: 0, faults={"stop": lambda: None}
+                FakeArm,
+                time.time,
+                lambda s: None,
+                sawyer.ACCELERATION,
+                commands=lambda: 0,
+                faults={"stop": lambda: None},
             ),
             "follow, where the machine stops: got no error; allowed: DeviceError",
         ),

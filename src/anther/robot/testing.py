@@ -38,7 +38,7 @@ JUMP = 2e-3
 """An arm further than this from where its acceleration lets it go on has jumped [rad]."""
 
 ArmFault = Literal["silence", "not a number", "clock jump", "force lost", "stop"]
-"""The machine tells no joints any more, or NaN; its clock goes back by a second; it tells no force any more; it stops by
+"""The machine tells no joints any more, or NaN; its clock goes back by a second; it tells no force any more; it stops
 itself and refuses to move, as with a pressed stop button."""
 T = TypeVar("T")
 

@@ -315,10 +315,6 @@ def _balls(arm: ArmModel) -> tuple[Array, ...]:
     return (*(np.concatenate([_of_capsule(c) for c in link.capsules]) for link in arm.links), tool)
 
 
-POSTURES = 256  # looked at for links that touch
-OFTEN = 0.3  # share of the postures in which links one apart touch, from which on that says nothing
-
-
 def completed(arm: ArmModel) -> ArmModel:
     """Return an arm with the shoulder, reach and neighbours that follow from its links."""
     at, q = arm.link_poses(np.zeros(arm.count)), scipy.stats.qmc.Sobol(arm.count, scramble=False).random_base2(12)
@@ -334,22 +330,20 @@ def completed(arm: ArmModel) -> ArmModel:
 def _neighbours(arm: ArmModel) -> tuple[tuple[str, str], ...]:
     """Return the pairs of parts that are not to be checked: joined ones, and those whose shapes say nothing.
 
-    The latter touch where the arm is ready or waits, or, links one apart, in more than `OFTEN` of all postures.
+    The latter touch where the arm is ready or waits, or, links one apart, in more than 30 % of all postures.
     """
     names = _part_names(arm)
     tool = len(names) - 2
     joined = {*zip(names[:tool], names[1:tool], strict=False), (GRIPPER, CAMERA)}
     joined |= {(names[i], part) for i in (tool - 2, tool - 1) for part in (GRIPPER, CAMERA)}
-    samples = scipy.stats.qmc.scale(
-        scipy.stats.qmc.Sobol(arm.count, scramble=False).random(POSTURES), arm.lower, arm.upper
-    )
+    samples = scipy.stats.qmc.scale(scipy.stats.qmc.Sobol(arm.count, scramble=False).random(256), arm.lower, arm.upper)
     q = np.concatenate([[arm.ready, arm.waiting], samples])
     balls = _parts_at(arm, q)
     for i, j in combinations(range(len(names)), 2):
         pair = names[i], names[j]
         if pair not in joined:
             touch = np.array([_touch(a, b) for a, b in zip(balls[i], balls[j], strict=True)])
-            if touch[:2].any() or (min(j, tool) - i == 2 and touch.mean() > OFTEN):
+            if touch[:2].any() or (min(j, tool) - i == 2 and touch.mean() > 0.3):
                 joined.add(pair)
     return tuple(sorted(joined))
 

@@ -31,7 +31,6 @@ from anther.robot.arm.model import ArmModel, Capsule, Link, Tool, completed, rpy
 from anther.robot.arm.plausible import check_joint
 from anther.robot.arm.sawyer import TOOL
 
-SURFACE = 3000  # points on a link's shapes, beside their corners
 ROTOR = 1 / 150  # kg m^2 of rotor inertia for each N m of effort: a guess, half of Sawyer's
 SPRING = 20.0  # N m/rad of a joint's spring for each N m of effort, as of Sawyer: a guess
 WIDEST = np.pi
@@ -39,8 +38,6 @@ WIDEST = np.pi
 ENDLESS = 1e9
 """Limits from here on say that a joint turns on and on, as some exporters write it [rad]."""
 LESS = 1e-6  # rad
-DENSEST = 2e4
-"""No link is denser [kg/m^3]: tungsten."""
 MESHES = ".stl", ".obj", ".ply", ".off"
 """Formats of meshes whose numbers are metres. Collada's have a unit of their own, which trimesh does not read."""
 
@@ -125,7 +122,6 @@ def from_urdf(
 
 _XACRO = re.compile(r"<xacro:(?!macro\b)\w|\$\{(?!\w+\})|\$\(")
 """What only xacro understands: its tags but a macro's, expressions and substitutions."""
-_XACRO_SECONDS = 60.0
 
 
 def _robot(path: Path) -> Any:
@@ -154,7 +150,7 @@ def _of_xacro(path: Path) -> str:
         do += ", or install it: pip install 'anther[cell]'"
         raise bad_input(str(path), given="a xacro file, and xacro is not installed", allowed=allowed, do=f"{do}.")
     try:
-        ran = subprocess.run([program, str(path)], capture_output=True, text=True, timeout=_XACRO_SECONDS, check=True)
+        ran = subprocess.run([program, str(path)], capture_output=True, text=True, timeout=60.0, check=True)
     except (subprocess.SubprocessError, OSError) as error:
         said = [line for line in (getattr(error, "stderr", None) or str(error)).splitlines() if line.strip()]
         raise bad_input(
@@ -270,8 +266,9 @@ def _link(model: Any, j: int, turn_before: Array, turn: Array, body: Any, shapes
     told: Any = [T[:3, 3], rpy(Rotation.from_matrix(T[:3, :3])), body.lever, moments]
     xyz, turned, com, inertia = (tuple(map(float, part)) for part in told)
     capsules = capsules_around(points)
-    if body.mass > DENSEST * _volume(capsules):
-        given, allowed = f"{body.mass:g} kg in {_volume(capsules):.2g} m3", f"<= {DENSEST:g} kg/m3"
+    densest = 2e4  # [kg/m^3]: tungsten
+    if body.mass > densest * _volume(capsules):
+        given, allowed = f"{body.mass:g} kg in {_volume(capsules):.2g} m3", f"<= {densest:g} kg/m3"
         raise bad_input(f"link {name}", given=given, allowed=allowed, do="Masses in a URDF are kilograms.")
     return Link(name, xyz, turned, body.mass, com, inertia, capsules)  # type: ignore[arg-type]
 
@@ -281,7 +278,7 @@ def _points(link: Any, T: Array, path: Path, packages: Path | None) -> list[Arra
     out = []
     for collision in link.findall("collision"):
         mesh = _mesh(collision.find("geometry")[0], path, packages)
-        surface = trimesh.sample.sample_surface(mesh, SURFACE, seed=0)[0]
+        surface = trimesh.sample.sample_surface(mesh, 3000, seed=0)[0]
         origin = collision.find("origin")
         told = {} if origin is None else origin.attrib
         turn = Rotation.from_euler("xyz", _numbers(told.get("rpy", "0 0 0"))).as_matrix()
@@ -358,22 +355,16 @@ def _numbers(text: str) -> Array:
     return np.array(text.split(), dtype=float)
 
 
-MOST = 3  # capsules a link
-GAIN = 0.8  # share of the volume before, below which one more capsule is worth it
-SHORTEST = 0.002  # m, axis of a capsule
-ROUNDS = 80  # of moving a circle's centre towards the farthest point: it is then within some percent of the smallest
-
-
 def capsules_around(points: Array) -> tuple[Capsule, ...]:
-    """Return one to `MOST` capsules that together hold all points (P, 3) [m], all in the same frame."""
+    """Return one to three capsules that together hold all points (P, 3) [m], all in the same frame."""
     best = (_capsule(points),)
-    for count in range(2, MOST + 1):
+    for count in (2, 3):
         which = kmeans2(points, count, minit="++", rng=np.random.default_rng(0))[1]
         parts = [points[which == k] for k in range(count)]
         if min(map(len, parts)) < 4:
             break
         tried = tuple(map(_capsule, parts))
-        if _volume(tried) < GAIN * _volume(best):
+        if _volume(tried) < 0.8 * _volume(best):  # else one more is not worth it
             best = tried
     return best
 
@@ -389,13 +380,13 @@ def _along(points: Array, axis: Array) -> Capsule:
     """Return the capsule around the points whose axis has this direction (3,)."""
     flat = points - np.outer(points @ axis, axis)
     centre = (flat.min(axis=0) + flat.max(axis=0)) / 2
-    for k in range(ROUNDS):  # Badoiu and Clarkson 2003
+    for k in range(80):  # Badoiu and Clarkson 2003: within some percent of the smallest circle
         centre = centre + (flat[np.linalg.norm(flat - centre, axis=1).argmax()] - centre) / (k + 2)
     beside = np.linalg.norm(flat - centre, axis=1)
     radius, along = float(beside.max()), points @ axis
     cap = np.sqrt(np.maximum(radius**2 - beside**2, 0))
     low, high = (along + cap).min(), (along - cap).max()  # the other way round where a ball holds them
-    middle, half = (low + high) / 2, max(high - low, SHORTEST) / 2
+    middle, half = (low + high) / 2, max(high - low, 0.002) / 2
     low, high = middle - half, middle + half
     start, end = (tuple(float(x) for x in centre - (centre @ axis) * axis + t * axis) for t in (low, high))
     return Capsule(start, end, radius)  # type: ignore[arg-type]

@@ -76,12 +76,6 @@ FEW_FOR_NOISE = 6
 """With fewer views the arm's errors are `ARM_ERRORS`; with more they are where the estimate begins."""
 ARM_ERRORS = float(np.deg2rad(0.1)), 0.001
 """Of rotation [rad] and translation [m] in one view, per axis."""
-OUTLIER = 4.0
-"""Views less likely than so many standard deviations of a normal distribution are left out."""
-HOPELESS = float(np.deg2rad(4)), 0.04
-"""Half of the views disagree by more than one of these [rad], [m]: the poses do not belong to the images."""
-ROUNDS = 8
-"""After so many rounds the outliers stay what they are, should they still change."""
 LEAST_TURN = float(np.deg2rad(3))
 """The flange must turn about two different axes by at least this [rad]."""
 LOOSE = 0.002
@@ -200,7 +194,7 @@ def _without_outliers(
     flange = problem.T_base_flange
     pixel = float(np.median(own_noise))
     noise = Noise(pixel, *ARM_ERRORS)
-    limit = float(np.sqrt(chi2.isf(2 * norm.sf(OUTLIER), 6)))
+    limit = float(np.sqrt(chi2.isf(2 * norm.sf(4.0), 6)))  # as likely as four standard deviations of a normal one
     rounds = 0
     while True:
         check_motions(flange[used], LEAST_TURN)
@@ -211,7 +205,7 @@ def _without_outliers(
         distances = view_distances(problem, fit, noise, own_noise)
         scale = max(float(np.median(distances[used])) / np.sqrt(chi2.median(6)), 1.0)
         kept, rounds = distances <= limit * scale, rounds + 1
-        if np.array_equal(kept, used) or rounds == ROUNDS:
+        if np.array_equal(kept, used) or rounds == 8:  # the outliers stay what they are
             return fit, noise, used
         used, X, Z, problem = kept, fit.T_flange_cam, fit.T_base_board, problem.at(fit.intrinsics)
 
@@ -324,7 +318,8 @@ def _half(values: Array) -> float:
 
 def _hopeless(flange: Array, board: Array, centre: Array, X: Array, Z: Array) -> bool:
     turn, shift = disagreement(predicted_board(flange, X, Z), board, centre)
-    return _half(turn) > HOPELESS[0] or _half(shift) > HOPELESS[1]
+    # the poses do not belong to the images
+    return bool(_half(turn) > np.deg2rad(4) or _half(shift) > 0.04)  # [rad], [m]
 
 
 def _left_out_errors(

@@ -29,11 +29,6 @@ from anther.robot.calibration._views import BoardViews
 
 LEAST_PIXEL_NOISE = 0.05  # [px]: blur and perspective shift whole views' corners by about as much
 LEAST_DEPTH = 1e-3  # [m]: a wrong pose may put the board behind the camera
-ITERATIONS = 50
-SETTLED = 1e-8  # [rad], [m]
-LARGEST_STEP = 0.5  # [rad], [m]
-LARGEST_SIGMA = 0.1  # [rad], [m]
-LEAST_SIGMA = 1e-6  # [rad], [m]
 
 
 class Noise(NamedTuple):
@@ -178,19 +173,19 @@ def refine(problem: Problem, X: Array, Z: Array, noise: Noise, used: NDArray[Any
         InputError: the views do not determine camera and board.
     """
     weights, scale = np.asarray(used, dtype=np.float64), 1.0
-    for _ in range(ITERATIONS):
+    for _ in range(50):
         A, b, _ = _normal_equations(problem.sums(X, Z), noise, weights)
         A, step = A[sought, sought], np.zeros(len(b))
         step[sought] = np.linalg.lstsq(A, b[sought], rcond=1e-14)[0]
         length = float(np.abs(step).max())
-        step *= min(1.0, LARGEST_STEP / (length + 1e-300))
+        step *= min(1.0, 0.5 / (length + 1e-300))
         X, Z = _moved(X, step[:6]), _moved(Z, step[6:12])
         if problem.free_intrinsics:
             problem = problem.at(_adjusted(problem.intrinsics, step[12:16]))
         if problem.free_scale:
             grown = float(np.exp(step[-1]))
             problem, scale = problem.at(problem.intrinsics, grown), scale * grown
-        if length < SETTLED:
+        if length < 1e-8:
             covariance = np.asarray(np.linalg.pinv(A, rcond=1e-14, hermitian=True), dtype=np.float64)
             return Fit(X, Z, problem.intrinsics, covariance, scale)
     raise InputError("hand-eye calibration: the refinement does not settle. Take more views, tilted more.")
@@ -215,7 +210,7 @@ def estimate_noise(problem: Problem, fit: Fit, pixel: float, used: NDArray[Any])
         determinants = np.linalg.slogdet(np.eye(6) + _scaled(sums.JJ, noise) / pixel**2)[1]
         return float(weights @ determinants + np.linalg.slogdet(A)[1] + fixed - b @ np.linalg.solve(A, b))
 
-    bounds = [(np.log(LEAST_SIGMA), np.log(LARGEST_SIGMA))] * 2
+    bounds = [(np.log(1e-6), np.log(0.1))] * 2  # [rad], [m]
     start = np.log([1e-3, 5e-4])
     found = minimize(unlikely, start, method="Nelder-Mead", bounds=bounds, options={"xatol": 0.02, "fatol": 0.01})
     return Noise(pixel, *(float(sigma) for sigma in np.exp(found.x)))

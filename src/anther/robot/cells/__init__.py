@@ -32,8 +32,6 @@ from anther.robot.safety import check_trajectory
 
 __all__ = ["CellFile", "Limits", "Part", "Simulation", "ToolSection", "kept_open", "owned", "read_cell"]
 
-MODELLED = 0.005, 0.1
-"""A tool may differ from the one that plans are made for by so much of its length [m] and mass [kg]."""
 REQUIRED = "arm", "gripper", "wrist_camera", "workspace", "region", "arm_space"
 KNOWN = (*REQUIRED, "side_camera", "shaker", "tool", "keep_out", "limits", "simulation")
 Lens = tuple[float, float, float, float, float, float]
@@ -314,9 +312,9 @@ def _check_tool(cell: CellFile) -> None:
     mass = tool.mass + tool.camera_mass
     with cell.source.located(("tool",)):
         if measured.tip is not None:
-            check_range("tip", measured.tip, tool.tip - MODELLED[0], tool.tip + MODELLED[0], "m")
+            check_range("tip", measured.tip, tool.tip - 0.005, tool.tip + 0.005, "m")
         if measured.mass is not None:
-            check_range("mass", measured.mass, 0.0, mass + MODELLED[1], "kg")
+            check_range("mass", measured.mass, 0.0, mass + 0.1, "kg")
 
 
 def _check_places(cell: CellFile) -> None:

@@ -29,8 +29,6 @@ from anther.robot.safety import guard
 
 CALM = 0.5
 """The arm stands for so long before a picture is taken [s]: it swings a little when it stops. A guess."""
-OPENS = 1e-3
-"""A gripper may open so much less than plans are made for [m]: `devices.SafetyLimits.grip_tolerance` bears it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,7 +108,7 @@ def _check_stroke(file: CellFile, gripper: Gripper) -> None:
         InputError: it does not.
     """
     planned, has = file.model.tool.stroke, gripper.stroke
-    if planned > has + OPENS:
+    if planned > has + 1e-3:  # [m]: `devices.SafetyLimits.grip_tolerance` bears it
         allowed = f"at most {has:.4f} m, which the gripper says it opens"
         do = "Write what it opens as opening under [gripper.shape]."
         raise bad_input(file.source.where(("gripper", "shape")), given=f"{planned:.4f} m", allowed=allowed, do=do)

@@ -15,8 +15,7 @@ from anther.core.files import replacing
 from anther.robot.cells import read_cell
 from anther.robot.cells._reading import Keys
 
-TABLE, KEYS = "wrist_camera", ("calibration", "T_flange_cam")
-NEW = KEYS[0]
+TABLE, NEW, OLD = "wrist_camera", "calibration", "T_flange_cam"
 
 
 def point_to_calibration(path: Path | str, calibration: Path | str) -> Path:
@@ -39,7 +38,7 @@ def point_to_calibration(path: Path | str, calibration: Path | str) -> Path:
         raise bad_input(
             str(file),
             given="a pose of the wrist camera that is not on lines of its own",
-            allowed=f"{KEYS[1]} = [...] or {NEW} = ... below [{TABLE}]",
+            allowed=f"{OLD} = [...] or {NEW} = ... below [{TABLE}]",
             do=f"The file is unchanged. Write there: {NEW} = {json.dumps(where, ensure_ascii=False)}",
         )
     kept = _free_name(file)
@@ -60,8 +59,8 @@ def _replaced(text: str, lines: Mapping[Keys, int], where: str) -> str | None:
     """
     rows = text.splitlines(keepends=True)
     wanted = tomllib.loads(text)
-    wanted[TABLE] = {key: value for key, value in wanted[TABLE].items() if key not in KEYS} | {NEW: where}
-    first = next((lines[TABLE, key] - 1 for key in KEYS if (TABLE, key) in lines), None)
+    wanted[TABLE] = {key: value for key, value in wanted[TABLE].items() if key not in (NEW, OLD)} | {NEW: where}
+    first = next((lines[TABLE, key] - 1 for key in (NEW, OLD) if (TABLE, key) in lines), None)
     if first is None:
         return None
     for end in range(first + 1, len(rows) + 1):

@@ -26,6 +26,7 @@ import numpy as np
 
 from anther.core.geometry import Array
 from anther.robot.devices import LEAD, JointTrajectory
+from anther.robot.drivers._holding import NEAR
 from anther.robot.drivers._streamed import SETTLE, Reference, braking, prioritize_thread
 
 CYCLE = 1e-3
@@ -37,8 +38,6 @@ BRAKES = 0.8
 """Share of the acceleration with which the loop brakes: the robot refuses what is a little over it."""
 FADES = 0.5
 """The arm stands a little off its command; a motion begins at the command, and the gap is closed within this [s]."""
-NEAR = 0.05
-"""No motion begins further than this from the robot's own command [rad]."""
 SHOWN = 8
 """Every so many cycles a state is shown: 125 a second."""
 UNSEEN = 0.1

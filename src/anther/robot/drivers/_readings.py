@@ -12,12 +12,6 @@ from anther.robot.devices import DeviceError
 
 STALE = 0.05
 """Joints read longer ago than this are not believed [s]."""
-RECENT = 40
-"""Readings that are kept: a rate is measured between them, at up to 500 a second."""
-DRIFT = 1e-4
-"""Clocks drift apart by less than this [s/s]: an order more than quartz does."""
-SPANS = (0.02, 0.06)
-"""A rate is measured between readings so far apart [s]: two at 100 Hz and more, before the rate is another."""
 
 
 class Reading(NamedTuple):
@@ -30,7 +24,8 @@ class Reading(NamedTuple):
 def rate_of(readings: list[Reading]) -> Array | None:
     """Return the rates (J,) [rad/s] of readings in order, at the last; None where too few are close enough."""
     last = readings[-1]
-    before = next((r for r in readings if SPANS[0] <= last.time - r.time <= SPANS[1]), None)
+    # two readings at 100 Hz and more, before the rate is another
+    before = next((r for r in readings if 0.02 <= last.time - r.time <= 0.06), None)
     return None if before is None else (last.joints - before.joints) / (last.time - before.time)
 
 
@@ -60,7 +55,8 @@ class RobotClock:
 
     def hear(self, stamp: float, arrival: float) -> None:
         """Take the stamp of a message [s], and when it arrived on this machine's clock [s]."""
-        lag, drifted = arrival - stamp, self.offset + DRIFT * (arrival - self._heard)
+        # clocks drift apart by less than 1e-4: an order more than quartz does
+        lag, drifted = arrival - stamp, self.offset + 1e-4 * (arrival - self._heard)
         self.offset = lag if np.isnan(drifted) else min(lag, drifted)
         self._heard = arrival
 
@@ -114,7 +110,7 @@ class Readings:
     def take(self, reading: Reading) -> None:
         """Take a reading, unless a newer one is there."""
         if not self.recent or reading.time > self.recent[-1].time:
-            self.recent = [*self.recent[-RECENT:], reading]
+            self.recent = [*self.recent[-40:], reading]  # a rate is measured between them, at up to 500 a second
 
     def speed(self) -> Array | None:
         """Return rates (J,) [rad/s] at the newest reading, by those before; None: there are too few."""

@@ -167,8 +167,6 @@ SETTLE = 0.1
 """The end of a motion is commanded for so long before it counts as over [s]."""
 WAITING = 5.0
 """Something of a robot that is on is heard within this [s]."""
-COMES_TO_REST = 0.5
-"""An arm that its own time-out stops stands within this [s]; else nothing more is sent."""
 
 
 class StreamedArm(ABC):
@@ -257,7 +255,7 @@ class StreamedArm(ABC):
         now = self._clock()
         if now - told.time <= self._timeout:
             return self._extrapolate(told, now)[1:]
-        while self._clock() - now < COMES_TO_REST and not self.readings.trouble:
+        while self._clock() - now < 0.5 and not self.readings.trouble:
             with suppress(DeviceError):  # too old yet
                 self.joints()
             here = find_rest_joints(self.readings, now)

@@ -25,8 +25,8 @@ from anther.robot.safety import GuardedArm
 
 UNSEEN = 1.0
 """Readings that nobody looked at for so long end a motion [s]: who should watch hangs."""
-BEGIN, ANSWER = 120.0, 30.0
-"""The process begins within the first, on a busy machine too, and a question within the second, or is given up [s]."""
+ANSWER = 30.0
+"""The process answers a question within this, or is given up [s]."""
 LOST = "the arm's own process is gone; the arm stops by its own timeout. Look at it, and start anew."
 GONE = "who asked for it is gone"
 
@@ -51,7 +51,7 @@ class ArmApart:
         self._process = context.Process(target=_serve, args=(other, make, options, limits, os.getpid()), daemon=True)
         self._process.start()
         other.close()
-        self.has = frozenset(self._done(self._hear(BEGIN)))
+        self.has = frozenset(self._done(self._hear(120.0)))  # a busy machine begins late
 
     def joints(self) -> Array:
         """See `anther.robot.devices.Arm`."""

@@ -30,13 +30,9 @@ from anther.robot.drivers._readings import STALE, RobotClock, check_finite_joint
 from anther.robot.drivers._streamed import Coming, prioritize_thread, shorten_thread_turns
 
 JOINTS = 7
+ANSWER = 2.0
+"""The loop answers within this [s]; libfranka gives a network up before."""
 BEGINS = "from anther.robot.drivers._franka_loop import main; main()"
-BEGIN, ANSWER = 60.0, 2.0
-"""The loop is connected within the first, and answers within the second [s]; libfranka gives a network up before."""
-RECOVERS = 5.0
-"""After `enable` the robot is ready within this [s]."""
-PATIENCE = 0.5
-"""At rest, joints that come too late are asked for again for so long [s]: nothing moves meanwhile."""
 GONE = "the loop that commands the arm is gone; the robot stops by itself. Look at it, and start anew"
 MODES = {
     "Idle": "",
@@ -141,10 +137,11 @@ class Franka:
             self._ask("recover")
         elif told.mode != "Idle":
             raise DeviceError(f"the arm cannot be enabled: {_reason(told)}.")
-        until = self._clock() + RECOVERS
+        seconds = 5.0
+        until = self._clock() + seconds
         while why := self.cannot():
             if self._clock() > until:
-                raise DeviceError(f"the robot is not ready within {RECOVERS:g} s: {why}.")
+                raise DeviceError(f"the robot is not ready within {seconds:g} s: {why}.")
             self._sleep(0.01)
 
     def close(self) -> None:
@@ -206,7 +203,7 @@ class Franka:
         return told
 
     def _read_fresh(self) -> RobotState:
-        until = self._clock() + PATIENCE
+        until = self._clock() + 0.5  # at rest nothing moves meanwhile
         while self._age(told := self._read()) > STALE and self._clock() < until:
             pass
         return self._believed(told)
@@ -284,7 +281,7 @@ def open_franka(
     there.close()
     try:
         here.send((host, np.asarray(acceleration, dtype=float), realtime))
-        what, why = here.recv() if here.poll(BEGIN) else ("failed", f"the loop does not begin within {BEGIN:g} s")
+        what, why = here.recv() if here.poll(60.0) else ("failed", "the loop does not begin within 60 s")
     except (EOFError, OSError):
         what, why = "failed", GONE
     if what == "failed":

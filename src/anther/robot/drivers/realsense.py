@@ -27,8 +27,6 @@ from anther.robot.drivers.free_running import STALLED, FreeRunningCamera, Shot
 INSTALL = "pip install 'anther[realsense]'"
 SAME_CLOCK = 1.0
 """Stamps in the host's time are believed if they are no farther from it [s]; a recording's are."""
-_QUEUE = 8  # of 16 that the SDK keeps
-_WINDOW = 300  # frames whose quickest tells the clocks' offset
 
 Found = Callable[[], Sequence[Any]]
 """Gives the devices that are connected now."""
@@ -102,7 +100,7 @@ class RealSense:
         self._serial, self._size, self._rate, self._preset, self._clock = serial, size, rate, preset, clock
         self._devices: Found = devices or self._rs.context().query_devices
         self._open: list[Any] = []
-        self._offsets: deque[float] = deque(maxlen=_WINDOW)
+        self._offsets: deque[float] = deque(maxlen=300)  # the quickest tells the clocks' offset
         self.unpaired = 0
 
     def clock(self) -> float:
@@ -210,7 +208,7 @@ class RealSense:
         depth[0].set_option(option.visual_preset, names[self._preset.lower()])
 
     def _start(self, depth: tuple[Any, Any], color: tuple[Any, Any]) -> None:
-        self._syncer = self._rs.syncer(_QUEUE)
+        self._syncer = self._rs.syncer(8)  # of 16 that the SDK keeps
         self._offsets.clear()
         if depth[0] is color[0]:
             wanted = [(depth[0], [depth[1], color[1]])]

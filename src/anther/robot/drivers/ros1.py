@@ -26,10 +26,6 @@ from anther.robot.drivers._streamed import prioritize_thread
 
 PATIENCE = 3.0
 """The master and other nodes answer within this, or they are not there [s]."""
-WRITE = 0.02
-"""A reader that does not take a message within this is given up [s]."""
-LONGEST = 2**22
-"""Bytes of a message at most: robots' states and commands are shorter by far."""
 
 POLL = 0.05
 """A node that is closed has noticed it within this [s]."""
@@ -225,7 +221,7 @@ class Publisher:
         return len(self._lines)
 
     def publish(self, message: Any) -> None:
-        """Send a message to all readers; one that does not take it within `WRITE` is given up."""
+        """Send a message to all readers; one that does not take it within 20 ms is given up."""
         self.send(self.packet(message))
 
     def packet(self, message: Any) -> bytes:
@@ -271,7 +267,7 @@ class Publisher:
                 try:
                     sent += line.send(packet[sent:])
                 except BlockingIOError:
-                    if not select.select([], [line], [], WRITE)[1]:
+                    if not select.select([], [line], [], 0.02)[1]:
                         raise
         except OSError:
             self._lines.remove(line)
@@ -335,7 +331,7 @@ def _read(line: socket.socket) -> bytes:
         ValueError: too long.
     """
     (size,) = struct.unpack("<I", _exactly(line, 4))
-    if size > LONGEST:
+    if size > 2**22:  # bytes: states and commands of robots are shorter by far
         raise ValueError(f"a message of {size} bytes")
     return _exactly(line, size)
 

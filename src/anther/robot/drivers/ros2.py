@@ -27,12 +27,6 @@ from anther.robot.drivers._streamed import Reference, StreamedArm, braking, prio
 
 AHEAD = 0.03
 """A message holds so much of the motion before it brakes [s]; commands further apart than this end the motion."""
-STEP = 0.01
-"""Between the samples of a message [s]: the controller joins them by polynomials."""
-TINY, RESTS = 1e-4, 1e-6
-"""Samples are further apart than the first [s]; a joint slower than the second stands [rad/s]."""
-GENTLE = 0.5
-"""An arm that is to hold is given so long to come to where it holds [s]."""
 INSTALL = "Source your ROS 2, or run: pip install 'anther[ros2]'"
 TRAJECTORY, POINT = "trajectory_msgs/msg/JointTrajectory", "trajectory_msgs/msg/JointTrajectoryPoint"
 
@@ -167,11 +161,12 @@ def planned(reference: Reference, t: float, acceleration: Array) -> Plan:
     left = min(AHEAD, reference.ends - t)
     if left <= 0:
         return still(reference.at(t)[0], 0.0)
-    times = np.linspace(0.0, left, max(round(left / STEP), 1) + 1) if left > TINY else np.zeros(1)
+    # samples are 0.01 s apart, which the controller joins by polynomials, and no less than 0.1 ms
+    times = np.linspace(0.0, left, max(round(left / 0.01), 1) + 1) if left > 1e-4 else np.zeros(1)
     inside = np.minimum(t + times, np.nextafter(reference.ends, 0.0))  # at the end itself it stands
     motion = Plan(times, *(np.array(rows) for rows in zip(*map(reference.at, inside), strict=True)))
     tail = braked(motion.q[-1], motion.rate[-1], acceleration)
-    if np.abs(motion.rate[-1]).max() < RESTS:
+    if np.abs(motion.rate[-1]).max() < 1e-6:  # it stands
         motion.rate[-1] = motion.acceleration[-1] = 0.0
         return motion
     return Plan(
@@ -280,7 +275,7 @@ class JointTrajectoryArm(StreamedArm):
         here = find_rest_joints(self.readings, self._clock() - self._stale)
         if here is not None and np.abs(here - q).max() > NEAR:  # it met something: it shall not press on
             q = here
-        self._commands.publish(self._message(still(q, GENTLE)))
+        self._commands.publish(self._message(still(q, 0.5)))
         self._rests(q)
 
     def _refuses_commands(self) -> bool:

@@ -10,6 +10,7 @@ import re
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from enum import IntEnum
 from typing import Any
 
 import numpy as np
@@ -18,20 +19,26 @@ from anther.core.errors import MissingExtra
 from anther.robot.devices import DeviceError
 from anther.robot.drivers._readings import Reading, RobotClock, check_finite_joints, check_fresh
 
-WAITING, POWERING = 5.0, 60.0
-"""The controller answers within the first; motors are on and brakes released within the second [s]."""
 FULL = 0.99
 """Speed slider and speed scaling below this are slower than what was planned."""
 
-NORMAL, REDUCED = 1, 2
 SAFETY = ("?", "normal", "reduced", "protective stop", "recovery", "safeguard stop", "system emergency stop",
           "robot emergency stop", "violation", "fault")  # fmt: skip
-POWER_OFF, IDLE, RUNNING = 3, 5, 7
 MODES = ("disconnected", "confirm safety", "booting", "power off", "power on", "idle", "backdrive", "running",
          "updating firmware")  # fmt: skip
-STOPPED, PLAYING, PAUSING = 1, 2, 3
-"""Runtime states of a program; PAUSING and more: it is held up, and may go on."""
 REMOTE = "it is not in remote control: switch it from Local to Remote on the pendant, at the top right"
+
+
+class Mode(IntEnum):
+    """Places in `MODES`."""
+
+    POWER_OFF, IDLE, RUNNING = 3, 5, 7
+
+
+class Program(IntEnum):
+    """Runtime states of a program; PAUSING and more: it is held up, and may go on."""
+
+    STOPPED, PLAYING, PAUSING = 1, 2, 3
 
 
 class Controller:
@@ -95,8 +102,8 @@ class Controller:
             "the connection is lost: check network and controller, then start anew": not says.isConnected(),
             "its emergency stop is pressed: look why, release it, then anther cell enable": says.isEmergencyStopped(),
             "it made a protective stop: look what it touched, then anther cell enable": says.isProtectiveStopped(),
-            f"its safety system says {told}: look at its pendant": safety not in (NORMAL, REDUCED),
-            f"its motors are not on ({power}): anther cell enable does that": mode != RUNNING,
+            f"its safety system says {told}: look at its pendant": told not in ("normal", "reduced"),
+            f"its motors are not on ({power}): anther cell enable does that": mode != Mode.RUNNING,
         }
         return next((why for why, holds in reasons.items() if holds), "")
 
@@ -123,23 +130,23 @@ class Controller:
             raise DeviceError("the emergency stop is pressed. Look why; turn it until it comes out; then enable again.")
         if why := self.not_remote():
             raise DeviceError(f"the arm cannot be enabled: {why}.")
-        if says.getRuntimeState() != STOPPED:
+        if says.getRuntimeState() != Program.STOPPED:
             self.ask("stop")
-            self.wait(lambda: says.getRuntimeState() == STOPPED, "does not stop its program")
+            self.wait(lambda: says.getRuntimeState() == Program.STOPPED, "does not stop its program")
         if says.isProtectiveStopped():
             self.ask("closeSafetyPopup")
             self.ask("unlockProtectiveStop")
             self.wait(lambda: not says.isProtectiveStopped(), "stays in its protective stop")
-        if says.getRobotMode() != RUNNING:
+        if says.getRobotMode() != Mode.RUNNING:
             self.ask("powerOn")
-            self.wait(lambda: says.getRobotMode() in (IDLE, RUNNING), "does not switch its motors on", POWERING)
+            self.wait(lambda: says.getRobotMode() in (Mode.IDLE, Mode.RUNNING), "does not switch its motors on", 60.0)
             self.ask("brakeRelease")
-            self.wait(lambda: says.getRobotMode() == RUNNING, "does not release its brakes", POWERING)
+            self.wait(lambda: says.getRobotMode() == Mode.RUNNING, "does not release its brakes", 60.0)
 
     def disable(self) -> None:
         """Switch the motors off: the brakes hold the arm."""
         self.ask("powerOff")
-        self.wait(lambda: self.receive.getRobotMode() <= POWER_OFF, "does not switch its motors off")
+        self.wait(lambda: self.receive.getRobotMode() <= Mode.POWER_OFF, "does not switch its motors off")
 
     def ask(self, name: str) -> Any:
         """Return what the dashboard server answers. It is connected each time: an idle line may be dropped."""
@@ -151,7 +158,7 @@ class Controller:
         finally:
             self._dashboard.disconnect()
 
-    def wait(self, done: Callable[[], bool], what: str, seconds: float = WAITING) -> None:
+    def wait(self, done: Callable[[], bool], what: str, seconds: float = 5.0) -> None:
         """Wait until something is so."""
         until = time.monotonic() + seconds
         while not done():

@@ -21,17 +21,13 @@ from anther.robot.devices import ArmRecord, DeviceError, JointTrajectory, More, 
 from anther.robot.drivers._holding import NEAR
 from anther.robot.drivers._readings import STALE, Reading
 from anther.robot.drivers._streamed import SETTLE, Reference, StreamedArm, braking
-from anther.robot.drivers.ur_controller import PAUSING, PLAYING, STOPPED, Controller
+from anther.robot.drivers.ur_controller import Controller, Program
 
 SILENCE = 0.03
 """The driver brakes when it could not give a command for so long [s]."""
 WATCHDOG = 20.0
 """The controller ends the program when commands come less often than this [1/s]: after 50 ms, so that a driver that
 lives brakes first."""
-SHOWN = 0.008
-"""Readings go to the watcher this far apart [s]: 125 a second, whatever the controller's rate."""
-UNUSED = 0.5
-"""servoJ takes a speed and an acceleration and uses neither."""
 ENDED = "Anther's program on it was stopped, on the pendant or by the watchdog: look why, then start anew"
 PAUSED = "its program was paused on the pendant: stop it there, then start anew"
 
@@ -90,7 +86,7 @@ class UniversalRobot(StreamedArm):
                 silence=SILENCE,
                 clock=clock,
                 sleep=sleep,
-                shown=SHOWN - 0.5 / commands,
+                shown=0.008 - 0.5 / commands,  # 125 readings a second, whatever the controller's rate
                 timeout=1 / WATCHDOG,
             )
             self.joints()
@@ -199,7 +195,8 @@ class UniversalRobot(StreamedArm):
 
     def _servo(self, q: Array) -> None:
         self._control.kickWatchdog()  # before servoJ: of two messages in one cycle the controller takes the later
-        if not self._control.servoJ(q.tolist(), UNUSED, UNUSED, self._period, self._lookahead, self._gain):
+        # servoJ takes a speed and an acceleration, here 0.5, and uses neither
+        if not self._control.servoJ(q.tolist(), 0.5, 0.5, self._period, self._lookahead, self._gain):
             raise DeviceError(f"the arm was stopped: {self._halted() or 'the controller takes no commands'}.")
 
     def _brake(self, q: Array, rate: Array) -> Array:
@@ -217,9 +214,9 @@ class UniversalRobot(StreamedArm):
         if why := self._at.stopped():
             return why
         state = self._at.receive.getRuntimeState()
-        if state <= STOPPED or not self._control.isConnected():
+        if state <= Program.STOPPED or not self._control.isConnected():
             return ENDED
-        return PAUSED if state >= PAUSING else ""
+        return PAUSED if state >= Program.PAUSING else ""
 
     def _renew(self) -> None:
         """Start the next motion's program where the arm can be moved; one that somebody else ended stays ended."""
@@ -236,10 +233,10 @@ class UniversalRobot(StreamedArm):
         """End the motion's program, and its watchdog with it. One that is held up must not go on later."""
         self._last_command = None
         state = self._at.receive.getRuntimeState()
-        if state == PLAYING and self._control.isConnected():
+        if state == Program.PLAYING and self._control.isConnected():
             self._control.servoStop()
             self._forget()
-        elif state >= PAUSING:
+        elif state >= Program.PAUSING:
             with suppress(DeviceError):
                 self._at.ask("stop")
 
@@ -247,7 +244,7 @@ class UniversalRobot(StreamedArm):
         """Leave the program, stopped."""
         control, self._control = self._control, None
         if control is not None:
-            if self._at.receive.getRuntimeState() == PLAYING and control.isConnected():
+            if self._at.receive.getRuntimeState() == Program.PLAYING and control.isConnected():
                 control.stopScript()
             control.disconnect()
 

@@ -23,10 +23,6 @@ BEAT = 0.02
 """Between two heartbeats [s]: the motor stops itself when five of them are missing."""
 REPLY = 0.03
 """An answer comes within this [s]; then the line is sent again."""
-TRIES = 3
-"""So often a line is sent."""
-STALLED = 0.5
-"""A motor that moves less than this share of what it is asked is stalled."""
 
 
 T = TypeVar("T")
@@ -157,7 +153,7 @@ class VoiceCoil:
         """Raise where a steady tone is not followed."""
         settled = now.seconds > piece.begin + piece.ramp + 0.15
         asked = float(piece.amplitudes.sum())
-        if len(piece.frequencies) == 1 and settled and now.amplitude < STALLED * asked:
+        if len(piece.frequencies) == 1 and settled and now.amplitude < asked / 2:
             moves = f"{1e3 * now.amplitude:.2g} of {1e3 * asked:.2g} mm"
             raise DeviceError(f"the motor does not follow: it moves {moves}. Is the stem too stiff, or is it jammed?")
 
@@ -205,7 +201,7 @@ class VoiceCoil:
         self._number += 1
         heard = b""
         try:
-            for _ in range(TRIES):
+            for _ in range(3):
                 self._port.write(sealed(f"{self._number} {text}"))
                 until = self._clock() + REPLY
                 while self._clock() < until:

@@ -64,15 +64,8 @@ __all__ = [
     "stem_stress",
 ]
 
-MOTOR_TOO_FAR = 1.3
-"""The pads may move so much more than they were asked to: what a motor that is 15 % off does, and as much again."""
 MOTOR_AT_REST = 0.1e-3
 """What a motor at rest may read [m]."""
-TRIES = 3
-"""So often a lost frame is asked for."""
-ALIVE = 1e-3
-"""Share of the pixels that changes at least between two frames of a camera that sees: noise alone changes nearly all
-(0.999 of those of a simulated D455)."""
 
 
 def guard(robot: Robot, limits: SafetyLimits) -> Robot:
@@ -217,7 +210,8 @@ class GuardedMotor:
 
         def within(sample: ArmSample) -> None:
             asked = max(piece.reach for piece in pieces)
-            if not (amplitude := self._motor.amplitude()) <= MOTOR_TOO_FAR * asked + MOTOR_AT_REST:
+            # 1.3: what a motor that is 15 % off does, and as much again
+            if not (amplitude := self._motor.amplitude()) <= 1.3 * asked + MOTOR_AT_REST:
                 told = f"the motor moves the pads by {1e3 * amplitude:.2g} mm; asked were {1e3 * asked:.2g} mm."
                 raise DeviceError(f"{told} Check its sensor.")
             if watch:
@@ -340,10 +334,10 @@ class GuardedCamera:
         """Return one frame taken now.
 
         Raises:
-            DeviceError: it was lost, `TRIES` times in a row.
+            DeviceError: it was lost, three times in a row.
         """
         reasons = []
-        for _ in range(TRIES):
+        for _ in range(3):
             try:
                 frame = self._camera.read()
             except DeviceError as error:
@@ -355,7 +349,7 @@ class GuardedCamera:
                     reasons.append("the last picture of the recording again")
                 else:
                     return frame
-        raise DeviceError(f"camera: no frame in {TRIES} tries ({reasons[-1]}). Check its cable.")
+        raise DeviceError(f"camera: no frame in 3 tries ({reasons[-1]}). Check its cable.")
 
     def start(self, rate: float) -> None:
         """Begin to record at `rate` frames per second."""
@@ -401,9 +395,12 @@ class GuardedCamera:
 
 
 def _same(one: Frame, other: Frame) -> bool:
-    """Return whether two frames show the same picture, by every 16th pixel."""
+    """Return whether two frames show the same picture, by every 16th pixel.
+
+    Noise alone changes nearly all of them (0.999 of those of a simulated D455).
+    """
     apart = np.any(one.rgb[::4, ::4] != other.rgb[::4, ::4], axis=2)
-    return float(apart.mean()) < ALIVE
+    return float(apart.mean()) < 1e-3
 
 
 def _copied(trajectory: JointTrajectory) -> JointTrajectory:

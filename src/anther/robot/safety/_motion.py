@@ -14,16 +14,12 @@ from anther.core.geometry import Array
 from anther.robot.devices import ArmSample, DeviceError, JointTrajectory, SafetyLimits, Watch
 from anther.robot.swing import Swing
 
-CHECK_STEP = 0.005
-"""A trajectory is checked at its own samples and, in between, this often [s]: 7.5 mm of the flange at its top speed."""
 AT_REST = 0.05
 """A trajectory begins and ends no faster than this [rad/s]."""
 LONGEST = 120.0
 """No trajectory lasts longer [s]."""
 SOON = 1e-4
 """The flange's speed is the way it goes in this time [s]."""
-SAME = 1e-3
-"""Joints that differ by less [rad] are held against the keep-out boxes once: 1.3 mm of an arm stretched out."""
 SWING_STEP = 2.5e-4
 """A piece is checked so often [s]: 80 times a period of 50 Hz."""
 JUMP = 1e-3
@@ -41,8 +37,8 @@ def check_trajectory(
     """Check all that is known of a motion before it begins.
 
     What is checked is the curve that the arm follows, cubic between the samples: at every sample and every
-    `CHECK_STEP`. Start at the present joints, rest at both ends, joint range less the margin, joint speed and
-    acceleration; of the flange workspace and speed; of all of arm and tool the keep-out boxes.
+    5 ms, 7.5 mm of the flange at its top speed. Start at the present joints, rest at both ends, joint range less the
+    margin, joint speed and acceleration; of the flange workspace and speed; of all of arm and tool the keep-out boxes.
 
     Args:
         trajectory: about to be commanded.
@@ -66,7 +62,7 @@ def check_trajectory(
     resting = trajectory.velocities[[end for end, moves in ((0, joined), (-1, goes_on)) if not moves]]
     ends = float(np.abs(resting).max(initial=0.0))
     demand("speed at the ends", ends, AT_REST, "rad/s", "Begin and end at rest.")
-    times = np.union1d(trajectory.times, np.arange(0, trajectory.duration, CHECK_STEP))
+    times = np.union1d(trajectory.times, np.arange(0, trajectory.duration, 0.005))
     q, rates = _check_joints(trajectory, times, limits)
     position = limits.forward(q)[:, :3, 3]
     outside = float(np.maximum(limits.workspace.lower - position, position - limits.workspace.upper).max())
@@ -96,7 +92,8 @@ def _check_joints(trajectory: JointTrajectory, times: Array, limits: SafetyLimit
 def _check_keep_out(q: Array, limits: SafetyLimits) -> None:
     if not limits.keep_out:
         return
-    distinct = q[np.unique(np.round(q / SAME), axis=0, return_index=True)[1]]  # few of a shake, whose next piece waits
+    # to 1 mrad, 1.3 mm of an arm stretched out: few of a shake, whose next piece waits
+    distinct = q[np.unique(np.round(q / 1e-3), axis=0, return_index=True)[1]]
     for some in np.array_split(distinct, len(distinct) // 1000 + 1):
         balls = limits.outline(some)
         least, most = ((balls[..., :3] + sign * balls[..., 3:]) for sign in (-1, 1))
@@ -129,18 +126,15 @@ def check_shake(amplitude: float, frequency: float, duration: float, limits: Saf
     demand("shake duration", duration, limits.shake_duration, "s", "Shake shorter.")
 
 
-RAMPS = 0.92
-"""Share of the acceleration allowed that a steady shake may have: to rise and fall takes up to 1.1 % more, to turn from
-one mixture to another within half a second up to 8.7 % (1 to 40 Hz, up to 20 mm)."""
-
-
 def shake_amplitude(frequencies: Array, limits: SafetyLimits) -> Array:
     """Return the largest amplitudes (Q,) [m] of shakes of one tone each (Q,) [Hz] that pass, with their ramps.
 
-    A mixture passes if its shares of these amount to no more than 1.
+    A mixture passes if its shares of these amount to no more than 1. A steady shake may have 92 % of the acceleration:
+    to rise and fall takes up to 1.1 % more, to turn from one mixture to another within half a second up to 8.7 % (1 to
+    40 Hz, up to 20 mm).
     """
     omega = 2 * np.pi * np.asarray(frequencies, dtype=np.float64)
-    return np.minimum(limits.shake_speed / omega, RAMPS * limits.shake_acceleration / omega**2)
+    return np.minimum(limits.shake_speed / omega, 0.92 * limits.shake_acceleration / omega**2)
 
 
 def check_pieces(parts: Sequence[tuple[Array, Swing]], limits: SafetyLimits) -> None:
@@ -184,8 +178,6 @@ SPANS = (0.5, 2.0)
 SWINGS, TURNS = 1e-4, 4
 """Fast swings, with `TURNS` zero crossings or more in the longer span, must show from this travel on [rad]: 16 bits do.
 Asked of joints that travel at least half as far as the one that travels furthest."""
-FORCE_STANDS = 1.0
-"""A measured force is never the same to the last bit for so long while the arm moves [s]: it has noise."""
 
 
 class ForceCheck:
@@ -213,9 +205,9 @@ class ForceCheck:
             self._same = 0.0
         elif not np.array_equal(sample.commanded, last.commanded):
             self._same += min(sample.time - last.time, 0.1)  # longer between two motions
-        if self._same > FORCE_STANDS:
+        if self._same > 1:  # [s]: a measured force has noise
             told = f"arm force: got {sample.force:.3g} N, the same to the last bit for {self._same:.1f} s of motion"
-            raise DeviceError(f"{told}; allowed: {FORCE_STANDS:g} s. The sensor is stuck: check it, then start anew.")
+            raise DeviceError(f"{told}; allowed: 1 s. The sensor is stuck: check it, then start anew.")
 
 
 def hidden_swing(times: Array, told: Array, read: Array, travel: Array) -> NDArray[np.bool_]:
