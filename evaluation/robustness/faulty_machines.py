@@ -99,7 +99,7 @@ class FaultyArm:
         self._count = 0
         self._frozen: Array | None = None
         self._moves_most, self._rng = np.zeros(0, bool), np.random.default_rng(0)
-        self._felt: float | None = None
+        self._first_force: float | None = None
 
     def joints(self) -> Array:
         """Return the measured joints (J,) [rad]; stale ones are those of the moment they froze."""
@@ -125,20 +125,20 @@ class FaultyArm:
             done, piece = sum(lengths[: fault.piece]), lengths[fault.piece : fault.piece + 1]
             return bool(piece) and passed >= done + fault.share * piece[0]
 
-        def disturbed(sample: ArmSample) -> None:
+        def disturb(sample: ArmSample) -> None:
             begun.append(sample.time)
             if due(sample.time - begun[0]) or count > fault.at:
                 sample = self._strike(sample)
             if watch:
                 watch(sample)
 
-        def onward() -> JointTrajectory | None:
+        def next_motion() -> JointTrajectory | None:
             assert more is not None
             following = more()
             lengths.extend([] if following is None else [following.duration])
             return following
 
-        return self._arm.follow(trajectory, disturbed, more and onward)
+        return self._arm.follow(trajectory, disturb, more and next_motion)
 
     def hold(self) -> None:
         """Stop and hold the present position."""
@@ -155,8 +155,8 @@ class FaultyArm:
             case "kill -9":
                 os.kill(os.getpid(), signal.SIGKILL)
             case "arm force lost":
-                self._felt = sample.force if self._felt is None else self._felt
-                lost = (np.nan, -sample.force, self._felt)[int(4 * self._fault.share) % 3]
+                self._first_force = sample.force if self._first_force is None else self._first_force
+                lost = (np.nan, -sample.force, self._first_force)[int(4 * self._fault.share) % 3]
                 return replace(sample, force=lost)
             case kind if kind in STALE:
                 self._frozen = sample.measured if self._frozen is None else self._frozen
@@ -188,13 +188,13 @@ class FaultyGripper:
         """Move, or stay."""
         self._count += 1
         stays = self._fault.kind == "gripper jam" and self._fault.strikes(self._count - 1)
-        return self.state() if stays else self._told(self._gripper.move(opening))
+        return self.state() if stays else self._falsify(self._gripper.move(opening))
 
     def state(self) -> GripperState:
         """Return the present state, or what is told of it."""
-        return self._told(self._gripper.state())
+        return self._falsify(self._gripper.state())
 
-    def _told(self, state: GripperState) -> GripperState:
+    def _falsify(self, state: GripperState) -> GripperState:
         if not self._fault.strikes(self._count - 1):
             return state
         match self._fault.kind:
@@ -231,7 +231,7 @@ class FaultyCamera:
         self._reads += 1
         if self._fault.kind == "frames lost" and self._fault.strikes(self._reads - 1):
             raise DeviceError("the frame was lost on the cable.")
-        return self._seen(self._camera.read())
+        return self._freeze(self._camera.read())
 
     def start(self, rate: float) -> None:
         """Begin to record."""
@@ -248,15 +248,15 @@ class FaultyCamera:
             raise DeviceError("the frames were lost on the cable.")
         frames = self._camera.recorded(since)
         self._still = self._still or (frames[0] if struck else None)
-        return [self._seen(frame) for frame in frames]
+        return [self._freeze(frame) for frame in frames]
 
     def stop(self) -> list[Frame]:
         """Return the recording, or the first share of it."""
         self._recordings += 1
-        frames = [self._seen(frame) for frame in self._camera.stop()]
+        frames = [self._freeze(frame) for frame in self._camera.stop()]
         struck = self._fault.kind == "frames lost" and self._fault.strikes(self._recordings - 1)
         return frames[: int(self._fault.share * len(frames))] if struck else frames
 
-    def _seen(self, frame: Frame) -> Frame:
+    def _freeze(self, frame: Frame) -> Frame:
         still = self._still
         return frame if still is None or frame.time < still.time else replace(still, time=frame.time)

@@ -18,7 +18,7 @@ from made_arm import CELL
 from anther.cli.main import main
 from anther.core.errors import AntherError, InputError
 from anther.robot.arm import sawyer
-from anther.robot.arm.arms import named
+from anther.robot.arm.arms import find_arm
 from anther.robot.cells import CellFile, _parts, read_cell
 from anther.robot.drivers import sawyer_ros1
 
@@ -60,7 +60,7 @@ def test_a_cell_file_says_what_stands_where_and_what_it_may(write: Write) -> Non
 
 def test_a_cell_file_may_name_another_arm(write: Write) -> None:
     cell = read_cell(write(('mode = "trajectory"', 'mode = "trajectory"\nmodel = "ur5e"')))
-    assert cell.model is named("ur5e")
+    assert cell.model is find_arm("ur5e")
     assert cell.safety_limits().joint_speed == pytest.approx(0.3 * cell.model.velocity)
     assert cell.safety_limits().outline(np.zeros((2, 6))).shape[0] == 2
 

@@ -347,6 +347,6 @@ Tap = Callable[[Robot, SafetyLimits, Array, Callable[[], float]], Robot]
 """Returns the same machines, listened to; of (robot, limits, wrist camera on the flange (4, 4), robot's clock [s])."""
 
 
-def untapped(robot: Robot, limits: SafetyLimits, T_flange_cam: Array, clock: Callable[[], float]) -> Robot:
+def no_tap(robot: Robot, limits: SafetyLimits, T_flange_cam: Array, clock: Callable[[], float]) -> Robot:
     """Return the machines as they are: a `Tap`."""
     return robot

@@ -41,7 +41,7 @@ class CollisionWorld:
         for i, box in enumerate((floor, *boxes)):
             shape, middle = SceneBox(*(box.upper - box.lower)), _pose((box.lower + box.upper) / 2)
             self.scene.addBoxGeometry(f"box{i}", "universe", shape, middle, np.full(4, 0.5))
-            self._stands_still(f"box{i}")
+            self._ignore_static(f"box{i}")
 
     def free(self, q: Array) -> bool:
         """Return whether joints (J,) are within limits and touch nothing."""
@@ -77,10 +77,10 @@ class CollisionWorld:
             [centers, np.full(len(centers), VOXEL), np.ones(len(centers)), np.full(len(centers), 0.5)]
         )
         self.scene.addOcTreeGeometry(name, "universe", OcTree(list(rows), VOXEL), _pose(np.zeros(3)), np.full(4, 0.5))
-        self._stands_still(name)
+        self._ignore_static(name)
         return True
 
-    def _stands_still(self, name: str) -> None:
+    def _ignore_static(self, name: str) -> None:
         self.scene.setCollisions([(name, other) for other in self._still], False)
         self._still.append(name)
 

@@ -49,7 +49,7 @@ def inverse_many(arm: ArmModel, T_world_flange: Array, *, near: Array | None = N
 
 def _useful(arm: ArmModel, q: Array, near: Array | None) -> Array:
     """Return the distinct solutions within limits in order of preference."""
-    q = _turned(arm, q)
+    q = _add_full_turns(arm, q)
     q = q[np.all((q >= arm.lower + LIMIT_MARGIN) & (q <= arm.upper - LIMIT_MARGIN), axis=1)]
     half = (arm.upper - arm.lower) / 2
     towards_limits = np.max(np.abs(q - (arm.lower + half)) / half, axis=-1)
@@ -111,7 +111,7 @@ def _nearest_postures(arm: ArmModel, target: Array, count: int) -> Array:
     return q[np.argpartition(distance, count)[:count]]
 
 
-def _turned(arm: ArmModel, q: Array) -> Array:
+def _add_full_turns(arm: ArmModel, q: Array) -> Array:
     """Return the solutions with each joint that turns more than once also a full turn either way."""
     for joint in np.flatnonzero(arm.upper - arm.lower > 2 * np.pi):
         turn = np.zeros(arm.count)

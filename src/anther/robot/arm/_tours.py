@@ -75,7 +75,7 @@ def shorter(
     start, stop = (np.array([getattr(layer, end) for layer in layers]) for end in ("start", "stop"))
     now = best = order, _length(np.array(order), cost, start, stop)
     for k in range(trials):
-        tried = _changed(now[0], rng)
+        tried = _perturb(now[0], rng)
         length = _length(np.array(tried), cost, start, stop)
         worse = length - now[1]
         if worse < 0 or rng.random() < np.exp(-worse / (hot * (1 - k / trials) ** 2)):
@@ -112,7 +112,7 @@ def _length(order, cost, start, stop):
     return total.min()
 
 
-def _changed(order: list[int], rng: np.random.Generator) -> list[int]:
+def _perturb(order: list[int], rng: np.random.Generator) -> list[int]:
     a, b = sorted(rng.integers(0, len(order) + 1, 2).tolist())
     if rng.random() < 0.5:
         return order[:a] + order[a:b][::-1] + order[b:]

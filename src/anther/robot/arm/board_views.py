@@ -36,7 +36,7 @@ def board_planner(
     return Planner(np.zeros((0, 3)), plate, boxes, space=space, params=motion, arm=arm)
 
 
-def first_reached(
+def find_first_reachable(
     planner: Planner, limits: SafetyLimits, here: Array, T_base_flange: Array
 ) -> tuple[int, JointTrajectory] | None:
     """Return the number of the first of (C, 4, 4) poses that the arm can go to, and the motion; None if there is none.

@@ -202,7 +202,7 @@ class ArmModel:
         turned = [transform(Rotation.from_euler("xyz", link.rpy).as_matrix(), link.xyz) for link in self.links]
         object.__setattr__(self, "local", np.stack(turned))
 
-    def raised(self, height: float) -> ArmModel:
+    def on_mount(self, height: float) -> ArmModel:
         """Return the same arm on a mount so much higher [m]."""
 
         def up(place: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -282,10 +282,10 @@ def outline(arm: ArmModel, q: ArrayLike) -> Array:
     They fill the shapes that `collision` plans with and never stand out of them. Base and riders are left out.
     """
     poses, shapes = arm.link_poses(q), _balls(arm)
-    return np.concatenate([_placed(poses[..., i, :, :], balls) for i, balls in enumerate(shapes)], axis=-2)
+    return np.concatenate([_place(poses[..., i, :, :], balls) for i, balls in enumerate(shapes)], axis=-2)
 
 
-def _placed(T: Array, balls: Array) -> Array:
+def _place(T: Array, balls: Array) -> Array:
     """Return balls (S, 4) of a frame, centre and radius, at its poses (..., 4, 4): (..., S, 4)."""
     centres = balls[:, :3] @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3]
     return np.concatenate([centres, np.broadcast_to(balls[:, 3:], (*centres.shape[:-1], 1))], axis=-1)
@@ -315,7 +315,7 @@ def _balls(arm: ArmModel) -> tuple[Array, ...]:
     return (*(np.concatenate([_of_capsule(c) for c in link.capsules]) for link in arm.links), tool)
 
 
-def completed(arm: ArmModel) -> ArmModel:
+def complete(arm: ArmModel) -> ArmModel:
     """Return an arm with the shoulder, reach and neighbours that follow from its links."""
     at, q = arm.link_poses(np.zeros(arm.count)), scipy.stats.qmc.Sobol(arm.count, scramble=False).random_base2(12)
     shoulder = np.array([0.0, 0.0, at[1, 2, 3]])
@@ -369,7 +369,7 @@ def _parts_at(arm: ArmModel, q: Array) -> list[Array]:
     tools = [np.concatenate([_of_solid(s) for s in solids]) for solids in (gripper, camera)]
     poses = arm.link_poses(q)
     ground = np.concatenate(base) if base else np.zeros((0, 4))
-    moving = [_placed(poses[:, min(i, arm.count)], shape) for i, shape in enumerate([*links, *tools])]
+    moving = [_place(poses[:, min(i, arm.count)], shape) for i, shape in enumerate([*links, *tools])]
     return [np.tile(ground, (len(q), 1, 1)), *moving]
 
 

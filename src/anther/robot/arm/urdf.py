@@ -27,7 +27,7 @@ from scipy.spatial.transform import Rotation
 from anther.core.errors import bad_input
 from anther.core.files import named_file, read_lines, understood
 from anther.core.geometry import Array, inverse, transform
-from anther.robot.arm.model import ArmModel, Capsule, Link, Tool, completed, rpy
+from anther.robot.arm.model import ArmModel, Capsule, Link, Tool, complete, rpy
 from anther.robot.arm.plausible import check_joint
 from anther.robot.arm.sawyer import TOOL
 
@@ -115,9 +115,9 @@ def from_urdf(
         shoulder=np.zeros(3),
         reach=np.inf,
         floor=floor,
-        base_capsules=capsules_around(np.concatenate(shapes[0])) if shapes[0] else (),
+        base_capsules=fit_capsules(np.concatenate(shapes[0])) if shapes[0] else (),
     )
-    return completed(arm)
+    return complete(arm)
 
 
 _XACRO = re.compile(r"<xacro:(?!macro\b)\w|\$\{(?!\w+\})|\$\(")
@@ -265,7 +265,7 @@ def _link(model: Any, j: int, turn_before: Array, turn: Array, body: Any, shapes
     moments = (x[0], y[1], z[2], x[1], x[2], y[2])
     told: Any = [T[:3, 3], rpy(Rotation.from_matrix(T[:3, :3])), body.lever, moments]
     xyz, turned, com, inertia = (tuple(map(float, part)) for part in told)
-    capsules = capsules_around(points)
+    capsules = fit_capsules(points)
     densest = 2e4  # [kg/m^3]: tungsten
     if body.mass > densest * _volume(capsules):
         given, allowed = f"{body.mass:g} kg in {_volume(capsules):.2g} m3", f"<= {densest:g} kg/m3"
@@ -355,7 +355,7 @@ def _numbers(text: str) -> Array:
     return np.array(text.split(), dtype=float)
 
 
-def capsules_around(points: Array) -> tuple[Capsule, ...]:
+def fit_capsules(points: Array) -> tuple[Capsule, ...]:
     """Return one to three capsules that together hold all points (P, 3) [m], all in the same frame."""
     best = (_capsule(points),)
     for count in (2, 3):
@@ -373,10 +373,10 @@ def _capsule(points: Array) -> Capsule:
     """Return the smallest capsule of those along the points' and the frame's main axes."""
     points = points[ConvexHull(points).vertices]
     axes = np.concatenate([np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2], np.eye(3)])
-    return min((_along(points, axis) for axis in axes), key=lambda capsule: _volume([capsule]))
+    return min((_fit_along(points, axis) for axis in axes), key=lambda capsule: _volume([capsule]))
 
 
-def _along(points: Array, axis: Array) -> Capsule:
+def _fit_along(points: Array, axis: Array) -> Capsule:
     """Return the capsule around the points whose axis has this direction (3,)."""
     flat = points - np.outer(points @ axis, axis)
     centre = (flat.min(axis=0) + flat.max(axis=0)) / 2

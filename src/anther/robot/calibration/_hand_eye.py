@@ -219,7 +219,7 @@ def closed_form(T_base_flange: Array, T_cam_board: Array, method: Method) -> tup
     return T_flange_cam, _middle(flange @ T_flange_cam @ board)
 
 
-def predicted_board(T_base_flange: Array, T_flange_cam: Array, T_base_board: Array) -> Array:
+def predict_board(T_base_flange: Array, T_flange_cam: Array, T_base_board: Array) -> Array:
     """Return T_cam_board (V, 4, 4) as the arm and the calibration have it."""
     return inverse(T_base_flange @ T_flange_cam) @ T_base_board
 
@@ -254,7 +254,7 @@ def robust_estimate(
             X, Z = closed_form(T_base_flange[views], T_cam_board[views], method)
         except InputError:
             continue
-        turn, shift = disagreement(predicted_board(T_base_flange, X, Z), T_cam_board, centre)
+        turn, shift = disagreement(predict_board(T_base_flange, X, Z), T_cam_board, centre)
         misfit = np.hypot(turn / sigmas[0], shift / sigmas[1])
         score = float(np.partition(misfit, count // 2)[count // 2])
         if score < best_score:
@@ -319,7 +319,7 @@ class Moved:
     board_translation: float
 
 
-def camera_moved(
+def find_movement(
     found: HandEye,
     then: tuple[Array, Array],
     T_base_flange: Array,

@@ -155,7 +155,7 @@ LEAST_CORNERS = 8
 """Corners that a view needs, and that tell one board from another."""
 
 
-def why_unseen(image: NDArray[Any], board: Board) -> str:
+def explain_missing_board(image: NDArray[Any], board: Board) -> str:
     """Return what a grey image (H, W) uint8 without the board shows instead, in a sentence."""
     grey = float(image.mean())
     if not 20 <= grey <= 235:

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from anther.core.errors import InputError, bad_input
 from anther.core.geometry import Array, Intrinsics, small_transform, transform_points
-from anther.robot.calibration._inputs import LEAST_CORNERS, Board, why_unseen
+from anther.robot.calibration._inputs import LEAST_CORNERS, Board, explain_missing_board
 
 CELLS = (8, 6)
 """Columns and rows of the grid in which covered cells are counted."""
@@ -83,7 +83,7 @@ def find_corners(images: Iterable[NDArray[Any]], board: Board) -> BoardCorners:
             "calibration images",
             given=f"{count} images, none with {LEAST_CORNERS} corners of the board",
             allowed=f"a {board}",
-            do=why_unseen(last if last.ndim == 2 else cv2.cvtColor(last, cv2.COLOR_BGR2GRAY), board),
+            do=explain_missing_board(last if last.ndim == 2 else cv2.cvtColor(last, cv2.COLOR_BGR2GRAY), board),
         )
     return BoardCorners(np.array(numbers), tuple(points), tuple(pixels))
 
@@ -125,7 +125,7 @@ def _calibrate_camera(corners: BoardCorners, size: tuple[int, int], flags: int) 
     return rms, np.asarray(K, dtype=np.float64), np.asarray(distortion, dtype=np.float64)
 
 
-def undistorted(corners: BoardCorners, intrinsics: Intrinsics, distortion: Array) -> BoardCorners:
+def undistort(corners: BoardCorners, intrinsics: Intrinsics, distortion: Array) -> BoardCorners:
     """Return the corners where a camera of these intrinsics without distortion would see them.
 
     Args:

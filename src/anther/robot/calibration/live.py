@@ -45,7 +45,7 @@ from anther.robot.calibration._views import (
     flange_motions,
     image_coverage,
     motion_warnings,
-    undistorted,
+    undistort,
 )  # fmt: skip
 
 KIND, SCHEMA = "calibration-views", 1
@@ -100,7 +100,7 @@ class Taken:
         Raises:
             InputError: what is seen is another board.
         """
-        return seen(image, parse_board(self.board), self.intrinsics, self.distortion)
+        return find_board(image, parse_board(self.board), self.intrinsics, self.distortion)
 
     def add(self, image: NDArray[Any], view: BoardViews, joints: Array, T_base_flange: Array) -> None:
         """Keep a view, on disk too.
@@ -134,7 +134,7 @@ class Taken:
         corners = BoardCorners(np.arange(len(self)), points, pixels)
         return BoardViews(corners, self.T_cam_board, np.concatenate([v.reprojection for v in self.views]))
 
-    def solved(self) -> HandEye | None:
+    def solve(self) -> HandEye | None:
         """Return the hand-eye transform, or None while the views do not determine it."""
         if len(self) < 3:
             return None
@@ -149,11 +149,11 @@ class Taken:
         except InputError:
             return None
 
-    def covered(self) -> float:
+    def coverage(self) -> float:
         """Return the share of the image that corners cover, see `image_coverage`."""
         return image_coverage(np.concatenate([v.corners.pixels[0] for v in self.views]), self.intrinsics)
 
-    def turned(self) -> tuple[float, float]:
+    def largest_turns(self) -> tuple[float, float]:
         """Return the flange's largest turn between views, and the largest across its axis [rad]."""
         if len(self) < 2:
             return 0.0, 0.0
@@ -174,7 +174,7 @@ class Taken:
         write_json(self.folder / VIEWS, {"kind": KIND, "schema": SCHEMA, "board": self.board, "views": views})
 
 
-def seen(image: NDArray[Any], board: Board, intrinsics: Intrinsics, distortion: Array) -> BoardViews | None:
+def find_board(image: NDArray[Any], board: Board, intrinsics: Intrinsics, distortion: Array) -> BoardViews | None:
     """Return the board in a grey image (H, W) uint8; None where fewer than `LEAST_CORNERS` of its corners are seen.
 
     Raises:
@@ -184,7 +184,7 @@ def seen(image: NDArray[Any], board: Board, intrinsics: Intrinsics, distortion: 
         corners = find_corners([image], board)
     except InputError:
         return None
-    view = board_views(undistorted(corners, intrinsics, distortion), intrinsics)
+    view = board_views(undistort(corners, intrinsics, distortion), intrinsics)
     if view.reprojection[0] > 3:
         raise bad_input(
             "board",
@@ -228,7 +228,7 @@ def read_record(folder: Path | str) -> Record:
         return Record(found, board, joints, flange, cam)
 
 
-def taken_before(folder: Path, board: str) -> Taken | None:
+def read_earlier_views(folder: Path, board: str) -> Taken | None:
     """Return the views of a calibration that was interrupted; None where there are none in the folder.
 
     Raises:
@@ -288,7 +288,7 @@ def lacks(taken: Taken, found: HandEye | None) -> list[str]:
     if found.translation_error > LOOSE:
         open_by = 1e3 * found.translation_error
         notes.append(f"the views leave the camera's place open by {open_by:.1f} mm: take more, tilted more")
-    if (covered := taken.covered()) < COVERED:
+    if (covered := taken.coverage()) < COVERED:
         notes.append(f"the corners cover {covered:.0%} of the image: show the board in its corners too")
     return notes
 

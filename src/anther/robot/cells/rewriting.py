@@ -33,7 +33,7 @@ def point_to_calibration(path: Path | str, calibration: Path | str) -> Path:
     where = Path(os.path.relpath(Path(calibration).resolve(), file.parent)).as_posix()
     text = file.read_bytes().decode()
     mark = text[: text.startswith("\ufeff")]
-    after = _replaced(text[len(mark) :], before.source.lines, where)
+    after = _replace(text[len(mark) :], before.source.lines, where)
     if after is None:
         raise bad_input(
             str(file),
@@ -52,7 +52,7 @@ def point_to_calibration(path: Path | str, calibration: Path | str) -> Path:
     return kept
 
 
-def _replaced(text: str, lines: Mapping[Keys, int], where: str) -> str | None:
+def _replace(text: str, lines: Mapping[Keys, int], where: str) -> str | None:
     """Return the text with the new line, or None where no change of whole lines does just that.
 
     Where the value ends is tried out: the text must say the same as before, but for the pose.

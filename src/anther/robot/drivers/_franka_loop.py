@@ -151,7 +151,7 @@ class Loop:
             except self._errors as error:
                 told, lost = None, words(error)
             while not self._gone and (lost or self._pipe.poll()):
-                match self._hear():
+                match self._receive():
                     case ("read" | "move" | "recover", *_) if told is None:
                         self._say("failed", lost)
                     case ("read",):
@@ -203,7 +203,7 @@ class Loop:
                 path.brake(IDLE)
 
     def _take(self, path: Path) -> None:
-        match self._hear():
+        match self._receive():
             case ("seen",):
                 self._seen = self._clock()
             case ("next", following):
@@ -234,7 +234,7 @@ class Loop:
             received=state.control_command_success_rate,
         )
 
-    def _hear(self) -> tuple[Any, ...]:
+    def _receive(self) -> tuple[Any, ...]:
         try:
             return self._pipe.recv()
         except (EOFError, OSError):

@@ -51,14 +51,14 @@ class RobotClock:
     """
 
     def __init__(self) -> None:
-        self.offset = self._heard = float("nan")
+        self.offset = self._last_arrival = float("nan")
 
-    def hear(self, stamp: float, arrival: float) -> None:
+    def receive(self, stamp: float, arrival: float) -> None:
         """Take the stamp of a message [s], and when it arrived on this machine's clock [s]."""
         # clocks drift apart by less than 1e-4: an order more than quartz does
-        lag, drifted = arrival - stamp, self.offset + 1e-4 * (arrival - self._heard)
+        lag, drifted = arrival - stamp, self.offset + 1e-4 * (arrival - self._last_arrival)
         self.offset = lag if np.isnan(drifted) else min(lag, drifted)
-        self._heard = arrival
+        self._last_arrival = arrival
 
 
 class Readings:
@@ -79,7 +79,7 @@ class Readings:
         self._names, self._clock, self._arrivals = tuple(names), clock, list[float]()
         self.clock = RobotClock()
 
-    def hear(self, message: Any) -> None:
+    def receive(self, message: Any) -> None:
         """Take a sensor_msgs/JointState; one of other joints only is passed over."""
         arrival, stamp = self._clock(), message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
         places = {name: i for i, name in enumerate(message.name)}
@@ -95,7 +95,7 @@ class Readings:
         if not np.isfinite(joints).all():
             self.trouble = f"joints: got {joints} rad"
             return
-        self.clock.hear(stamp, arrival)
+        self.clock.receive(stamp, arrival)
         self._arrivals = [*self._arrivals[-99:], arrival]
         if len(self._arrivals) > 1:
             self.rate = (len(self._arrivals) - 1) / max(arrival - self._arrivals[0], 1e-9)

@@ -342,7 +342,7 @@ class StreamedArm(ABC):
         """Return the size of the measured force [N]; NaN where none is recent."""
         return self._force[1] if now - self._force[0] < 2 * self._stale else float("nan")
 
-    def _seen(self) -> str:
+    def _describe_readings(self) -> str:
         """Return in words what is heard of the joints."""
         r = self.readings
         return (

@@ -51,7 +51,7 @@ class ArmApart:
         self._process = context.Process(target=_serve, args=(other, make, options, limits, os.getpid()), daemon=True)
         self._process.start()
         other.close()
-        self.has = frozenset(self._done(self._hear(120.0)))  # a busy machine begins late
+        self.has = frozenset(self._done(self._receive(120.0)))  # a busy machine begins late
 
     def joints(self) -> Array:
         """See `anther.robot.devices.Arm`."""
@@ -79,7 +79,7 @@ class ArmApart:
         """Return what a method of the driver returns, such as `enable`."""
         with self._lock:
             self._say("call", name, words)
-            return self._done(self._hear(ANSWER))
+            return self._done(self._receive(ANSWER))
 
     def close(self) -> None:
         """End the process; a moving arm is braked."""
@@ -95,7 +95,7 @@ class ArmApart:
         while True:
             if coming.there:
                 self._say("next", coming.take())
-            heard = self._hear(0.005 if coming.asked else ANSWER)
+            heard = self._receive(0.005 if coming.asked else ANSWER)
             match heard:
                 case ("sample", sample):
                     self._say("seen", sample.time)
@@ -114,7 +114,7 @@ class ArmApart:
             self._say("stop")
             until = time.monotonic() + ANSWER
             while time.monotonic() < until:
-                heard = self._hear(0.1)
+                heard = self._receive(0.1)
                 if heard is not None and heard[0] in ("done", "failed"):
                     return
 
@@ -124,7 +124,7 @@ class ArmApart:
         except OSError as error:
             raise DeviceError(LOST) from error
 
-    def _hear(self, seconds: float) -> tuple[str, Any] | None:
+    def _receive(self, seconds: float) -> tuple[str, Any] | None:
         try:
             return self._pipe.recv() if self._pipe.poll(seconds) else None
         except (EOFError, OSError) as error:
@@ -163,7 +163,7 @@ class _Server:
                     name, arguments = words
                     self._say("done", getattr(guarded if name == "joints" else arm, name)(*arguments))
             except Exception as error:
-                self._say("failed", _told(error))
+                self._say("failed", _portable(error))
 
     def _follow(self, arm: GuardedArm, trajectory: JointTrajectory, goes_on: bool) -> ArmRecord:
         self._why, self._unseen = self._why if self._why == GONE else "", None
@@ -223,7 +223,7 @@ def _serve(
         try:
             arm = make(**options)
         except Exception as error:
-            pipe.send(("failed", _told(error)))
+            pipe.send(("failed", _portable(error)))
             return
         pipe.send(("done", [name for name in dir(arm) if not name.startswith("_")]))
         try:
@@ -232,7 +232,7 @@ def _serve(
             getattr(arm, "close", lambda: None)()
 
 
-def _told(error: Exception) -> AntherError:
+def _portable(error: Exception) -> AntherError:
     """Return an error that every process can read: one of Anther's own kinds, whatever a driver derives from them."""
     said = str(error) or type(error).__name__
     if isinstance(error, StageFailure) and not isinstance(error, DeviceError):

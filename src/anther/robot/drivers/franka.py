@@ -112,7 +112,7 @@ class Franka:
             self._say("brake")
             until = self._clock() + ANSWER
             while self._moves and self._clock() < until:
-                heard = self._hear(ANSWER)
+                heard = self._receive(ANSWER)
                 self._moves = heard is not None and heard[0] not in ("done", "failed")
         self._moves = False
 
@@ -120,7 +120,7 @@ class Franka:
         """Return why the arm cannot be moved now; empty if it can."""
         return _reason(self._read())
 
-    def seen(self) -> list[str]:
+    def describe(self) -> list[str]:
         """Return in words what is heard of the robot."""
         told = self._read_fresh()
         why, off = _reason(told), 1e3 * float(np.abs(told.joints - told.aim).max())
@@ -164,7 +164,7 @@ class Franka:
         while True:
             if coming.there:
                 self._say("next", coming.take())
-            match self._hear(STALE if samples else ANSWER):
+            match self._receive(STALE if samples else ANSWER):
                 case ("state", told):
                     self._take(told, watch, samples)
                 case ("more", _):
@@ -182,9 +182,9 @@ class Franka:
                     raise DeviceError(f"{old}. Check network and robot; then start anew.")
 
     def _take(self, told: RobotState, watch: Watch | None, samples: list[ArmSample]) -> None:
-        self._robot.hear(told.stamp, told.arrival)
+        self._robot.receive(told.stamp, told.arrival)
         when = told.stamp + self._robot.offset
-        self._believed(told)
+        self._check(told)
         if not samples or when > samples[-1].time:
             samples.append(ArmSample(when, told.aim, told.joints, told.force))
             if watch:
@@ -199,19 +199,19 @@ class Franka:
 
     def _read(self) -> RobotState:
         told = self._ask("read")
-        self._robot.hear(told.stamp, told.arrival)
+        self._robot.receive(told.stamp, told.arrival)
         return told
 
     def _read_fresh(self) -> RobotState:
         until = self._clock() + 0.5  # at rest nothing moves meanwhile
         while self._age(told := self._read()) > STALE and self._clock() < until:
             pass
-        return self._believed(told)
+        return self._check(told)
 
     def _age(self, told: RobotState) -> float:
         return self._clock() - told.stamp - self._robot.offset
 
-    def _believed(self, told: RobotState) -> RobotState:
+    def _check(self, told: RobotState) -> RobotState:
         check_fresh(self._age(told))
         check_finite_joints(told.joints)
         return told
@@ -219,7 +219,7 @@ class Franka:
     def _ask(self, *what: Any) -> Any:
         """Return what the loop answers."""
         self._say(*what)
-        heard = self._hear(ANSWER)
+        heard = self._receive(ANSWER)
         if heard is None:
             raise DeviceError(f"the robot says nothing for {ANSWER:g} s. Check network and robot; then start anew.")
         if heard[0] == "failed":
@@ -232,7 +232,7 @@ class Franka:
         except OSError as error:
             raise DeviceError(f"{GONE}.") from error
 
-    def _hear(self, seconds: float) -> tuple[str, Any] | None:
+    def _receive(self, seconds: float) -> tuple[str, Any] | None:
         """Return what the loop says within so many seconds; None: nothing."""
         until = self._clock() + seconds
         try:

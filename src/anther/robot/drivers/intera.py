@@ -104,7 +104,7 @@ class IoDevice:
         self._signals: dict[str, tuple[str, Any]] = {}
         self._done: set[tuple[int, int]] = set()
         self._commands = node.publisher(f"/io/{name}/command", "intera_core_msgs/msg/IOComponentCommand")
-        node.subscribe(f"/io/{name}/state", "intera_core_msgs/msg/IODeviceStatus", self._hear)
+        node.subscribe(f"/io/{name}/state", "intera_core_msgs/msg/IODeviceStatus", self._receive)
 
     def names(self) -> tuple[str, ...]:
         """Return the names of its signals; none as long as nothing was heard of it."""
@@ -132,7 +132,7 @@ class IoDevice:
                 return
         raise DeviceError(f"I/O device {self._name} does not acknowledge {signal}. Is it attached, and its brake off?")
 
-    def _hear(self, message: Any) -> None:
+    def _receive(self, message: Any) -> None:
         self._done = {(t.sec, t.nanosec) for t in message.commands}
         for signal in message.signals:
             with suppress(ValueError, LookupError, TypeError):

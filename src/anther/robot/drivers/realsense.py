@@ -77,7 +77,7 @@ class RealSense:
 
     Args:
         serial, size, rate, preset, clock: see `open_realsense`; a size or rate of None takes what is offered first.
-        devices: gives what is connected; None: the SDK's own search. A recording: `played(path)`.
+        devices: gives what is connected; None: the SDK's own search. A recording: `open_recording(path)`.
 
     Attributes:
         unpaired: framesets so far that lacked depth or colour.
@@ -111,8 +111,8 @@ class RealSense:
         """Start both streams."""
         try:
             device = self._find()
-            self._name = _told(device, self._rs.camera_info.name) or "RealSense"
-            self._serial = _told(device, self._rs.camera_info.serial_number) or None  # no other one takes its place
+            self._name = _info(device, self._rs.camera_info.name) or "RealSense"
+            self._serial = _info(device, self._rs.camera_info.serial_number) or None  # no other one takes its place
             depth, color = self._streams(device)
             self._set_up(device, depth)
             self._start(depth, color)
@@ -151,7 +151,7 @@ class RealSense:
 
     def _find(self) -> Any:
         devices = list(self._devices())
-        serials = [_told(d, self._rs.camera_info.serial_number) for d in devices]
+        serials = [_info(d, self._rs.camera_info.serial_number) for d in devices]
         if not devices:
             raise DeviceError(
                 "RealSense: none is connected. Plug it in (USB 3); on Linux it needs the SDK's udev rules."
@@ -180,7 +180,7 @@ class RealSense:
             if not fitting:
                 asked = f"{self._size} px at {self._rate} Hz" if self._size else "any"
                 there = sorted({f"{_size(o[1])} at {o[1].fps()}" for o in offers})
-                usb = _told(device, rs.camera_info.usb_type_descriptor) or "?"
+                usb = _info(device, rs.camera_info.usb_type_descriptor) or "?"
                 raise DeviceError(
                     f"{self._name}: got {kind.name} {asked}; it has {', '.join(there) or 'none'} on USB {usb}. "
                     "USB 2 carries less: use a USB 3 cable and port."
@@ -282,7 +282,7 @@ class RealSense:
         )
 
 
-def played(path: str) -> Found:
+def open_recording(path: str) -> Found:
     """Return how a recording (.bag, .db3) is found as a camera: played in its own time, and anew after its end."""
     sdk = load_sdk()
     return lambda: [sdk.context().load_device(path)]
@@ -292,5 +292,5 @@ def _size(profile: Any) -> tuple[int, int]:
     return profile.width(), profile.height()
 
 
-def _told(device: Any, info: Any) -> str:
+def _info(device: Any, info: Any) -> str:
     return device.get_info(info) if device.supports(info) else ""

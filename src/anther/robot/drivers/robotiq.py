@@ -175,7 +175,7 @@ class Robotiq2F:
 
     def status(self) -> Status:
         """Return what its registers say."""
-        answer = self._asked(lambda: self._line.read_input_registers(0x07D0, count=3, device_id=self._device))
+        answer = self._request(lambda: self._line.read_input_registers(0x07D0, count=3, device_id=self._device))
         first, second, third = answer.registers
         bits = first >> 8
         return Status(bits >> 4 & 3, bits >> 6, second >> 8 & 0x0F, second & 0xFF, third >> 8)
@@ -211,9 +211,9 @@ class Robotiq2F:
 
     def _write(self, action: int, count: int) -> None:
         words = [action << 8, count, self._bytes]
-        self._asked(lambda: self._line.write_registers(0x03E8, words, device_id=self._device))
+        self._request(lambda: self._line.write_registers(0x03E8, words, device_id=self._device))
 
-    def _asked(self, ask: Callable[[], Any]) -> Any:
+    def _request(self, ask: Callable[[], Any]) -> Any:
         errors: Any = importlib.import_module("pymodbus.exceptions")
         try:
             answer = ask()

@@ -62,10 +62,10 @@ class Node:
         self._thread = threading.Thread(target=self._spin, daemon=True)
         self._thread.start()
 
-    def subscribe(self, topic: str, kind: str, hear: Callable[[Any], None]) -> None:
-        """Call `hear` with every message of a topic, from another thread. Publishers of every reliability are heard."""
-        with self._named():
-            self._node.create_subscription(_kind(kind), topic, hear, _module("rclpy.qos").qos_profile_sensor_data)
+    def subscribe(self, topic: str, kind: str, receive: Callable[[Any], None]) -> None:
+        """Call `receive` with every message of a topic, from another thread. Publishers of every reliability count."""
+        with self._check_topic():
+            self._node.create_subscription(_kind(kind), topic, receive, _module("rclpy.qos").qos_profile_sensor_data)
 
     def publisher(self, topic: str, kind: str, *, latched: bool = False) -> Any:
         """Return what publishes a topic.
@@ -76,7 +76,7 @@ class Node:
         Raises:
             InputError: no name of a topic.
         """
-        with self._named():
+        with self._check_topic():
             if not latched:
                 return self._node.create_publisher(_kind(kind), topic, 1)
             qos = _module("rclpy.qos")
@@ -86,7 +86,7 @@ class Node:
     def service(self, name: str, kind: str, answer: Callable[[Any], Any]) -> None:
         """Let `answer` fill in the response of every request to a service, from another thread, one after the other."""
         group = _module("rclpy.callback_groups").MutuallyExclusiveCallbackGroup()
-        with self._named():
+        with self._check_topic():
             self._node.create_service(_kind(kind), name, lambda _, filled: answer(filled), callback_group=group)
 
     def now(self) -> Any:
@@ -108,7 +108,7 @@ class Node:
         self._node.destroy_node()
 
     @contextmanager
-    def _named(self) -> Iterator[None]:
+    def _check_topic(self) -> Iterator[None]:
         """Say of a topic that cannot be one that it is so."""
         try:
             yield
@@ -148,7 +148,7 @@ def still(q: Array, after: float) -> Plan:
     return Plan(np.array([after]), q[None], none, none)
 
 
-def braked(q: Array, rate: Array, acceleration: Array) -> Plan:
+def brake(q: Array, rate: Array, acceleration: Array) -> Plan:
     """Return the straight way to rest from joints q (J,) at `rate`, with no more than `acceleration` of any joint."""
     way = braking(q, rate, acceleration)
     slowing = np.tile(-rate / way.duration, (len(way.times), 1))
@@ -156,7 +156,7 @@ def braked(q: Array, rate: Array, acceleration: Array) -> Plan:
     return Plan(way.times, way.positions, way.velocities, slowing)
 
 
-def planned(reference: Reference, t: float, acceleration: Array) -> Plan:
+def plan(reference: Reference, t: float, acceleration: Array) -> Plan:
     """Return what a message says at time t [s]: the next `AHEAD` of a motion, as far as it is known, then to rest."""
     left = min(AHEAD, reference.ends - t)
     if left <= 0:
@@ -165,7 +165,7 @@ def planned(reference: Reference, t: float, acceleration: Array) -> Plan:
     times = np.linspace(0.0, left, max(round(left / 0.01), 1) + 1) if left > 1e-4 else np.zeros(1)
     inside = np.minimum(t + times, np.nextafter(reference.ends, 0.0))  # at the end itself it stands
     motion = Plan(times, *(np.array(rows) for rows in zip(*map(reference.at, inside), strict=True)))
-    tail = braked(motion.q[-1], motion.rate[-1], acceleration)
+    tail = brake(motion.q[-1], motion.rate[-1], acceleration)
     if np.abs(motion.rate[-1]).max() < 1e-6:  # it stands
         motion.rate[-1] = motion.acceleration[-1] = 0.0
         return motion
@@ -223,9 +223,9 @@ class JointTrajectoryArm(StreamedArm):
         self.node, self._controller, self._wrench = node, controller.rstrip("/"), wrench
         self._topic = f"{self._controller}/joint_trajectory"
         self._plan = still(np.zeros(len(names)), 0.0)
-        node.subscribe(states, "sensor_msgs/msg/JointState", self.readings.hear)
+        node.subscribe(states, "sensor_msgs/msg/JointState", self.readings.receive)
         if wrench:
-            node.subscribe(wrench, "geometry_msgs/msg/WrenchStamped", self._hear_wrench)
+            node.subscribe(wrench, "geometry_msgs/msg/WrenchStamped", self._on_wrench)
         self._commands = node.publisher(self._topic, TRAJECTORY)
         self._wait_for(lambda: self.readings.last is not None, f"does not tell its joints on {states}")
         self._wait_for(self._listens, f"has nobody who listens to {self._topic}")
@@ -241,7 +241,7 @@ class JointTrajectoryArm(StreamedArm):
             return f"the force on {self._wrench} is {2e3 * self._stale:.0f} ms old, or no number: is the sensor on?"
         return ""
 
-    def seen(self) -> list[str]:
+    def describe(self) -> list[str]:
         """Return in words what is heard of the robot."""
         why, others = self.cannot(), self.node.publishers(self._topic) - 1
         felt = (
@@ -249,7 +249,7 @@ class JointTrajectoryArm(StreamedArm):
             if self._wrench
             else "no force is told: contact is not felt"
         )
-        said = [self._seen(), f"commands: {1 / self._period:g} a second to {self._topic}; {felt}"]
+        said = [self._describe_readings(), f"commands: {1 / self._period:g} a second to {self._topic}; {felt}"]
         if others > 0:
             said.append(f"{others} others can command it too: end them")
         return [*said, f"cannot move: {why}" if why else "ready to move, as far as ROS 2 tells"]
@@ -259,10 +259,10 @@ class JointTrajectoryArm(StreamedArm):
         self.node.close()
 
     def _aim(self, reference: Reference, t: float) -> None:
-        self._say(planned(reference, t, self._acceleration))
+        self._say(plan(reference, t, self._acceleration))
 
     def _brake(self, q: Array, rate: Array) -> Array:
-        way = braked(q, rate, self._acceleration)
+        way = brake(q, rate, self._acceleration)
         self._say(way)
         self._sleep(float(way.times[-1]))
         return way.q[-1]
@@ -309,7 +309,7 @@ class JointTrajectoryArm(StreamedArm):
     def _listens(self) -> bool:
         return self._commands.get_subscription_count() > 0
 
-    def _hear_wrench(self, message: Any) -> None:
+    def _on_wrench(self, message: Any) -> None:
         force = message.wrench.force
         self._take_force(force.x, force.y, force.z)
 

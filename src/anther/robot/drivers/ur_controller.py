@@ -73,7 +73,7 @@ class Controller:
         self.receive, self.program, self._dashboard, self._clock = receive, program, dashboard, clock
         self._robot, self._stamp = RobotClock(), float("nan")
         try:
-            self.wait(self._is_heard, "is not heard")
+            self.wait(self._responds, "is not heard")
             said = re.search(r"(\d+)\.(\d+)", str(self.ask("polyscopeVersion")))
             self.version: tuple[int, int] = (int(said[1]), int(said[2])) if said else (5, 0)
             self.model = str(self.ask("getRobotModel")).strip()
@@ -92,7 +92,7 @@ class Controller:
         check_fresh(self._set_clocks(stamp) - stamp - self._robot.offset)
         return Reading(stamp + self._robot.offset, check_finite_joints(np.array(joints, dtype=float))), force[:3]
 
-    def stopped(self) -> str:
+    def why_stopped(self) -> str:
         """Return what keeps the arm from moving at all; empty if nothing does."""
         says = self.receive
         safety, mode = says.getSafetyMode(), says.getRobotMode()
@@ -107,7 +107,7 @@ class Controller:
         }
         return next((why for why, holds in reasons.items() if holds), "")
 
-    def slowed(self) -> str:
+    def why_slow(self) -> str:
         """Return why a running program moves the arm more slowly than it is told; empty if it does not."""
         slider, scaling = self.receive.getTargetSpeedFraction(), self.receive.getSpeedScaling()
         if slider < FULL:
@@ -116,7 +116,7 @@ class Controller:
             return f"it goes at {scaling:.0%} of the speed it is told; plans need 100 %: look at its pendant"
         return ""
 
-    def not_remote(self) -> str:
+    def why_not_remote(self) -> str:
         """Return what to do if commands are not taken from outside; PolyScope tells it since 5.6."""
         return REMOTE if self.version >= (5, 6) and not self.ask("isInRemoteControl") else ""
 
@@ -128,7 +128,7 @@ class Controller:
         says = self.receive
         if says.isEmergencyStopped():
             raise DeviceError("the emergency stop is pressed. Look why; turn it until it comes out; then enable again.")
-        if why := self.not_remote():
+        if why := self.why_not_remote():
             raise DeviceError(f"the arm cannot be enabled: {why}.")
         if says.getRuntimeState() != Program.STOPPED:
             self.ask("stop")
@@ -178,10 +178,10 @@ class Controller:
         """Return the time on this machine's clock [s]; a new stamp sets the controller's behind it."""
         now, before, self._stamp = self._clock(), self._stamp, stamp
         if stamp != before and not np.isnan(before):  # the first stamp that is found may be old
-            self._robot.hear(stamp, now)
+            self._robot.receive(stamp, now)
         return now
 
-    def _is_heard(self) -> bool:
+    def _responds(self) -> bool:
         with suppress(RuntimeError):
             self._set_clocks(self.receive.getTimestamp())
         return not np.isnan(self._robot.offset)

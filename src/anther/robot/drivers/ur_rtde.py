@@ -108,7 +108,7 @@ class UniversalRobot(StreamedArm):
     def check_able(self) -> None:
         """Take the newest reading, and check that nothing stops or slows the arm."""
         self._read()
-        if why := ENDED if self._control is None else self._halted() or self._at.slowed():
+        if why := ENDED if self._control is None else self._why_halted() or self._at.why_slow():
             raise DeviceError(f"the arm was stopped: {why}.")
 
     def hold(self) -> None:
@@ -126,9 +126,13 @@ class UniversalRobot(StreamedArm):
     def cannot(self) -> str:
         """Return why the arm cannot be moved now; empty if it can."""
         running = self._control is not None
-        return self._at.stopped() or self._at.not_remote() or (self._halted() or self._at.slowed() if running else "")
+        return (
+            self._at.why_stopped()
+            or self._at.why_not_remote()
+            or (self._why_halted() or self._at.why_slow() if running else "")
+        )
 
-    def seen(self) -> list[str]:
+    def describe(self) -> list[str]:
         """Return in words what is heard of the controller."""
         reading, force = self._read(), self._current_force(self._clock())
         why, version = self.cannot(), self._at.version
@@ -197,21 +201,21 @@ class UniversalRobot(StreamedArm):
         self._control.kickWatchdog()  # before servoJ: of two messages in one cycle the controller takes the later
         # servoJ takes a speed and an acceleration, here 0.5, and uses neither
         if not self._control.servoJ(q.tolist(), 0.5, 0.5, self._period, self._lookahead, self._gain):
-            raise DeviceError(f"the arm was stopped: {self._halted() or 'the controller takes no commands'}.")
+            raise DeviceError(f"the arm was stopped: {self._why_halted() or 'the controller takes no commands'}.")
 
     def _brake(self, q: Array, rate: Array) -> Array:
         way, begin = Reference(braking(q, rate, self._acceleration)), self._clock()
-        while (t := self._clock() - begin) < way.ends + SETTLE and not self._halted():
+        while (t := self._clock() - begin) < way.ends + SETTLE and not self._why_halted():
             self._command(*way.at(t)[:2])
             self._sleep(self._period)
         return way.at(way.ends)[0]
 
     def _refuses_commands(self) -> bool:
-        return self._control is None or bool(self._halted())
+        return self._control is None or bool(self._why_halted())
 
-    def _halted(self) -> str:
+    def _why_halted(self) -> str:
         """Return why the arm, with a program, does not follow what it is told; empty if it does."""
-        if why := self._at.stopped():
+        if why := self._at.why_stopped():
             return why
         state = self._at.receive.getRuntimeState()
         if state <= Program.STOPPED or not self._control.isConnected():
@@ -220,14 +224,14 @@ class UniversalRobot(StreamedArm):
 
     def _renew(self) -> None:
         """Start the next motion's program where the arm can be moved; one that somebody else ended stays ended."""
-        if self._control is not None or self._at.stopped() or self._at.not_remote():
+        if self._control is not None or self._at.why_stopped() or self._at.why_not_remote():
             return
         try:
             self._control = self._at.program()
         except RuntimeError as error:
             given = f"Anther's program does not start on the controller: {error}"
             raise DeviceError(f"{given}. Look at its pendant.") from error
-        self._at.wait(lambda: not self._halted(), "does not run Anther's program")
+        self._at.wait(lambda: not self._why_halted(), "does not run Anther's program")
 
     def _end(self) -> None:
         """End the motion's program, and its watchdog with it. One that is held up must not go on later."""

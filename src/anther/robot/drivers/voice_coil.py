@@ -202,11 +202,11 @@ class VoiceCoil:
         heard = b""
         try:
             for _ in range(3):
-                self._port.write(sealed(f"{self._number} {text}"))
+                self._port.write(seal(f"{self._number} {text}"))
                 until = self._clock() + REPLY
                 while self._clock() < until:
                     heard = self._port.readline() or heard
-                    words = unsealed(heard)
+                    words = unseal(heard)
                     if len(words) > 1 and words[0] == str(self._number):
                         with suppress(ValueError):
                             answer = read(words[1:])
@@ -220,12 +220,12 @@ class VoiceCoil:
         raise DeviceError(f"motor: no answer to {text.split(maxsplit=1)[0]}; {told}. Check power, cable and port.")
 
 
-def sealed(text: str) -> bytes:
+def seal(text: str) -> bytes:
     """Return a line with its check sum, two hexadecimal digits of all its bytes' exclusive or, as in NMEA 0183."""
     return f"{text}*{_sum(text.encode()):02X}\n".encode()
 
 
-def unsealed(line: bytes) -> list[str]:
+def unseal(line: bytes) -> list[str]:
     """Return the words of a line whose check sum is right; none otherwise."""
     body, star, seal = line.strip().rpartition(b"*")
     with suppress(ValueError):

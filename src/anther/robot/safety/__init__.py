@@ -75,20 +75,20 @@ def guard(robot: Robot, limits: SafetyLimits) -> Robot:
     loosened.
     """
 
-    def behind(machine: Any, kind: Callable[[Any, SafetyLimits], Any]) -> Any:
+    def with_guard(machine: Any, kind: Callable[[Any, SafetyLimits], Any]) -> Any:
         there = isinstance(machine, GuardedArm | GuardedGripper | GuardedMotor) and machine._limits is limits
         return machine if machine is None or there else kind(machine, limits)
 
-    def seen(camera: Any) -> Any:
+    def with_camera_guard(camera: Any) -> Any:
         return camera if camera is None or isinstance(camera, GuardedCamera) else GuardedCamera(camera)
 
     return replace(
         robot,
-        arm=behind(robot.arm, GuardedArm),
-        gripper=behind(robot.gripper, GuardedGripper),
-        wrist_camera=seen(robot.wrist_camera),
-        side_camera=seen(robot.side_camera),
-        motor=behind(robot.motor, GuardedMotor),
+        arm=with_guard(robot.arm, GuardedArm),
+        gripper=with_guard(robot.gripper, GuardedGripper),
+        wrist_camera=with_camera_guard(robot.wrist_camera),
+        side_camera=with_camera_guard(robot.side_camera),
+        motor=with_guard(robot.motor, GuardedMotor),
     )
 
 
@@ -141,7 +141,7 @@ class GuardedArm:
         try:
             if self._lost:
                 raise DeviceError(self._lost)
-            checked = _copied(trajectory)
+            checked = _copy(trajectory)
             check_trajectory(checked, self.joints(), self._limits, goes_on=more is not None)
             self._expected = None
             motions = [checked]
@@ -166,7 +166,7 @@ class GuardedArm:
             ends = float(np.abs(last.velocities[-1]).max())
             demand("speed at the ends", ends, AT_REST, "rad/s", "Let the last motion end at rest.")
             return None
-        checked = _copied(following)
+        checked = _copy(following)
         seconds = sum(motion.duration for motion in [*motions, checked])
         demand("length of the motion", seconds, LONGEST, "s", "Plan shorter motions.")
         jump = float(np.abs(checked.velocities[0] - last.velocities[-1]).max())
@@ -200,7 +200,7 @@ class GuardedMotor:
         """
         pieces: list[Swing] = []
 
-        def following() -> Swing | None:
+        def next_piece() -> Swing | None:
             piece = more() if more else None
             if piece is not None:
                 pieces.append(check_swing(piece, pieces[-1], self._limits))
@@ -208,7 +208,7 @@ class GuardedMotor:
                 raise StageFailure("limits_exceeded", "the swing would end in motion. End it with amplitudes of 0.")
             return None if piece is None else pieces[-1]
 
-        def within(sample: ArmSample) -> None:
+        def check_amplitude(sample: ArmSample) -> None:
             asked = max(piece.reach for piece in pieces)
             # 1.3: what a motor that is 15 % off does, and as much again
             if not (amplitude := self._motor.amplitude()) <= 1.3 * asked + MOTOR_AT_REST:
@@ -220,7 +220,7 @@ class GuardedMotor:
         still = replace(self._limits, tracking=self._limits.start_tolerance)
         try:
             pieces.append(check_swing(first, None, self._limits))
-            record = self._motor.swing(pieces[0], Watchdog(still, within, self._force), following)
+            record = self._motor.swing(pieces[0], Watchdog(still, check_amplitude, self._force), next_piece)
             if not (left := self._motor.amplitude()) <= MOTOR_AT_REST:
                 raise DeviceError(f"the motor does not come to rest: it still moves by {1e3 * left:.2g} mm.")
             if not pieces[-1].stops:
@@ -403,7 +403,7 @@ def _same(one: Frame, other: Frame) -> bool:
     return float(apart.mean()) < 1e-3
 
 
-def _copied(trajectory: JointTrajectory) -> JointTrajectory:
+def _copy(trajectory: JointTrajectory) -> JointTrajectory:
     """Return a copy nobody else can change, its times and numbers checked again."""
     try:
         arrays = (trajectory.times, trajectory.positions, trajectory.velocities)

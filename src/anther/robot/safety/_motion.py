@@ -187,7 +187,7 @@ class ForceCheck:
     """
 
     def __init__(self) -> None:
-        self._told = False
+        self._had_force = False
         self._last: ArmSample | None = None
         self._same = 0.0
 
@@ -195,10 +195,10 @@ class ForceCheck:
         """Raise a DeviceError where the force is lost, negative, or stuck."""
         last, self._last = self._last, sample
         if np.isnan(sample.force):
-            if self._told:
+            if self._had_force:
                 raise DeviceError("arm force: got none after it was told before. Check the sensor, then start anew.")
             return
-        self._told = True
+        self._had_force = True
         if sample.force < 0:
             raise DeviceError(f"arm force: got {sample.force:.3g} N; allowed: >= 0, a size. Check the sensor.")
         if last is None or sample.force != last.force:
@@ -210,20 +210,19 @@ class ForceCheck:
             raise DeviceError(f"{told}; allowed: 1 s. The sensor is stuck: check it, then start anew.")
 
 
-def hidden_swing(times: Array, told: Array, read: Array, travel: Array) -> NDArray[np.bool_]:
+def find_hidden_swings(times: Array, commanded: Array, measured: Array, travel: Array) -> NDArray[np.bool_]:
     """Return (J,) which joints show nothing of a fast swing that is commanded.
 
-    What is read is fitted by the command and its rate, so that size and phase are free: a soft arm is late and swings
-    less. A swing is hidden where the fitted one, and three standard errors more, is below `SHOWS` of it. All beside the
-    straight line that fits the motion best.
+    The measured joints are fitted by the command and its rate, so that size and phase are free: a soft arm is late and
+    swings less. A swing is hidden where the fitted one, and three standard errors more, is below `SHOWS` of it, all
+    without the straight line that fits the motion best.
 
     Args:
         times: (T,) of the last readings [s].
-        told: (T, J) commanded joints then [rad].
-        read: (T, J) measured ones [rad].
+        commanded, measured: (T, J) joints then [rad].
         travel: (J,) of the command, the least within the lag that is healthy [rad].
     """
-    swing, rate, found = (_beside_line(times, x) for x in (told, np.gradient(told, times, axis=0), read))
+    swing, rate, found = (_detrend(times, x) for x in (commanded, np.gradient(commanded, times, axis=0), measured))
     size, turns = np.minimum(np.ptp(swing, axis=0), travel), np.count_nonzero(np.diff(np.sign(swing), axis=0), axis=0)
     hidden = np.zeros(len(size), dtype=bool)
     for j in np.flatnonzero((turns >= TURNS) & (size >= max(SWINGS, 0.5 * float(size.max())))):
@@ -235,7 +234,7 @@ def hidden_swing(times: Array, told: Array, read: Array, travel: Array) -> NDArr
     return hidden
 
 
-def _beside_line(times: Array, path: Array) -> Array:
+def _detrend(times: Array, path: Array) -> Array:
     """Return (T, J) less the straight line over times (T,) that fits it best."""
     line = np.linalg.qr(np.stack([np.ones(len(times)), times - times[0]], axis=1))[0]
     return np.asarray(path - line @ (line.T @ path))
@@ -273,7 +272,7 @@ class Watchdog:
         With `stale_after` = 0.1 s: a joint that freezes, to the bit or with noise below `SHOWS` of its travel, is
         noticed within 0.2 s where its command goes faster than 0.04 rad/s all the while, else within 0.35 s where it
         travels 2 mrad in any 0.2 s of them: a swing of 3 mrad at 2 Hz, of 1.3 mrad at 4 Hz. From 10 Hz on a swing of
-        `SWINGS` is enough (`hidden_swing`). What lags by up to 0.15 s is not.
+        `SWINGS` is enough (`find_hidden_swings`). What lags by up to 0.15 s is not.
         """
         past, after = self._past, self._limits.stale_after
         if past and not sample.time > past[-1].time:
@@ -281,23 +280,25 @@ class Watchdog:
         past.append(sample)
         while len(past) > 1 and past[1].time <= sample.time - (LAG + SPANS[-1]) * after:
             past.popleft()
-        times, told, read = (np.array(x) for x in zip(*((p.time, p.commanded, p.measured) for p in past), strict=True))
+        times, commanded, measured = (
+            np.array(x) for x in zip(*((p.time, p.commanded, p.measured) for p in past), strict=True)
+        )
         for span in (share * after for share in SPANS):
             begin = int(np.searchsorted(times, sample.time - span, side="right")) - 1
             if begin < 0:
                 return
             swings = span == SPANS[-1] * after and sample.time >= self._next
-            shown, doubted = np.ptp(read[begin:], axis=0), np.ptp(told, axis=0)
+            shown, doubted = np.ptp(measured[begin:], axis=0), np.ptp(commanded, axis=0)
             for lag in np.linspace(0, LAG * after, num=7):
                 if not (swings or np.any((doubted > STILL) & (shown < SHOWS * doubted))):
                     break
                 inside = (times >= sample.time - lag - span) & (times <= sample.time - lag)
-                doubted = np.minimum(doubted, np.ptp(told[inside], axis=0) if inside.any() else 0.0)
+                doubted = np.minimum(doubted, np.ptp(commanded[inside], axis=0) if inside.any() else 0.0)
             else:
                 hidden = (doubted > STILL) & (shown < SHOWS * doubted)
                 if swings:
                     self._next = sample.time + after / 2  # it takes a quarter of a millisecond
-                    hidden |= hidden_swing(times[begin:], told[begin:], read[begin:], doubted)
+                    hidden |= find_hidden_swings(times[begin:], commanded[begin:], measured[begin:], doubted)
                 if hidden.any():
                     self._distrust(f"joint {np.flatnonzero(hidden)[0]} reads the same for {span:.2f} s of motion")
 
