@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Protocol
 
 import numpy as np
@@ -271,6 +271,26 @@ class Robot:
     side_camera: Camera | None = None
     T_world_side_camera: Array | None = None
     motor: Motor | None = None
+
+
+class Proxy:
+    """A machine that passes on to the one within all that its class does not change, as the log's and the faults' do.
+
+    The guard's are none: what they do not check they do not pass on.
+    """
+
+    def __init__(self, machine: Any) -> None:
+        self._machine = machine
+
+    def __getattr__(self, name: str) -> Any:
+        """Return what the machine within has under a name that is not defined here."""
+        return getattr(self._machine, name)
+
+
+def wrap(robot: Robot, **wrappers: Callable[[Any], Any]) -> Robot:
+    """Return the robot with some of its machines wrapped, by the names of its fields; those that it lacks stay None."""
+    machines = {name: getattr(robot, name) for name in wrappers}
+    return replace(robot, **{name: wrappers[name](found) for name, found in machines.items() if found is not None})
 
 
 @dataclass(frozen=True, slots=True, eq=False)

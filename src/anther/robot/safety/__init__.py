@@ -31,6 +31,7 @@ from anther.robot.devices import (
     Robot,
     SafetyLimits,
     Watch,
+    wrap,
 )
 from anther.robot.safety._grip import IDLE, check_closing, check_idle, check_let_go, check_readable
 from anther.robot.safety._motion import (
@@ -75,20 +76,19 @@ def guard(robot: Robot, limits: SafetyLimits) -> Robot:
     loosened.
     """
 
-    def with_guard(machine: Any, kind: Callable[[Any, SafetyLimits], Any]) -> Any:
-        there = isinstance(machine, GuardedArm | GuardedGripper | GuardedMotor) and machine._limits is limits
-        return machine if machine is None or there else kind(machine, limits)
+    def behind_guard(kind: Any) -> Callable[[Any], Any]:
+        return lambda old: old if isinstance(old, kind) and old._limits is limits else kind(old, limits)
 
-    def with_camera_guard(camera: Any) -> Any:
-        return camera if camera is None or isinstance(camera, GuardedCamera) else GuardedCamera(camera)
+    def watch_camera(camera: Camera) -> GuardedCamera:
+        return camera if isinstance(camera, GuardedCamera) else GuardedCamera(camera)
 
-    return replace(
+    return wrap(
         robot,
-        arm=with_guard(robot.arm, GuardedArm),
-        gripper=with_guard(robot.gripper, GuardedGripper),
-        wrist_camera=with_camera_guard(robot.wrist_camera),
-        side_camera=with_camera_guard(robot.side_camera),
-        motor=with_guard(robot.motor, GuardedMotor),
+        arm=behind_guard(GuardedArm),
+        gripper=behind_guard(GuardedGripper),
+        wrist_camera=watch_camera,
+        side_camera=watch_camera,
+        motor=behind_guard(GuardedMotor),
     )
 
 

@@ -1,10 +1,9 @@
-"""The devices of a robot, which tell a log what they are asked and what they read; `robot.devices` on both sides."""
+"""Device proxies that record every command and reading; `robot.devices` on both sides."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from typing import Any, Protocol
 
 from anther.robot.devices import (
@@ -15,8 +14,10 @@ from anther.robot.devices import (
     JointTrajectory,
     More,
     MoreSwing,
+    Proxy,
     Robot,
     Watch,
+    wrap,
 )
 from anther.robot.swing import Swing
 
@@ -38,15 +39,14 @@ def log_machines(robot: Robot, say: Say, look: Callable[[], None]) -> Robot:
         say: keeps it, and never waits.
         look: called whenever a shake under way was decided on.
     """
-    side, motor = robot.side_camera, robot.motor
-    machines: dict[str, Any] = {
-        "arm": _LoggedArm(robot.arm, say, look),
-        "gripper": _LoggedGripper(robot.gripper, say),
-        "wrist_camera": _LoggedCamera(robot.wrist_camera, say, "wrist_camera"),
-        "side_camera": None if side is None else _LoggedCamera(side, say, "side_camera"),
-        "motor": None if motor is None else _LoggedMotor(motor, say, look),
-    }
-    return replace(robot, **machines)
+    return wrap(
+        robot,
+        arm=lambda arm: _LoggedArm(arm, say, look),
+        gripper=lambda gripper: _LoggedGripper(gripper, say),
+        wrist_camera=lambda camera: _LoggedCamera(camera, say, "wrist_camera"),
+        side_camera=lambda camera: _LoggedCamera(camera, say, "side_camera"),
+        motor=lambda motor: _LoggedMotor(motor, say, look),
+    )
 
 
 @contextmanager
@@ -59,14 +59,12 @@ def _log_failure(say: Say) -> Iterator[None]:
         raise
 
 
-class _Logged:
-    """A machine that does all that the one within does, and says some of it."""
+class _Logged(Proxy):
+    """A machine that says what it does."""
 
     def __init__(self, machine: Any, say: Say, look: Callable[[], None] = lambda: None) -> None:
-        self._machine, self._say, self._look = machine, say, look
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._machine, name)
+        super().__init__(machine)
+        self._say, self._look = say, look
 
     def _watching(self, watch: Watch | None) -> Watch:
         """Return a watcher that keeps every reading before the given one sees it."""
