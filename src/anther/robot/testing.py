@@ -187,25 +187,25 @@ def _check_stopped(rig: ArmRig, since: float) -> None:
 def check_motion(rig: ArmRig) -> None:
     """A motion reaches its end, and every reading is recorded and shown to the watcher."""
     with _connect(rig.connect) as arm:
-        start, seen = arm.joints(), list[ArmSample]()
-        record = arm.follow(_motion(start), seen.append)
+        start, samples = arm.joints(), list[ArmSample]()
+        record = arm.follow(_motion(start), samples.append)
         np.testing.assert_allclose(record.commanded[-1], start + WAY, atol=2e-3, err_msg="last command")
         np.testing.assert_allclose(arm.joints(), start + WAY, atol=3e-3, err_msg="joints at the end")
-        _check_record(record, seen)
+        _check_record(record, samples)
         back = arm.follow(_motion(arm.joints(), -WAY))
         _require(back.times[0] >= record.times[-1], "the second motion begins before the first one ended")
 
 
-def _check_record(record: ArmRecord, seen: list[ArmSample]) -> None:
-    times = np.array([sample.time for sample in seen])
+def _check_record(record: ArmRecord, samples: list[ArmSample]) -> None:
+    times = np.array([sample.time for sample in samples])
     _require(bool(np.all(np.diff(times) > 0)), "the times of readings do not increase")
-    rate = len(seen) / (times[-1] - times[0])
+    rate = len(samples) / (times[-1] - times[0])
     _require(rate > 50, f"the watcher saw {rate:.0f} readings a second; allowed: 50 or more")
     _require(record.commanded.shape == record.measured.shape, "commanded and measured differ in shape")
     _require(bool(np.all(np.diff(record.times) > 0)), "the record's times do not increase")
-    off = max(float(np.abs(s.measured - s.commanded).max()) for s in seen)
+    off = max(float(np.abs(s.measured - s.commanded).max()) for s in samples)
     _require(off < 0.02, f"measured joints are {off:.2g} rad off the command of their time; allowed: 0.02")
-    forces = np.array([sample.force for sample in seen])
+    forces = np.array([sample.force for sample in samples])
     _require(bool(np.all(np.isnan(forces) | (forces >= 0))), "a force is negative; allowed: a size, or NaN")
 
 
@@ -363,18 +363,20 @@ def check_missing_force(rig: ArmRig) -> None:
     """A force that is no longer told stops the motion, or is NaN: never 0, nor the last one for ever."""
     lose = _need(rig.faults.get("force lost"), "fault 'force lost'")
     with _connect(rig.connect) as arm:
-        start, seen = arm.joints(), list[ArmSample]()
+        start, samples = arm.joints(), list[ArmSample]()
         strike = _once_beyond(start, lose)
 
         def watch(sample: ArmSample) -> None:
-            seen.append(sample)
+            samples.append(sample)
             strike(sample)
 
         try:
             arm.follow(_motion(start), watch)
         except DeviceError:
             return
-        _require(bool(np.isnan(seen[-1].force)), f"force: got {seen[-1].force:g} N after it was lost; allowed: NaN")
+        _require(
+            bool(np.isnan(samples[-1].force)), f"force: got {samples[-1].force:g} N after it was lost; allowed: NaN"
+        )
 
 
 def check_refusal(rig: ArmRig) -> None:

@@ -179,8 +179,8 @@ class Planner:
             return False
         begin, end, radius = self.arm.wrist.start[2], self.arm.wrist.end[2], self.arm.wrist.radius + ARM_MARGIN
         across, along = np.split((self.plant - T_world_flange[:3, 3]) @ T_world_flange[:3, :3], [2], axis=1)
-        beside = along[:, 0] - np.clip(along[:, 0], begin - length, end)
-        return bool(np.any(np.sum(across**2, axis=1) + beside**2 < radius**2))
+        beyond = along[:, 0] - np.clip(along[:, 0], begin - length, end)
+        return bool(np.any(np.sum(across**2, axis=1) + beyond**2 < radius**2))
 
     def _ways_in(self, branches: Array, poses: Array) -> list[Array]:
         """Return the joint ways (N, J) from the grasp back through poses (N, 4, 4) that are free there.

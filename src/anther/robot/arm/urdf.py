@@ -202,8 +202,8 @@ def _only_what_moves(joint: Any, path: Path) -> Any:
     Soft limits (`safety_controller`) that are narrower take the place of the others.
     """
     name, kind = f"{path}: joint {joint.get('name')}", joint.get("type")
-    kept = ElementTree.Element("joint", joint.attrib)
-    kept.extend([copy(part) for part in joint if part.tag in ("origin", "parent", "child", "axis", "limit", "mimic")])
+    plain = ElementTree.Element("joint", joint.attrib)
+    plain.extend([copy(part) for part in joint if part.tag in ("origin", "parent", "child", "axis", "limit", "mimic")])
     if kind not in ("fixed", "revolute", "continuous", "prismatic", "floating", "planar"):
         given = f"joints that do not turn: {[joint.get('name')]}"
         raise bad_input("arm", given=given, allowed="revolute", do="Choose other links.")
@@ -217,18 +217,18 @@ def _only_what_moves(joint: Any, path: Path) -> Any:
     if limit is None and kind == "revolute":
         raise bad_input(name, given="no limit", allowed="<limit lower= upper= velocity= effort=>", do=_LIMIT)
     if kind in ("revolute", "continuous") and limit is not None:
-        told = {key: _limit(name, key, text) for key, text in limit.attrib.items()}
-        told = {"lower": -ENDLESS, "upper": ENDLESS} | told
+        bounds = {key: _limit(name, key, text) for key, text in limit.attrib.items()}
+        bounds = {"lower": -ENDLESS, "upper": ENDLESS} | bounds
         if soft is not None:
             ends = {
                 key: _limit(name, f"soft_{key}_limit", soft.get(f"soft_{key}_limit", "0")) for key in ("lower", "upper")
             }
             if ends["lower"] < ends["upper"]:  # else none are stated
-                told["lower"] = max(told["lower"], ends["lower"])
-                told["upper"] = min(told["upper"], ends["upper"])
-        kept.set("type", "revolute")
-        kept.find("limit").attrib = {key: repr(value) for key, value in told.items()}  # type: ignore[union-attr]
-    return kept
+                bounds["lower"] = max(bounds["lower"], ends["lower"])
+                bounds["upper"] = min(bounds["upper"], ends["upper"])
+        plain.set("type", "revolute")
+        plain.find("limit").attrib = {key: repr(value) for key, value in bounds.items()}  # type: ignore[union-attr]
+    return plain
 
 
 _LIMIT = "Write <limit lower= upper= velocity= effort=> into the joint, in rad, rad/s and N m."
@@ -263,8 +263,8 @@ def _link(model: Any, j: int, turn_before: Array, turn: Array, body: Any, shapes
     points = np.concatenate(shapes) @ turn[:3, :3]
     x, y, z = body.inertia
     moments = (x[0], y[1], z[2], x[1], x[2], y[2])
-    told: Any = [T[:3, 3], rpy(Rotation.from_matrix(T[:3, :3])), body.lever, moments]
-    xyz, turned, com, inertia = (tuple(map(float, part)) for part in told)
+    parts: Any = [T[:3, 3], rpy(Rotation.from_matrix(T[:3, :3])), body.lever, moments]
+    xyz, turned, com, inertia = (tuple(map(float, part)) for part in parts)
     capsules = fit_capsules(points)
     densest = 2e4  # [kg/m^3]: tungsten
     if body.mass > densest * _volume(capsules):
@@ -280,9 +280,9 @@ def _points(link: Any, T: Array, path: Path, packages: Path | None) -> list[Arra
         mesh = _mesh(collision.find("geometry")[0], path, packages)
         surface = trimesh.sample.sample_surface(mesh, 3000, seed=0)[0]
         origin = collision.find("origin")
-        told = {} if origin is None else origin.attrib
-        turn = Rotation.from_euler("xyz", _numbers(told.get("rpy", "0 0 0"))).as_matrix()
-        points = np.concatenate([mesh.vertices, surface]) @ turn.T + _numbers(told.get("xyz", "0 0 0"))
+        attributes = {} if origin is None else origin.attrib
+        turn = Rotation.from_euler("xyz", _numbers(attributes.get("rpy", "0 0 0"))).as_matrix()
+        points = np.concatenate([mesh.vertices, surface]) @ turn.T + _numbers(attributes.get("xyz", "0 0 0"))
         out.append(points @ T[:3, :3].T + T[:3, 3])
     return out
 
@@ -310,22 +310,22 @@ def _mesh(shape: Any, path: Path, packages: Path | None) -> Any:
     raise bad_input(f"{path}: shape", given=f"<{shape.tag}>", allowed=allowed, do="Give the link another collision.")
 
 
-def _mesh_file(told: str, path: Path, packages: Path | None) -> Path:
+def _mesh_file(name: str, path: Path, packages: Path | None) -> Path:
     """Return where a mesh lies that a URDF names.
 
     Raises:
         InputError: it cannot be read, or there is none.
     """
-    where, inside = told.removeprefix("file://"), re.sub("^(?:package|model)://", "", told)
-    if packages is None and inside != told:
+    where, inside = name.removeprefix("file://"), re.sub("^(?:package|model)://", "", name)
+    if packages is None and inside != name:
         do = f'Give packages = "...", the folder in which {inside.split("/")[0]} lies.'
-        raise bad_input(f"{path}: mesh", given=told, allowed="a path beside the URDF, or with the key packages", do=do)
-    file = named_file(packages, inside) if packages and inside != told else named_file(path.parent, where)
+        raise bad_input(f"{path}: mesh", given=name, allowed="a path beside the URDF, or with the key packages", do=do)
+    file = named_file(packages, inside) if packages and inside != name else named_file(path.parent, where)
     if file.suffix.lower() not in MESHES:
         do = "Export it as STL in metres, and name that."
-        raise bad_input(f"{path}: mesh", given=told, allowed=f"{', '.join(MESHES)}", do=do)
+        raise bad_input(f"{path}: mesh", given=name, allowed=f"{', '.join(MESHES)}", do=do)
     if not file.is_file():
-        raise bad_input(f"{path}: mesh", given=told, allowed="a file that exists", do=f"There is none at {file}.")
+        raise bad_input(f"{path}: mesh", given=name, allowed="a file that exists", do=f"There is none at {file}.")
     return file
 
 
@@ -334,8 +334,8 @@ def _limits(model: Any, j: int, path: Path) -> tuple[float, float, float, float]
     at, to = model.idx_qs[j], model.idx_vs[j]
     lower, upper = float(model.lowerPositionLimit[at]), float(model.upperPositionLimit[at])
     velocity, effort = float(model.velocityLimit[to]), float(model.effortLimit[to])
-    told = (-WIDEST, WIDEST) if max(-lower, upper) >= ENDLESS else (lower, upper)
-    check_joint(f"{path}: joint {model.names[j]}", *told, velocity, effort, _LIMIT)
+    bounds = (-WIDEST, WIDEST) if max(-lower, upper) >= ENDLESS else (lower, upper)
+    check_joint(f"{path}: joint {model.names[j]}", *bounds, velocity, effort, _LIMIT)
     if upper - lower > 2 * WIDEST:
         lower, upper = max(lower, -WIDEST), min(upper, WIDEST)
     return lower, upper, velocity, effort
@@ -382,9 +382,9 @@ def _fit_along(points: Array, axis: Array) -> Capsule:
     centre = (flat.min(axis=0) + flat.max(axis=0)) / 2
     for k in range(80):  # Badoiu and Clarkson 2003: within some percent of the smallest circle
         centre = centre + (flat[np.linalg.norm(flat - centre, axis=1).argmax()] - centre) / (k + 2)
-    beside = np.linalg.norm(flat - centre, axis=1)
-    radius, along = float(beside.max()), points @ axis
-    cap = np.sqrt(np.maximum(radius**2 - beside**2, 0))
+    radii = np.linalg.norm(flat - centre, axis=1)
+    radius, along = float(radii.max()), points @ axis
+    cap = np.sqrt(np.maximum(radius**2 - radii**2, 0))
     low, high = (along + cap).min(), (along - cap).max()  # the other way round where a ball holds them
     middle, half = (low + high) / 2, max(high - low, 0.002) / 2
     low, high = middle - half, middle + half

@@ -135,8 +135,8 @@ class Viewpoints:
         at, joints = [i for i, _ in kept], np.array([q for _, q in kept])
         dwell = np.full(len(kept), self.params.dwell, dtype=float)
         if self.params.dwell is None:
-            seen = cylinder_points(self.region, SEEN)
-            dwell = standing_times(arm, motions, self.T_flange_cam, seen, self.params)
+            points = cylinder_points(self.region, SEEN)
+            dwell = standing_times(arm, motions, self.T_flange_cam, points, self.params)
         T_world_cam = arm.forward(joints) @ self.T_flange_cam
         return Views(joints, T_world_cam, tuple(motions), self.azimuth[at], self.elevation[at], dwell)
 
@@ -241,14 +241,14 @@ def image_speed(arm: ArmModel, q: Array, rates: Array, T_flange_cam: Array, poin
         focal: [px].
     """
 
-    def seen(joints: Array) -> Array:
+    def project(joints: Array) -> Array:
         T_cam_world = inverse(arm.forward(joints) @ T_flange_cam)
         p = np.einsum("tij,pj->tpi", T_cam_world[:, :3, :3], points) + T_cam_world[:, None, :3, 3]
         ahead = p[..., 2:] > 0.05
         return np.where(ahead, p[..., :2] / np.where(ahead, p[..., 2:], 1), np.nan)
 
-    now = seen(q)
-    speed = focal * np.linalg.norm(seen(q + SOON * rates) - now, axis=2) / SOON
+    now = project(q)
+    speed = focal * np.linalg.norm(project(q + SOON * rates) - now, axis=2) / SOON
     inside = np.abs(now).max(axis=2) <= 1.1  # |x / z| and |y / z| of a D455's image (90 x 65 deg: facts, sawyer 4)
     return np.where(inside, speed, 0).max(axis=1)
 

@@ -224,10 +224,10 @@ def predict_board(T_base_flange: Array, T_flange_cam: Array, T_base_board: Array
     return inverse(T_base_flange @ T_flange_cam) @ T_base_board
 
 
-def disagreement(predicted: Array, seen: Array, centre: Array) -> tuple[Array, Array]:
+def disagreement(predicted: Array, observed: Array, centre: Array) -> tuple[Array, Array]:
     """Return by how much two (V, 4, 4) board poses differ: angle [rad], distance of the board's `centre` (3,) [m]."""
-    turn = Rotation.from_matrix(np.swapaxes(predicted[:, :3, :3], 1, 2) @ seen[:, :3, :3]).magnitude()
-    shift = (predicted[:, :3, :3] - seen[:, :3, :3]) @ centre + predicted[:, :3, 3] - seen[:, :3, 3]
+    turn = Rotation.from_matrix(np.swapaxes(predicted[:, :3, :3], 1, 2) @ observed[:, :3, :3]).magnitude()
+    shift = (predicted[:, :3, :3] - observed[:, :3, :3]) @ centre + predicted[:, :3, 3] - observed[:, :3, 3]
     return turn, np.linalg.norm(shift, axis=1)
 
 

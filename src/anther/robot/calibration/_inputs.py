@@ -296,6 +296,6 @@ def _csv_rows(path: Path) -> list[tuple[str, str, Any]]:
         if len(words) != len(names):
             raise bad_input(where, given=f"{len(words)} entries", allowed=str(len(names)), do="Complete the line.")
         entry = dict(zip(names, words, strict=True))
-        told = [(entry[name], number(entry[name])) for name in COLUMNS[1:]]
-        rows.append((where, entry["image"], [cell if value is None else value for cell, value in told]))
+        cells = [(entry[name], number(entry[name])) for name in COLUMNS[1:]]
+        rows.append((where, entry["image"], [cell if value is None else value for cell, value in cells]))
     return rows

@@ -79,8 +79,8 @@ class Simulation:
         Raises:
             InputError: no camera is like that.
         """
-        told = getattr(self, name)
-        return None if told is None else Intrinsics(int(told[0]), int(told[1]), *told[2:])
+        numbers = getattr(self, name)
+        return None if numbers is None else Intrinsics(int(numbers[0]), int(numbers[1]), *numbers[2:])
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,9 +204,9 @@ class CellFile:
             InputError: a limit is out of the range it may be set to.
         """
         ratio = self.limits.speed_ratio
-        said: dict[str, Any] = {name: value for name, value in asdict(self.limits).items() if value is not None}
-        del said["speed_ratio"]
-        said.setdefault("flange_speed", ratio * SafetyLimits.__dataclass_fields__["flange_speed"].default)
+        values: dict[str, Any] = {name: value for name, value in asdict(self.limits).items() if value is not None}
+        del values["speed_ratio"]
+        values.setdefault("flange_speed", ratio * SafetyLimits.__dataclass_fields__["flange_speed"].default)
         with self.source.locate_errors(("limits",)):
             return SafetyLimits(
                 forward=self.model.forward,
@@ -217,7 +217,7 @@ class CellFile:
                 joint_acceleration=ratio * self.model.acceleration,
                 workspace=self.arm_space,
                 keep_out=self.keep_out,
-                **said,
+                **values,
             )
 
 
@@ -282,9 +282,9 @@ def _suppose(source: TomlFile, suppose: Suppose, simulation: Simulation) -> tupl
 
 def _equip(source: TomlFile, model: ArmModel, T_flange_cam: Array) -> ArmModel:
     """Return the arm with the gripper that the file describes, and its camera where it was calibrated."""
-    told, keys, tool = source.table["gripper"].get("shape"), ("gripper", "shape"), model.tool
-    if told is not None:
-        rest = dict(told) if isinstance(told, dict) else {"preset": told}
+    shape, keys, tool = source.table["gripper"].get("shape"), ("gripper", "shape"), model.tool
+    if shape is not None:
+        rest = dict(shape) if isinstance(shape, dict) else {"preset": shape}
         name, given = rest.pop("preset", None), dict[str, Any]()
         if name is not None:
             if name not in PRESETS:
@@ -399,11 +399,11 @@ def _part(
 
 
 def _model(source: TomlFile) -> ArmModel:
-    told, keys = source.table["arm"].get("model", "sawyer"), ("arm", "model")
-    if isinstance(told, dict):
-        return build(source, keys, told, _parts.arm_of_urdf)
+    model, keys = source.table["arm"].get("model", "sawyer"), ("arm", "model")
+    if isinstance(model, dict):
+        return build(source, keys, model, _parts.arm_of_urdf)
     with source.locate_errors(keys):
-        return find_arm(str(told))
+        return find_arm(str(model))
 
 
 def _hand_eye(source: TomlFile, table: dict[str, Any]) -> Array:

@@ -134,8 +134,8 @@ def _open(path: Path) -> int:
             continue
         except OSError as error:
             raise DeviceError(f"the lock {path} cannot be opened ({error.strerror}). Remove it.") from error
-        told = os.fstat(handle)
-        if stat.S_ISREG(told.st_mode) and told.st_nlink <= 1:
+        status = os.fstat(handle)
+        if stat.S_ISREG(status.st_mode) and status.st_nlink <= 1:
             return handle
         os.close(handle)
         raise DeviceError(f"the lock {path} is no file of its own. Remove it.")

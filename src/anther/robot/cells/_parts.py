@@ -157,9 +157,9 @@ def arm_of_urdf(
 ) -> ArmModel:
     """Return an arm by its URDF file, see `anther.robot.arm.urdf.from_urdf`; name: by default the file's."""
     T = None if T_tip_flange is None else transform_from_pose7(np.array(T_tip_flange))
-    told = {"acceleration": acceleration, "ready": ready, "T_tip_flange": T, "packages": packages, "floor": floor}
+    options = {"acceleration": acceleration, "ready": ready, "T_tip_flange": T, "packages": packages, "floor": floor}
     with understood(urdf, "a URDF of an arm", "docs/arm.md says what it must hold."):
-        return from_urdf(name or urdf.stem, urdf, base=base, tip=tip, **told)
+        return from_urdf(name or urdf.stem, urdf, base=base, tip=tip, **options)
 
 
 def own_driver(name: str, where: str, folder: Path) -> Callable[..., Any]:

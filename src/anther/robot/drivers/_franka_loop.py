@@ -147,15 +147,15 @@ class Loop:
         lost = ""
         while not self._gone:
             try:
-                told = None if lost else self._read_state(self._robot.read_once())
+                state = None if lost else self._read_state(self._robot.read_once())
             except self._errors as error:
-                told, lost = None, words(error)
+                state, lost = None, words(error)
             while not self._gone and (lost or self._pipe.poll()):
                 match self._receive():
-                    case ("read" | "move" | "recover", *_) if told is None:
+                    case ("read" | "move" | "recover", *_) if state is None:
                         self._say("failed", lost)
                     case ("read",):
-                        self._say("state", told)
+                        self._say("state", state)
                     case ("move", first, goes_on):
                         self._say(*self._move(first, goes_on))
                         break

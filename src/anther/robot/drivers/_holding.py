@@ -36,9 +36,9 @@ class LastCommand(NamedTuple):
         return self.time == float("inf")
 
 
-def find_rest_joints(heard: Readings, since: float) -> Array | None:
+def find_rest_joints(readings: Readings, since: float) -> Array | None:
     """Return the joints (J,) of an arm at rest, by a reading not older than `since` [s]; None: unknown, or moving."""
-    reading, speed = heard.last, heard.speed()
+    reading, speed = readings.last, readings.speed()
     if reading is None or speed is None or reading.time < since:
         return None
     if np.abs(speed).max() > 0.02:  # [rad/s]: 0.6 mrad between readings that are 30 ms apart

@@ -88,8 +88,8 @@ class Readings:
             return
         missing = [name for name in self._names if name not in places]
         if missing or len(places) != len(message.name) or len(message.position) != len(message.name):
-            told = f"{', '.join(missing)} missing" if missing else f"{len(message.position)} angles, names twice"
-            self.trouble = f"joints: got {', '.join(message.name)}: {told}; allowed: {', '.join(self._names)}"
+            given = f"{', '.join(missing)} missing" if missing else f"{len(message.position)} angles, names twice"
+            self.trouble = f"joints: got {', '.join(message.name)}: {given}; allowed: {', '.join(self._names)}"
             return
         joints = np.array([message.position[places[name]] for name in self._names], dtype=float)
         if not np.isfinite(joints).all():

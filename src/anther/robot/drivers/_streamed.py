@@ -231,9 +231,9 @@ class StreamedArm(ABC):
         """Command joints (J,) near which the arm stands."""
         self._rest(q)
 
-    def _extrapolate(self, told: LastCommand, now: float) -> LastCommand:
+    def _extrapolate(self, last: LastCommand, now: float) -> LastCommand:
         """Return the joints that the robot has reached now [s]: it goes on at the rate of the last command."""
-        return LastCommand(now, told.joints + told.rate * (now - told.time), told.rate)
+        return LastCommand(now, last.joints + last.rate * (now - last.time), last.rate)
 
     def hold(self) -> None:
         """Brake if it moves, and hold, by the rule of `_holding`. A robot that refuses commands is sent nothing."""
@@ -250,11 +250,11 @@ class StreamedArm(ABC):
         except Late:  # held up once more: the last command is void
             self.hold()
 
-    def _stop_from(self, told: LastCommand) -> tuple[Array, Array] | None:
+    def _stop_from(self, last: LastCommand) -> tuple[Array, Array] | None:
         """Return joints and rates (J,) from which to stop; None: nothing is to be sent."""
         now = self._clock()
-        if now - told.time <= self._timeout:
-            return self._extrapolate(told, now)[1:]
+        if now - last.time <= self._timeout:
+            return self._extrapolate(last, now)[1:]
         while self._clock() - now < 0.5 and not self.readings.trouble:
             with suppress(DeviceError):  # too old yet
                 self.joints()
@@ -314,7 +314,7 @@ class StreamedArm(ABC):
 
     def _stream(self, reference: Reference, watch: Watch | None, samples: list[ArmSample]) -> None:
         self._last = begin = due = self._clock()
-        seen = begin - self._stale if self.readings.last is None else self.readings.last.time
+        newest = begin - self._stale if self.readings.last is None else self.readings.last.time
         while True:
             now = self._clock()
             self._check_in_time()
@@ -322,10 +322,10 @@ class StreamedArm(ABC):
             reference.look_ahead(now - begin)
             self._aim(reference, now - begin)
             reading, over = self.readings.last, reference.whole and now - begin >= reference.ends + SETTLE
-            if reading is not None and reading.time > seen and (over or reading.time >= seen + self._shown):
-                seen = reading.time
-                wanted = reference.at(seen - begin)[0]
-                samples.append(ArmSample(seen, wanted, reading.joints, self._current_force(now)))
+            if reading is not None and reading.time > newest and (over or reading.time >= newest + self._shown):
+                newest = reading.time
+                wanted = reference.at(newest - begin)[0]
+                samples.append(ArmSample(newest, wanted, reading.joints, self._current_force(now)))
                 if watch:
                     watch(samples[-1])
             if over:

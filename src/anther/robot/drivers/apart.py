@@ -63,13 +63,13 @@ class ArmApart:
         with self._lock:
             self._say("follow", trajectory, more is not None)
             try:
-                heard = self._until_it_ends(watch, coming)
+                answer = self._until_it_ends(watch, coming)
             except BaseException:
                 self._stop()
                 raise
             finally:
                 coming.close()
-        return self._done(heard)
+        return self._done(answer)
 
     def hold(self) -> None:
         """See `anther.robot.devices.Arm`."""
@@ -95,8 +95,8 @@ class ArmApart:
         while True:
             if coming.there:
                 self._say("next", coming.take())
-            heard = self._receive(0.005 if coming.asked else ANSWER)
-            match heard:
+            answer = self._receive(0.005 if coming.asked else ANSWER)
+            match answer:
                 case ("sample", sample):
                     self._say("seen", sample.time)
                     if watch:
@@ -106,7 +106,7 @@ class ArmApart:
                 case None if coming.asked:
                     pass
                 case _:
-                    return heard
+                    return answer
 
     def _stop(self) -> None:
         """Stop the motion under way and pass over what was said of it."""
@@ -114,8 +114,8 @@ class ArmApart:
             self._say("stop")
             until = time.monotonic() + ANSWER
             while time.monotonic() < until:
-                heard = self._receive(0.1)
-                if heard is not None and heard[0] in ("done", "failed"):
+                answer = self._receive(0.1)
+                if answer is not None and answer[0] in ("done", "failed"):
                     return
 
     def _say(self, *words: Any) -> None:
@@ -130,10 +130,10 @@ class ArmApart:
         except (EOFError, OSError) as error:
             raise DeviceError(LOST) from error
 
-    def _done(self, heard: tuple[str, Any] | None) -> Any:
-        if heard is None:
+    def _done(self, answer: tuple[str, Any] | None) -> Any:
+        if answer is None:
             raise DeviceError(f"the arm's own process says nothing for {ANSWER:g} s. Look at the arm, and start anew.")
-        what, value = heard
+        what, value = answer
         if what == "failed":
             raise value
         return value
@@ -183,12 +183,12 @@ class _Server:
             self._why = GONE
         if self._why:
             raise _Stopped(f"the motion was called off: {self._why}.")
-        now, unseen = time.monotonic(), self._unseen
-        if unseen is not None and now - unseen > UNSEEN:
+        now, unwatched = time.monotonic(), self._unseen
+        if unwatched is not None and now - unwatched > UNSEEN:
             raise _Stopped(
                 f"nobody looked at the arm's readings for {UNSEEN:g} s. Let nothing else run on this machine."
             )
-        self._unseen = now if unseen is None else unseen
+        self._unseen = now if unwatched is None else unwatched
         self._say("sample", sample)
 
     def _read(self) -> None:

@@ -112,8 +112,8 @@ class Franka:
             self._say("brake")
             until = self._clock() + ANSWER
             while self._moves and self._clock() < until:
-                heard = self._receive(ANSWER)
-                self._moves = heard is not None and heard[0] not in ("done", "failed")
+                answer = self._receive(ANSWER)
+                self._moves = answer is not None and answer[0] not in ("done", "failed")
         self._moves = False
 
     def cannot(self) -> str:
@@ -122,21 +122,22 @@ class Franka:
 
     def describe(self) -> list[str]:
         """Return in words what is heard of the robot."""
-        told = self._read_fresh()
-        why, off = _reason(told), 1e3 * float(np.abs(told.joints - told.aim).max())
+        state = self._read_fresh()
+        why, off = _reason(state), 1e3 * float(np.abs(state.joints - state.aim).max())
         return [
-            f"mode {told.mode}; the newest joints are {1e3 * self._age(told):.0f} ms old, {off:.1f} mrad off the order",
-            f"commands: 1000 a second; force {told.force:.1f} N",
+            f"mode {state.mode}; the newest joints are {1e3 * self._age(state):.0f} ms old, "
+            f"{off:.1f} mrad off the order",
+            f"commands: 1000 a second; force {state.force:.1f} N",
             f"cannot move: {why}" if why else "ready to move",
         ]
 
     def enable(self) -> None:
         """Recover from a reflex. The arm holds where it is. The user stop is released, and joints unlocked, by hand."""
-        told = self._read()
-        if told.mode == "Reflex" or (told.mode == "Idle" and told.errors):
+        state = self._read()
+        if state.mode == "Reflex" or (state.mode == "Idle" and state.errors):
             self._ask("recover")
-        elif told.mode != "Idle":
-            raise DeviceError(f"the arm cannot be enabled: {_reason(told)}.")
+        elif state.mode != "Idle":
+            raise DeviceError(f"the arm cannot be enabled: {_reason(state)}.")
         seconds = 5.0
         until = self._clock() + seconds
         while why := self.cannot():
@@ -153,8 +154,8 @@ class Franka:
             self._gone()
 
     def _check_start(self, trajectory: JointTrajectory) -> None:
-        told = self._read_fresh()
-        if why := _reason(told):
+        state = self._read_fresh()
+        if why := _reason(state):
             raise DeviceError(f"the arm cannot move: {why}.")
         if trajectory.positions.shape[1] != JOINTS:
             raise DeviceError(f"the motion is one of {trajectory.positions.shape[1]} joints; allowed: {JOINTS}.")
@@ -165,8 +166,8 @@ class Franka:
             if coming.there:
                 self._say("next", coming.take())
             match self._receive(STALE if samples else ANSWER):
-                case ("state", told):
-                    self._take(told, watch, samples)
+                case ("state", state):
+                    self._take(state, watch, samples)
                 case ("more", _):
                     coming.ask()
                 case ("done", why):
@@ -181,12 +182,12 @@ class Franka:
                     old = f"the newest joints are {1e3 * STALE:.0f} ms old, or older; allowed: {1e3 * STALE:.0f} ms"
                     raise DeviceError(f"{old}. Check network and robot; then start anew.")
 
-    def _take(self, told: RobotState, watch: Watch | None, samples: list[ArmSample]) -> None:
-        self._robot.receive(told.stamp, told.arrival)
-        when = told.stamp + self._robot.offset
-        self._check(told)
+    def _take(self, state: RobotState, watch: Watch | None, samples: list[ArmSample]) -> None:
+        self._robot.receive(state.stamp, state.arrival)
+        when = state.stamp + self._robot.offset
+        self._check(state)
         if not samples or when > samples[-1].time:
-            samples.append(ArmSample(when, told.aim, told.joints, told.force))
+            samples.append(ArmSample(when, state.aim, state.joints, state.force))
             if watch:
                 watch(samples[-1])
         self._say("seen")
@@ -198,33 +199,33 @@ class Franka:
         return said
 
     def _read(self) -> RobotState:
-        told = self._ask("read")
-        self._robot.receive(told.stamp, told.arrival)
-        return told
+        state = self._ask("read")
+        self._robot.receive(state.stamp, state.arrival)
+        return state
 
     def _read_fresh(self) -> RobotState:
         until = self._clock() + 0.5  # at rest nothing moves meanwhile
-        while self._age(told := self._read()) > STALE and self._clock() < until:
+        while self._age(state := self._read()) > STALE and self._clock() < until:
             pass
-        return self._check(told)
+        return self._check(state)
 
-    def _age(self, told: RobotState) -> float:
-        return self._clock() - told.stamp - self._robot.offset
+    def _age(self, state: RobotState) -> float:
+        return self._clock() - state.stamp - self._robot.offset
 
-    def _check(self, told: RobotState) -> RobotState:
-        check_fresh(self._age(told))
-        check_finite_joints(told.joints)
-        return told
+    def _check(self, state: RobotState) -> RobotState:
+        check_fresh(self._age(state))
+        check_finite_joints(state.joints)
+        return state
 
     def _ask(self, *what: Any) -> Any:
         """Return what the loop answers."""
         self._say(*what)
-        heard = self._receive(ANSWER)
-        if heard is None:
+        answer = self._receive(ANSWER)
+        if answer is None:
             raise DeviceError(f"the robot says nothing for {ANSWER:g} s. Check network and robot; then start anew.")
-        if heard[0] == "failed":
-            raise DeviceError(f"the robot: {heard[1]}. Check network and robot; then start anew.")
-        return heard[1]
+        if answer[0] == "failed":
+            raise DeviceError(f"the robot: {answer[1]}. Check network and robot; then start anew.")
+        return answer[1]
 
     def _say(self, *what: Any) -> None:
         try:
@@ -300,8 +301,8 @@ def _wait(loop: subprocess.Popen[bytes]) -> None:
         loop.wait()
 
 
-def _reason(told: RobotState) -> str:
-    why = MODES.get(told.mode, f"it is in the mode {told.mode}: look at Desk")
-    if not why and told.errors:
-        return MODES["Reflex"].format(errors=told.errors)
-    return why.format(errors=told.errors or "no error told")
+def _reason(state: RobotState) -> str:
+    why = MODES.get(state.mode, f"it is in the mode {state.mode}: look at Desk")
+    if not why and state.errors:
+        return MODES["Reflex"].format(errors=state.errors)
+    return why.format(errors=state.errors or "no error told")

@@ -113,8 +113,8 @@ class Node:
         try:
             yield
         except _module("rclpy.exceptions").NameValidationException as error:
-            told = " ".join(str(error).split())
-            raise bad_input("topic", given=told, allowed="such as /joint_states", do="Correct it.") from error
+            reason = " ".join(str(error).split())
+            raise bad_input("topic", given=reason, allowed="such as /joint_states", do="Correct it.") from error
 
     def _spin(self) -> None:
         with prioritize_thread(), suppress(_module("rclpy.executors").ExternalShutdownException):
@@ -244,12 +244,12 @@ class JointTrajectoryArm(StreamedArm):
     def describe(self) -> list[str]:
         """Return in words what is heard of the robot."""
         why, others = self.cannot(), self.node.publishers(self._topic) - 1
-        felt = (
+        force = (
             f"force {self._current_force(self._clock()):.1f} N"
             if self._wrench
             else "no force is told: contact is not felt"
         )
-        said = [self._describe_readings(), f"commands: {1 / self._period:g} a second to {self._topic}; {felt}"]
+        said = [self._describe_readings(), f"commands: {1 / self._period:g} a second to {self._topic}; {force}"]
         if others > 0:
             said.append(f"{others} others can command it too: end them")
         return [*said, f"cannot move: {why}" if why else "ready to move, as far as ROS 2 tells"]
@@ -281,8 +281,8 @@ class JointTrajectoryArm(StreamedArm):
     def _refuses_commands(self) -> bool:
         return not self._listens()
 
-    def _extrapolate(self, told: LastCommand, now: float) -> LastCommand:
-        return LastCommand(now, *self._plan.at(now - told.time))
+    def _extrapolate(self, last: LastCommand, now: float) -> LastCommand:
+        return LastCommand(now, *self._plan.at(now - last.time))
 
     def _say(self, plan: Plan) -> None:
         message = self._message(plan)
@@ -321,8 +321,8 @@ class JointTrajectoryArm(StreamedArm):
             self._wait(done, what)
         except DeviceError as error:
             others = self.readings.others
-            told = f" It tells other joints: {', '.join(others)}; wanted: {', '.join(self._names)}." if others else ""
-            raise DeviceError(f"{error}{told}") from error
+            listed = f" It tells other joints: {', '.join(others)}; wanted: {', '.join(self._names)}." if others else ""
+            raise DeviceError(f"{error}{listed}") from error
 
 
 def _module(name: str) -> Any:

@@ -195,7 +195,7 @@ class Sawyer(StreamedArm):
         self._take_force(force.x, force.y, force.z)
 
     def _check_names(self) -> None:
-        told = self.node.parameter("/robot_config/right_config/joint_names")
-        if told is not None and set(told) != set(self._names):
-            given = f"joints: the robot has {', '.join(map(str, told))}; allowed: {', '.join(self._names)}"
+        names = self.node.parameter("/robot_config/right_config/joint_names")
+        if names is not None and set(names) != set(self._names):
+            given = f"joints: the robot has {', '.join(map(str, names))}; allowed: {', '.join(self._names)}"
             raise DeviceError(f"{given}. This is not the arm that Anther's model describes.")

@@ -96,13 +96,13 @@ class Controller:
         """Return what keeps the arm from moving at all; empty if nothing does."""
         says = self.receive
         safety, mode = says.getSafetyMode(), says.getRobotMode()
-        told = SAFETY[safety] if 0 <= safety < len(SAFETY) else f"safety mode {safety}"
+        status = SAFETY[safety] if 0 <= safety < len(SAFETY) else f"safety mode {safety}"
         power = MODES[mode] if 0 <= mode < len(MODES) else f"robot mode {mode}"
         reasons = {
             "the connection is lost: check network and controller, then start anew": not says.isConnected(),
             "its emergency stop is pressed: look why, release it, then anther cell enable": says.isEmergencyStopped(),
             "it made a protective stop: look what it touched, then anther cell enable": says.isProtectiveStopped(),
-            f"its safety system says {told}: look at its pendant": told not in ("normal", "reduced"),
+            f"its safety system says {status}: look at its pendant": status not in ("normal", "reduced"),
             f"its motors are not on ({power}): anther cell enable does that": mode != Mode.RUNNING,
         }
         return next((why for why, holds in reasons.items() if holds), "")

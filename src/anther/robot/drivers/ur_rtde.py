@@ -254,7 +254,9 @@ class UniversalRobot(StreamedArm):
 
     def _check_model(self, model: str) -> None:
         """Check the arm against "ur5e" and the like; the controller names no series: that is in its version."""
-        told, old = self._at.model.lower(), self._at.version[0] < 5
-        if model.startswith("ur") and (model.removesuffix("e") != told.removesuffix("e") or (old and model[-1] == "e")):
+        actual, old = self._at.model.lower(), self._at.version[0] < 5
+        if model.startswith("ur") and (
+            model.removesuffix("e") != actual.removesuffix("e") or (old and model[-1] == "e")
+        ):
             given = f"arm: the controller says {self._at.model}, PolyScope {self._at.version[0]}"
             raise DeviceError(f"{given}; the cell's model is {model}. This is not the arm that the model describes.")

@@ -99,8 +99,8 @@ class Uvc:
             raise DeviceError(
                 f"{self._name}: got images of {got} px; its intrinsics are of {wanted}. Calibrate at its size."
             )
-        told = self._capture.get(cv2.CAP_PROP_FPS)
-        self._period = 1 / told if told > 0 else 0.0
+        rate = self._capture.get(cv2.CAP_PROP_FPS)
+        self._period = 1 / rate if rate > 0 else 0.0
         self._begun, self._number, self._last = self._clock(), 0, -np.inf
         return self._intrinsics
 

@@ -199,14 +199,14 @@ class VoiceCoil:
             DeviceError: no answer, or no port any more.
         """
         self._number += 1
-        heard = b""
+        line = b""
         try:
             for _ in range(3):
                 self._port.write(seal(f"{self._number} {text}"))
                 until = self._clock() + REPLY
                 while self._clock() < until:
-                    heard = self._port.readline() or heard
-                    words = unseal(heard)
+                    line = self._port.readline() or line
+                    words = unseal(line)
                     if len(words) > 1 and words[0] == str(self._number):
                         with suppress(ValueError):
                             answer = read(words[1:])
@@ -216,8 +216,8 @@ class VoiceCoil:
             raise DeviceError(
                 f"motor: the port is gone ({error}). Check the cable; the motor stops by itself."
             ) from error
-        told = f"the last it said: {heard[:40]!r}" if heard else "it says nothing"
-        raise DeviceError(f"motor: no answer to {text.split(maxsplit=1)[0]}; {told}. Check power, cable and port.")
+        reply = f"the last it said: {line[:40]!r}" if line else "it says nothing"
+        raise DeviceError(f"motor: no answer to {text.split(maxsplit=1)[0]}; {reply}. Check power, cable and port.")
 
 
 def seal(text: str) -> bytes:

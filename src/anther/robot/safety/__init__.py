@@ -212,8 +212,8 @@ class GuardedMotor:
             asked = max(piece.reach for piece in pieces)
             # 1.3: what a motor that is 15 % off does, and as much again
             if not (amplitude := self._motor.amplitude()) <= 1.3 * asked + MOTOR_AT_REST:
-                told = f"the motor moves the pads by {1e3 * amplitude:.2g} mm; asked were {1e3 * asked:.2g} mm."
-                raise DeviceError(f"{told} Check its sensor.")
+                given = f"the motor moves the pads by {1e3 * amplitude:.2g} mm; asked were {1e3 * asked:.2g} mm."
+                raise DeviceError(f"{given} Check its sensor.")
             if watch:
                 watch(sample)
 
@@ -385,8 +385,8 @@ class GuardedCamera:
             else:
                 frames.append(frame)
         if again and len(frames) == 1:
-            told = f"camera: got {again + 1} frames with the same picture; allowed: 1."
-            raise DeviceError(f"{told} Restart it, or uncover it.")
+            given = f"camera: got {again + 1} frames with the same picture; allowed: 1."
+            raise DeviceError(f"{given} Restart it, or uncover it.")
         return frames
 
     def _whole(self, frame: Frame) -> bool:

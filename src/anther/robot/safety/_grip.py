@@ -61,15 +61,15 @@ def check_closing(closing: Sequence[GripperState], sent: float) -> None:
             press with nothing.
     """
     last = closing[-1]
-    told = f"gripper force: got {last.force:.1f} N with the pads {1e3 * last.opening:.1f} mm apart"
+    given = f"gripper force: got {last.force:.1f} N with the pads {1e3 * last.opening:.1f} mm apart"
     if last.force < -IDLE:
-        raise DeviceError(f"{told}; allowed: >= 0, pads do not pull. {DO}")
+        raise DeviceError(f"{given}; allowed: >= 0, pads do not pull. {DO}")
     # half of what a Sawyer's gripper gives [N]
     if len(closing) > 1 and all(s.force > 5 and not s.is_gripping for s in closing[-2:]):
-        raise DeviceError(f"{told}, and yet the gripper says that it holds nothing. {DO}")
+        raise DeviceError(f"{given}, and yet the gripper says that it holds nothing. {DO}")
     several = SEVERAL - 1e-5  # the steps of the pads may fall short of it
     if last.is_gripping and last.force < IDLE and last.opening - sent >= several:
-        raise DeviceError(f"{told}, held off by something {1e3 * (last.opening - sent):.1f} mm before the goal. {DO}")
+        raise DeviceError(f"{given}, held off by something {1e3 * (last.opening - sent):.1f} mm before the goal. {DO}")
     pressing = list[GripperState]()
     for state in reversed(closing):
         if not touches(state):
@@ -83,7 +83,7 @@ def check_closing(closing: Sequence[GripperState], sent: float) -> None:
     change = float(np.ptp([s.force for s in pressing]))
     if change < SOFTEST * way:
         raise DeviceError(
-            f"{told}: it changed by {change:.1f} N while the pads came {1e3 * way:.1f} mm nearer; allowed: at least "
+            f"{given}: it changed by {change:.1f} N while the pads came {1e3 * way:.1f} mm nearer; allowed: at least "
             f"{SOFTEST * way:.1f} N. {DO}"
         )
 

@@ -206,8 +206,8 @@ class ForceCheck:
         elif not np.array_equal(sample.commanded, last.commanded):
             self._same += min(sample.time - last.time, 0.1)  # longer between two motions
         if self._same > 1:  # [s]: a measured force has noise
-            told = f"arm force: got {sample.force:.3g} N, the same to the last bit for {self._same:.1f} s of motion"
-            raise DeviceError(f"{told}; allowed: 1 s. The sensor is stuck: check it, then start anew.")
+            given = f"arm force: got {sample.force:.3g} N, the same to the last bit for {self._same:.1f} s of motion"
+            raise DeviceError(f"{given}; allowed: 1 s. The sensor is stuck: check it, then start anew.")
 
 
 def find_hidden_swings(times: Array, commanded: Array, measured: Array, travel: Array) -> NDArray[np.bool_]:
@@ -261,8 +261,8 @@ class Watchdog:
             raise DeviceError(f"the arm does not follow: {gap:.3g} rad behind; allowed: <= {limits.tracking:g}.")
         self._force(sample)
         if sample.force > limits.contact_force:
-            felt = f"contact force: got {sample.force:.3g} N; allowed: <= {limits.contact_force:g}"
-            raise StageFailure("collision", f"{felt}. The arm presses on something: look what it is.")
+            given = f"contact force: got {sample.force:.3g} N; allowed: <= {limits.contact_force:g}"
+            raise StageFailure("collision", f"{given}. The arm presses on something: look what it is.")
         if self._watch:
             self._watch(sample)
 
