@@ -109,7 +109,7 @@ def test_every_message_begins_on_the_way_and_ends_at_rest(motion: JointTrajector
     reference = Reference(motion, lambda: None)  # something may follow: the motion need not end at rest
     top = np.abs(motion.velocities).max()
     for t in np.linspace(0, motion.duration, 73):
-        plan = ros2.planned(reference, t, ACCELERATION)
+        plan = ros2.plan(reference, t, ACCELERATION)
         rows = np.stack([plan.q, plan.rate, plan.acceleration], axis=1)
         assert np.all(np.diff(plan.times) > 0)
         assert plan.times[0] == 0.0
