@@ -16,7 +16,6 @@ from anther.core.checks import check_array
 from anther.plant.limits import PEDICEL_STRAIN
 from anther.pollination import ObservedShake, Refinement
 from anther.pollination.decision import COSTS, believed
-from anther.pollination.escalation._foresight import FLOWER_SPREAD
 from anther.pollination.shake.observables import semi_major
 from anther.pollination.shake.pads import grip_rows, pad_nodes
 from anther.pollination.shake.search import flower_motion, gains
@@ -28,6 +27,10 @@ NINETY = 1.645
 SAME_PLACE, SAME_WAY, SAME_PITCH = 0.008, np.radians(5.0), 0.01
 """A grip is the same within half the pads' width [m], a direction within this angle [rad], a frequency within this
 share: the response is another one at other grips and within 40 % of frequency (measured on simulated plants)."""
+
+FLOWER_SPREAD = 0.65
+"""Standard deviation of ln(true over modelled amplitude) of a flower about its plant's mean, whatever the material
+(docs/reports/response.md)."""
 
 NOT_LINEAR = 0.05
 """Standard deviation of ln of how far a flower's gain changes when the shake grows: drag, wind, large bending."""

@@ -113,7 +113,7 @@ def through_views(views: Views) -> tuple[JointTrajectory, Array]:
         if dwell > 0:
             parts.append(JointTrajectory.standstill(motion.positions[-1], float(dwell)))
         now = arrivals[-1] + float(dwell)
-    return motions.joined(parts), np.array(arrivals)
+    return motions.join(parts), np.array(arrivals)
 
 
 def longest(flags: NDArray[np.bool_]) -> tuple[int, int]:

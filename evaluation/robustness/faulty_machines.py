@@ -5,11 +5,12 @@ from __future__ import annotations
 import os
 import signal
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
 
-from anther.core import Array, Intrinsics
+from anther.core import Array
 from anther.robot import (
     Arm,
     ArmRecord,
@@ -22,7 +23,7 @@ from anther.robot import (
     JointTrajectory,
     Robot,
 )
-from anther.robot.devices import More, Watch
+from anther.robot.devices import More, Proxy, Watch, wrap
 
 Kind = Literal[
     "command rejected",
@@ -81,29 +82,30 @@ def with_faults(robot: Robot, fault: Fault) -> Robot:
     """Return the machines, of which one has the fault. Put the guard round the result, not inside."""
     match fault.kind:
         case "gripper jam" | "gripper force stuck" | "gripper force missing" | "gripper holds nothing":
-            return replace(robot, gripper=FaultyGripper(robot.gripper, fault))
+            return wrap(robot, gripper=partial(FaultyGripper, fault=fault))
         case "frames lost":
-            side = robot.side_camera and FaultyCamera(robot.side_camera, fault)
-            return replace(robot, wrist_camera=FaultyCamera(robot.wrist_camera, fault), side_camera=side)
+            camera = partial(FaultyCamera, fault=fault)
+            return wrap(robot, wrist_camera=camera, side_camera=camera)
         case "frozen picture":
-            return replace(robot, side_camera=robot.side_camera and FaultyCamera(robot.side_camera, fault))
+            return wrap(robot, side_camera=partial(FaultyCamera, fault=fault))
         case _:
-            return replace(robot, arm=FaultyArm(robot.arm, fault))
+            return wrap(robot, arm=partial(FaultyArm, fault=fault))
 
 
-class FaultyArm:
+class FaultyArm(Proxy):
     """An arm with a fault in one of its motions."""
 
     def __init__(self, arm: Arm, fault: Fault) -> None:
-        self._arm, self._fault = arm, fault
+        super().__init__(arm)
+        self._fault = fault
         self._count = 0
         self._frozen: Array | None = None
         self._moves_most, self._rng = np.zeros(0, bool), np.random.default_rng(0)
-        self._felt: float | None = None
+        self._first_force: float | None = None
 
     def joints(self) -> Array:
         """Return the measured joints (J,) [rad]; stale ones are those of the moment they froze."""
-        return self._read(self._arm.joints())
+        return self._read(self._machine.joints())
 
     def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:
         """Follow, unless the fault says otherwise."""
@@ -111,7 +113,7 @@ class FaultyArm:
         self._count += 1
         if not fault.strikes(count):
             self._frozen = None
-            return self._arm.follow(trajectory, watch, more)
+            return self._machine.follow(trajectory, watch, more)
         if fault.kind == "command rejected":
             raise DeviceError("the arm rejected the command: it is not enabled.")
         if count > fault.at and fault.kind == "arm stops":
@@ -125,24 +127,20 @@ class FaultyArm:
             done, piece = sum(lengths[: fault.piece]), lengths[fault.piece : fault.piece + 1]
             return bool(piece) and passed >= done + fault.share * piece[0]
 
-        def disturbed(sample: ArmSample) -> None:
+        def disturb(sample: ArmSample) -> None:
             begun.append(sample.time)
             if due(sample.time - begun[0]) or count > fault.at:
                 sample = self._strike(sample)
             if watch:
                 watch(sample)
 
-        def onward() -> JointTrajectory | None:
+        def next_motion() -> JointTrajectory | None:
             assert more is not None
             following = more()
             lengths.extend([] if following is None else [following.duration])
             return following
 
-        return self._arm.follow(trajectory, disturbed, more and onward)
-
-    def hold(self) -> None:
-        """Stop and hold the present position."""
-        self._arm.hold()
+        return self._machine.follow(trajectory, disturb, more and next_motion)
 
     def _strike(self, sample: ArmSample) -> ArmSample:
         match self._fault.kind:
@@ -155,8 +153,8 @@ class FaultyArm:
             case "kill -9":
                 os.kill(os.getpid(), signal.SIGKILL)
             case "arm force lost":
-                self._felt = sample.force if self._felt is None else self._felt
-                lost = (np.nan, -sample.force, self._felt)[int(4 * self._fault.share) % 3]
+                self._first_force = sample.force if self._first_force is None else self._first_force
+                lost = (np.nan, -sample.force, self._first_force)[int(4 * self._fault.share) % 3]
                 return replace(sample, force=lost)
             case kind if kind in STALE:
                 self._frozen = sample.measured if self._frozen is None else self._frozen
@@ -172,29 +170,25 @@ class FaultyArm:
         return np.where(self._moves_most, told, joints) if self._fault.kind == "one joint stale" else told
 
 
-class FaultyGripper:
+class FaultyGripper(Proxy):
     """A gripper whose pads stay where they are in one of its moves, and say nothing of it; or that lies about force."""
 
     def __init__(self, gripper: Gripper, fault: Fault) -> None:
-        self._gripper, self._fault = gripper, fault
+        super().__init__(gripper)
+        self._fault = fault
         self._count = 0
-
-    @property
-    def stroke(self) -> float:
-        """Largest opening between the pads [m]."""
-        return self._gripper.stroke
 
     def move(self, opening: float) -> GripperState:
         """Move, or stay."""
         self._count += 1
         stays = self._fault.kind == "gripper jam" and self._fault.strikes(self._count - 1)
-        return self.state() if stays else self._told(self._gripper.move(opening))
+        return self.state() if stays else self._falsify(self._machine.move(opening))
 
     def state(self) -> GripperState:
         """Return the present state, or what is told of it."""
-        return self._told(self._gripper.state())
+        return self._falsify(self._machine.state())
 
-    def _told(self, state: GripperState) -> GripperState:
+    def _falsify(self, state: GripperState) -> GripperState:
         if not self._fault.strikes(self._count - 1):
             return state
         match self._fault.kind:
@@ -207,37 +201,28 @@ class FaultyGripper:
         return state
 
 
-class FaultyCamera:
+class FaultyCamera(Proxy):
     """A camera that loses frames: a read fails, and of a recording only a share comes back. Or one whose picture stands
     still from a look on, with new times."""
 
     def __init__(self, camera: Camera, fault: Fault) -> None:
-        self._camera, self._fault = camera, fault
+        super().__init__(camera)
+        self._fault = fault
         self._reads = self._recordings = self._looks = 0
         self._still: Frame | None = None
-
-    @property
-    def intrinsics(self) -> Intrinsics:
-        """Of every frame."""
-        return self._camera.intrinsics
-
-    @property
-    def rates(self) -> tuple[float, ...]:
-        """At which a recording may be begun [1/s]."""
-        return self._camera.rates
 
     def read(self) -> Frame:
         """Return a frame, or lose it."""
         self._reads += 1
         if self._fault.kind == "frames lost" and self._fault.strikes(self._reads - 1):
             raise DeviceError("the frame was lost on the cable.")
-        return self._seen(self._camera.read())
+        return self._freeze(self._machine.read())
 
     def start(self, rate: float) -> None:
         """Begin to record."""
         self._looks = 0
         self._still = self._still if self._fault.lasting else None
-        self._camera.start(rate)
+        self._machine.start(rate)
 
     def recorded(self, since: float) -> list[Frame]:
         """Return what was recorded so far, or lose it."""
@@ -246,17 +231,17 @@ class FaultyCamera:
         struck = self._fault.strikes(self._recordings) and (look == wanted or (self._fault.lasting and look > wanted))
         if struck and self._fault.kind == "frames lost":
             raise DeviceError("the frames were lost on the cable.")
-        frames = self._camera.recorded(since)
+        frames = self._machine.recorded(since)
         self._still = self._still or (frames[0] if struck else None)
-        return [self._seen(frame) for frame in frames]
+        return [self._freeze(frame) for frame in frames]
 
     def stop(self) -> list[Frame]:
         """Return the recording, or the first share of it."""
         self._recordings += 1
-        frames = [self._seen(frame) for frame in self._camera.stop()]
+        frames = [self._freeze(frame) for frame in self._machine.stop()]
         struck = self._fault.kind == "frames lost" and self._fault.strikes(self._recordings - 1)
         return frames[: int(self._fault.share * len(frames))] if struck else frames
 
-    def _seen(self, frame: Frame) -> Frame:
+    def _freeze(self, frame: Frame) -> Frame:
         still = self._still
         return frame if still is None or frame.time < still.time else replace(still, time=frame.time)

@@ -22,9 +22,9 @@ from anther.core import AntherError, Run
 from anther.perception import Capture
 from anther.pollination import ShakePlan, Trial, execute
 from anther.pollination.execution import EARLY, early_reach
-from anther.robot import CellFile, Robot, connected, guard, plan_views, read_cell
+from anther.robot import CellFile, Robot, connect_cell, guard, plan_views, read_cell
 from anther.robot.arm.views import Params as ViewParams
-from anther.robot.cells.hardware import look_around, motion_params
+from anther.robot.cells.hardware import capture_views, motion_params
 from evaluation.robustness.fault_machines import Pieces
 from evaluation.robustness.faults import planned
 
@@ -108,7 +108,7 @@ def _pollinate(mouth: Connection, folder: Path, base: Path, *, views: bool, agai
     """Connect, look around where asked for, execute the stored plan; tell each phase as it begins."""
     file, (planner, plan, _) = read_cell(folder / "cell.toml"), planned(base)
     limits = file.safety_limits()
-    with connected(file) as bare:
+    with connect_cell(file) as bare:
         if again:
             _enable(bare)
         robot = guard(bare, limits)
@@ -142,7 +142,7 @@ def _seen(file: CellFile, robot: Robot, advance: Any) -> Capture:
     planned_views = plan_views(
         file.region, boxes, few, start=start, T_flange_cam=file.T_flange_cam, motion=motion, arm=file.model
     )
-    return look_around(robot, planned_views, file.T_flange_cam, advance, file.model)
+    return capture_views(robot, planned_views, file.T_flange_cam, advance, file.model)
 
 
 def _enable(robot: Robot) -> None:

@@ -15,7 +15,7 @@ from anther.plant import PEPPER, TOMATO, Crop, Material, Visit
 from anther.pollination import Done, Params, Seen, ShakePlan, arm_shaker, execute, model_plant, plan_shake, pollinate
 from anther.pollination.execution import EARLY
 from anther.robot import MotionPlanner, Planner
-from anther.robot.arm.arms import in_simulated_cell
+from anther.robot.arm.arms import simulated_arm
 from anther.show import summarise
 from anther.sim import NOMINAL, SimulatedCell, Truth, build, draw
 from anther.sim.judge import judge
@@ -60,7 +60,7 @@ class Case:
 
     def build(self) -> SimulatedCell:
         """Return the case's cell."""
-        truth, arm = truth_of(self.truth, self.seed), in_simulated_cell(self.arm)
+        truth, arm = truth_of(self.truth, self.seed), simulated_arm(self.arm)
         return build(self.species, self.seed, self.viewpoint, PRESETS[self.preset], truth=truth, arm=arm)
 
 

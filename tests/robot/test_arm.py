@@ -93,13 +93,13 @@ def test_a_motion_too_fast_for_flange_or_joints_is_slowed_evenly_and_no_other():
     rate = 30 * t**2 - 60 * t**3 + 30 * t**4
     motion = JointTrajectory(t, sawyer.NEUTRAL + share[:, None] * way, rate[:, None] * way)
     speed = motions.flange_speed(sawyer.SAWYER, motion)
-    calm = motions.slowed(sawyer.SAWYER, motion, 0.5 * speed)
+    calm = motions.slow_down(sawyer.SAWYER, motion, 0.5 * speed)
     assert motions.flange_speed(sawyer.SAWYER, calm) == pytest.approx(0.5 * speed, rel=1e-6)
     assert calm.duration == pytest.approx(2 * motion.duration)
     np.testing.assert_array_equal(calm.positions, motion.positions)
-    assert motions.slowed(sawyer.SAWYER, motion, 2 * speed).duration == pytest.approx(motion.duration)
+    assert motions.slow_down(sawyer.SAWYER, motion, 2 * speed).duration == pytest.approx(motion.duration)
     hasty = JointTrajectory(t / 4, motion.positions, 4 * motion.velocities)
-    slow = motions.slowed(sawyer.SAWYER, hasty, 100.0)
+    slow = motions.slow_down(sawyer.SAWYER, hasty, 100.0)
     acceleration = CubicHermiteSpline(slow.times, slow.positions, slow.velocities)(slow.times, 2)
     assert 0.9 < np.abs(acceleration / sawyer.ACCELERATION).max() <= 1
 
@@ -268,7 +268,7 @@ def test_move_draws_back_farther_where_the_nearest_free_place_is_shut_in(monkeyp
     leaf = GRASP[:3, 3] + [0.02, 0.05, 0] + np.random.default_rng(0).uniform(-0.02, 0.02, (200, 3))
     planner = Planner(leaf, NOTHING)
     at_grasp, around = planner.reach(PREGRASP, GRASP), planner._free_motion
-    near = planner._backed_out(at_grasp)[0]
+    near = planner._back_out(at_grasp)[0]
 
     def shut_in(start, goal):
         if np.linalg.norm(sawyer.forward(start)[:3, 3] - sawyer.forward(near)[:3, 3]) < pocket:
@@ -404,7 +404,7 @@ def test_joined_motions_follow_each_other():
     path = np.linspace(sawyer.NEUTRAL, sawyer.NEUTRAL + 0.1, 9)
     there = motions.along_line(sawyer.SAWYER, path, 0.1, 0.05)
     back = motions.along_line(sawyer.SAWYER, path[::-1], 0.1, 0.05)
-    both = motions.joined([there, back])
+    both = motions.join([there, back])
     assert both.duration == pytest.approx(there.duration + back.duration)
     np.testing.assert_allclose(both.positions[[0, -1]], [path[0], path[0]], atol=1e-9)
     assert_within_limits(both)

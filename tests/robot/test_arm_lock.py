@@ -13,17 +13,17 @@ from pathlib import Path
 import pytest
 from made_arm import CELL
 
-from anther.robot.cells import _lock, kept_open, owned, read_cell
+from anther.robot.cells import _lock, own_arm, own_cell, read_cell
 from anther.robot.cells._lock import addresses
 from anther.robot.devices import DeviceError
 
 HOLDS = """
 import encodings.idna, os, sys, time
 from pathlib import Path
-from anther.robot.cells import owned
+from anther.robot.cells import own_arm
 if len(sys.argv) > 2:
     os.setgid(int(sys.argv[2])), os.setuid(int(sys.argv[2]))
-with owned("192.168.1.20", Path(sys.argv[1])):
+with own_arm("192.168.1.20", Path(sys.argv[1])):
     print("owned", flush=True)
     time.sleep(60)
 """
@@ -52,10 +52,10 @@ def folder(tmp_path: Path) -> Path:
 def test_two_processes_cannot_own_one_arm_whatever_their_environment_says(folder: Path) -> None:
     with held_elsewhere(folder, TMPDIR=str(folder / "other"), HOME="/") as number:
         with pytest.raises(DeviceError, match=f"commanded by another process, number {number}"):
-            owned("192.168.1.20", folder).__enter__()
-        with owned("192.168.1.21", folder):
+            own_arm("192.168.1.20", folder).__enter__()
+        with own_arm("192.168.1.21", folder):
             pass
-    with owned("192.168.1.20", folder):
+    with own_arm("192.168.1.20", folder):
         pass
 
 
@@ -114,11 +114,11 @@ def test_this_machine_is_one_by_each_of_its_addresses() -> None:
 
 
 def test_who_shares_one_of_several_addresses_is_another_owner(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_lock, "_resolved", lambda host: {"10.0.0.1", "192.168.1.20"} if host == "robot" else {host})
+    monkeypatch.setattr(_lock, "_resolve", lambda host: {"10.0.0.1", "192.168.1.20"} if host == "robot" else {host})
     with held_elsewhere(folder):
         with pytest.raises(DeviceError, match=r"the arm 192\.168\.1\.20 is commanded"):
-            owned("robot", folder).__enter__()
-        with owned("10.0.0.1", folder):  # it was let go again
+            own_arm("robot", folder).__enter__()
+        with own_arm("10.0.0.1", folder):  # it was let go again
             pass
 
 
@@ -128,8 +128,8 @@ def test_a_cells_arm_is_owned_by_its_address_whatever_its_driver(tmp_path: Path)
     (tmp_path / "my_arm2.py").write_text(CELL.with_name("my_arm.py").read_text())
     other = CELL.read_text().replace("my_arm:MyArm", "my_arm2:MyArm").replace('"192.168.1.30" ', '"192.168.1.30/"')
     (tmp_path / "second.toml").write_text(other)
-    with kept_open(read_cell(CELL)), pytest.raises(DeviceError, match="commanded by another process"):
-        kept_open(read_cell(tmp_path / "second.toml")).__enter__()
+    with own_cell(read_cell(CELL)), pytest.raises(DeviceError, match="commanded by another process"):
+        own_cell(read_cell(tmp_path / "second.toml")).__enter__()
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
@@ -137,7 +137,7 @@ def test_a_lock_that_is_free_can_be_taken_by_every_user(folder: Path) -> None:
     """Whoever made it, with whatever umask; the folder is like /tmp."""
     umask = os.umask(0o077)
     try:
-        with owned("192.168.1.20", folder):
+        with own_arm("192.168.1.20", folder):
             pass
     finally:
         os.umask(umask)
@@ -148,7 +148,7 @@ def test_a_lock_that_is_free_can_be_taken_by_every_user(folder: Path) -> None:
         held_elsewhere(folder, 65534) as number,
         pytest.raises(DeviceError, match=f"number {number}"),
     ):
-        owned("192.168.1.20", folder).__enter__()
+        own_arm("192.168.1.20", folder).__enter__()
 
 
 @pytest.mark.parametrize("make", ["symlink_to", "hardlink_to", "mkdir", "fifo"])
@@ -160,12 +160,12 @@ def test_nothing_but_a_lock_is_written_to(folder: Path, make: str) -> None:
     else:
         getattr(lock, make)(*([] if make == "mkdir" else [victim]))
     with pytest.raises(DeviceError, match=r"the lock .*anther-192\.168\.1\.20\.lock .*Remove it"):
-        owned("192.168.1.20", folder).__enter__()
+        own_arm("192.168.1.20", folder).__enter__()
     assert victim.read_text() == "keep me"
 
 
 def test_a_lock_that_was_removed_while_it_was_taken_is_none(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    opened, handles = _lock._opened, list[int]()
+    opened, handles = _lock._open, list[int]()
 
     def removed_once(path: Path) -> int:
         handles.append(opened(path))
@@ -173,7 +173,7 @@ def test_a_lock_that_was_removed_while_it_was_taken_is_none(folder: Path, monkey
             path.unlink()
         return handles[-1]
 
-    monkeypatch.setattr(_lock, "_opened", removed_once)
-    with owned("192.168.1.20", folder):
+    monkeypatch.setattr(_lock, "_open", removed_once)
+    with own_arm("192.168.1.20", folder):
         assert next(folder.glob("*.lock")).read_text() == str(os.getpid())
     assert len(handles) == 2

@@ -20,10 +20,10 @@ from anther.core.geometry import Array, Box, transform
 from anther.robot.arm import _kinematics
 from anther.robot.arm import _motions as motions
 from anther.robot.arm._collision import CollisionWorld
-from anther.robot.arm.arms import in_simulated_cell, named
+from anther.robot.arm.arms import find_arm, simulated_arm
 from anther.robot.arm.model import ArmModel
 from anther.robot.arm.planner import SHAKE_SHARE, Planner
-from anther.robot.arm.urdf import capsules_around, from_urdf
+from anther.robot.arm.urdf import fit_capsules, from_urdf
 from anther.robot.arm.views import Params as ViewParams
 from anther.robot.arm.views import capture_time, plan_views
 from anther.robot.cells._parts import arm_of_urdf
@@ -38,12 +38,12 @@ NOTHING = np.zeros((0, 3))
 
 @pytest.fixture(params=[*SHIPPED, "six"], scope="module")
 def arm(request: pytest.FixtureRequest) -> ArmModel:
-    return six() if request.param == "six" else in_simulated_cell(request.param)
+    return six() if request.param == "six" else simulated_arm(request.param)
 
 
 @pytest.fixture(params=SHIPPED, scope="module")
 def shipped(request: pytest.FixtureRequest) -> ArmModel:
-    return in_simulated_cell(request.param)
+    return simulated_arm(request.param)
 
 
 def postures(arm: ArmModel, count: int) -> Array:
@@ -80,7 +80,7 @@ def plain_urdf(name: str) -> str:
 @pytest.mark.parametrize(("name", "tip"), [("ur5e", "wrist_3_link"), ("fr3", "fr3_link8")])
 def test_a_shipped_arm_s_kinematics_are_pinocchio_s(name: str, tip: str) -> None:
     """Pinocchio reads the file itself. Joints that it has besides are of the arm's own gripper."""
-    arm, model = named(name), pin.buildModelFromXML(plain_urdf(name))  # type: ignore[attr-defined]
+    arm, model = find_arm(name), pin.buildModelFromXML(plain_urdf(name))  # type: ignore[attr-defined]
     data, at = model.createData(), [model.joints[model.getJointId(joint)].idx_q for joint in arm.joints]
     for q in postures(arm, 20):
         whole = np.zeros(model.nq)
@@ -91,7 +91,7 @@ def test_a_shipped_arm_s_kinematics_are_pinocchio_s(name: str, tip: str) -> None
 
 def test_the_xarm7_is_where_its_maker_says_with_all_joints_at_zero() -> None:
     """UFACTORY's manual: the flange looks down at x = 206, z = 120.5 mm."""
-    arm = named("xarm7")
+    arm = find_arm("xarm7")
     np.testing.assert_allclose(arm.forward(np.zeros(7)), transform(np.diag([1, -1, -1]), [0.206, 0, 0.1205]), atol=1e-9)
     assert sum(link.mass for link in arm.links) == pytest.approx(10.43, abs=0.01)
 
@@ -147,7 +147,7 @@ def test_capsules_hold_all_points_and_little_else() -> None:
     bar = rng.uniform([-0.02, -0.02, 0], [0.02, 0.02, 0.4], (3000, 3))
     bent = np.concatenate([bar, bar[:, [2, 1, 0]]])
     for points, most in ((bar, 1), (bent, 3)):
-        capsules = capsules_around(points)
+        capsules = fit_capsules(points)
         assert len(capsules) <= most
         inside = np.zeros(len(points), dtype=bool)
         for c in capsules:
@@ -195,7 +195,7 @@ def test_every_arm_takes_a_stem_and_shakes_it_as_far_as_it_says(shipped: ArmMode
 
 
 def test_a_higher_mount_lifts_all_of_an_arm() -> None:
-    low, high = six(), six().raised(0.2)
+    low, high = six(), six().on_mount(0.2)
     q = postures(low, 5)
     np.testing.assert_allclose(high.link_poses(q)[..., 2, 3], low.link_poses(q)[..., 2, 3] + 0.2)
     assert high.base_capsules[0].start[2] == pytest.approx(low.base_capsules[0].start[2] + 0.2)
@@ -241,7 +241,7 @@ def test_what_is_no_arm_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="within its range"):
         from_urdf("it", path, base="foot", tip="l5", acceleration=1.0, ready=(3.0, *ready[1:]))
     with pytest.raises(InputError, match="sawyer, ur5e"):
-        named("robby")
+        find_arm("robby")
 
 
 def test_only_the_sawyer_s_description_has_seven_joints() -> None:
@@ -257,7 +257,7 @@ def test_only_the_sawyer_s_description_has_seven_joints() -> None:
 
 def test_an_arm_turns_no_faster_than_it_may_near_the_end_of_its_range() -> None:
     """A Franka ends a motion that does; in the middle of the range it is as quick as any."""
-    arm = in_simulated_cell("fr3")
+    arm = simulated_arm("fr3")
     planner = Planner(NOTHING, NOTHING, [], arm=arm)
     q, shares = arm.ready, []
     for end in (q[3] + 0.5, arm.upper[3] - 0.02):
@@ -272,5 +272,5 @@ def test_an_arm_turns_no_faster_than_it_may_near_the_end_of_its_range() -> None:
     assert max(shares) <= 1
     assert np.all(arm.speed_limit(arm.upper) == 0)
     assert np.all(arm.speed_limit(0.5 * (arm.lower + arm.upper)) > 1.0)
-    sawyer = in_simulated_cell("sawyer")
+    sawyer = simulated_arm("sawyer")
     assert np.array_equal(sawyer.speed_limit(sawyer.upper), sawyer.velocity)

@@ -31,7 +31,7 @@ from anther.robot.calibration import (
     calibrate,
 )
 from anther.robot.calibration._hand_eye import METHODS, closed_form
-from anther.robot.calibration._refinement import Noise, Problem, _adjusted, _moved, refine, view_distances
+from anther.robot.calibration._refinement import Noise, Problem, _adjust_intrinsics, _apply_step, refine, view_distances
 from anther.robot.calibration._views import motion_warnings
 
 
@@ -165,7 +165,7 @@ def test_derivatives_are_those_of_the_residuals() -> None:
     X, Z = T_FLANGE_CAM @ small_transform([0.01, 0.02, 0], [0, 0.001, 0]), T_BASE_BOARD
 
     def cost(x: np.ndarray) -> float:
-        return float(np.sum(problem.residuals(_moved(X, x[:6]), _moved(Z, x[6:])) ** 2))
+        return float(np.sum(problem.residuals(_apply_step(X, x[:6]), _apply_step(Z, x[6:])) ** 2))
 
     slope = approx_fprime(np.zeros(12), cost, 1e-8)
     assert -2 * problem.sums(X, Z).Fr.sum(axis=0) == pytest.approx(slope, rel=1e-3, abs=1e-3 * np.abs(slope).max())
@@ -177,7 +177,7 @@ def test_derivatives_after_the_intrinsics() -> None:
     problem = Problem.of(flange, views_of(board, rng, 1.0), CAMERA, free_intrinsics=True)
 
     def cost(x: np.ndarray) -> float:
-        return float(np.sum(problem.at(_adjusted(CAMERA, x)).residuals(T_FLANGE_CAM, T_BASE_BOARD) ** 2))
+        return float(np.sum(problem.at(_adjust_intrinsics(CAMERA, x)).residuals(T_FLANGE_CAM, T_BASE_BOARD) ** 2))
 
     slope = approx_fprime(np.zeros(4), cost, 1e-8)
     found = -2 * problem.sums(T_FLANGE_CAM, T_BASE_BOARD).Fr.sum(axis=0)[12:]

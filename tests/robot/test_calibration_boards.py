@@ -26,7 +26,7 @@ from anther.robot.calibration import (
     parse_board,
     read_intrinsics,
     read_poses,
-    undistorted,
+    undistort,
 )
 
 
@@ -128,9 +128,9 @@ def test_intrinsics_are_estimated_and_distortion_only_where_there_is_some() -> N
     camera, distortion = estimate_intrinsics(bent_corners, 1280, 720)
     assert distortion[0] == pytest.approx(lens[0], abs=0.02)
     assert largest_distortion(CAMERA, lens) > 5
-    straight = undistorted(bent_corners, CAMERA, lens)
+    straight = undistort(bent_corners, CAMERA, lens)
     assert max(np.abs(a - b).max() for a, b in zip(straight.pixels, corners.pixels, strict=True)) < 0.05
-    result = calibrate(flange, board_views(undistorted(bent_corners, camera, distortion), camera), camera)
+    result = calibrate(flange, board_views(undistort(bent_corners, camera, distortion), camera), camera)
     rotation, translation = errors(result.T_flange_cam)
     assert rotation < 0.2  # a principal point that is off by 1 px turns the camera by 0.09 deg
     assert translation < 1

@@ -23,7 +23,7 @@ from anther.robot.devices import DeviceError, Frame
 from anther.robot.drivers import free_running
 from anther.robot.drivers import realsense as driver
 from anther.robot.drivers.free_running import FreeRunningCamera
-from anther.robot.drivers.realsense import RealSense, load_sdk, open_realsense, played
+from anther.robot.drivers.realsense import RealSense, load_sdk, open_realsense, open_recording
 from anther.robot.drivers.uvc import Uvc, open_uvc
 
 DEPTH_CAMERA, COLOR_CAMERA = (
@@ -259,7 +259,7 @@ def test_a_preset_is_chosen_by_its_name(rs: Any) -> None:
 @pytest.mark.slow
 def test_a_recording_is_played_as_a_camera(rs: Any, tmp_path: Path) -> None:
     made_realsense.record(rs, tmp_path / "a.db3", frames=120)  # 4 s: the reads of a busy machine come before the end
-    camera = FreeRunningCamera(RealSense(devices=played(str(tmp_path / "a.db3"))), warm_up=1)
+    camera = FreeRunningCamera(RealSense(devices=open_recording(str(tmp_path / "a.db3"))), warm_up=1)
     with camera:
         frames = [camera.read() for _ in range(5)]
         until(lambda: "no frame in" in refused(camera), 30)

@@ -18,7 +18,7 @@ from made_arm import CELL
 from anther.cli.main import main
 from anther.core.errors import AntherError, InputError
 from anther.robot.arm import sawyer
-from anther.robot.arm.arms import named
+from anther.robot.arm.arms import find_arm
 from anther.robot.cells import CellFile, _parts, read_cell
 from anther.robot.drivers import sawyer_ros1
 
@@ -60,7 +60,7 @@ def test_a_cell_file_says_what_stands_where_and_what_it_may(write: Write) -> Non
 
 def test_a_cell_file_may_name_another_arm(write: Write) -> None:
     cell = read_cell(write(('mode = "trajectory"', 'mode = "trajectory"\nmodel = "ur5e"')))
-    assert cell.model is named("ur5e")
+    assert cell.model is find_arm("ur5e")
     assert cell.safety_limits().joint_speed == pytest.approx(0.3 * cell.model.velocity)
     assert cell.safety_limits().outline(np.zeros((2, 6))).shape[0] == 2
 
@@ -120,7 +120,7 @@ def test_an_own_driver_is_told_only_what_it_takes(write: Write) -> None:
 def test_an_arm_that_anther_never_saw_is_a_urdf_and_a_driver_of_under_sixty_lines(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """`tests/robot/test_devices.py` puts that driver through the conformance test."""
+    """`test_devices.py` puts that driver through the checks of `anther.robot.testing`."""
     cell = read_cell(CELL)
     assert (cell.model.name, cell.model.count, cell.model.floor) == ("my_arm", 6, -0.9)
     assert cell.safety_limits().joint_acceleration == pytest.approx(0.1 * np.full(6, 8.0))

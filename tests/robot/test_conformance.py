@@ -42,6 +42,7 @@ from anther.robot.testing import (
     check_impossible_opening,
     check_missing_grip_force,
     check_motion,
+    check_refusal,
     check_stale_readings,
 )
 
@@ -77,7 +78,8 @@ def sawyers() -> Iterator[ArmRig]:
     master = FakeMaster()
     with closing(FakeSawyer(master.uri, clock=clock, sleep=sleep)) as robot:
         connect = lambda: test_sawyer_ros1.connected(master.uri, mode="trajectory")  # noqa: E731
-        yield rig_of(robot, connect, sawyer.ACCELERATION, faults={"force lost": setting(robot, "numb", True)})
+        faults = {"force lost": setting(robot, "numb", True), "stop": setting(robot, "pressed", True)}
+        yield rig_of(robot, connect, sawyer.ACCELERATION, faults=faults)
     master.stop()
 
 
@@ -90,12 +92,14 @@ def ros2s() -> Iterator[ArmRig]:
 
 def urs() -> Iterator[ArmRig]:
     with closing(FakeUR(clock=clock, sleep=sleep)) as robot:
-        yield rig_of(robot, lambda: fake_ur.connected(robot), fake_ur.MODEL.acceleration, notice=0.25)
+        faults = {"stop": setting(robot, "pressed", True)}
+        yield rig_of(robot, lambda: fake_ur.connected(robot), fake_ur.MODEL.acceleration, notice=0.25, faults=faults)
 
 
 def frankas() -> Iterator[ArmRig]:
     with closing(FakeFranka()) as robot:
         late = setting(robot, "lag", 1.0)
+        stop = lambda: robot.reflex("", fake_franka.RobotMode.UserStopped)  # noqa: E731
         yield rig_of(
             robot,
             lambda: fake_franka.connected(robot),
@@ -103,7 +107,7 @@ def frankas() -> Iterator[ArmRig]:
             clock=robot.clock,
             sleep=robot.sleep,
             commands=lambda: len(robot.calls),
-            faults={"silence": setting(robot, "lag", 0.2), "clock jump": late},
+            faults={"silence": setting(robot, "lag", 0.2), "clock jump": late, "stop": stop},
         )
 
 
@@ -210,10 +214,22 @@ class Generous(FakeGripper):
             ),
             "got no error; allowed: DeviceError",
         ),
+        (
+            check_refusal,
+            ArmRig(
+                FakeArm,
+                time.time,
+                lambda s: None,
+                sawyer.ACCELERATION,
+                commands=lambda: 0,
+                faults={"stop": lambda: None},
+            ),
+            "follow, where the machine stops: got no error; allowed: DeviceError",
+        ),
         (check_impossible_opening, GripperRig(Generous), "got no error"),
         (check_missing_grip_force, GripperRig(Generous, lose_force=lambda: None), "allowed: NaN"),
     ],
-    ids=["dishonest", "stale", "generous", "no force"],
+    ids=["dishonest", "stale", "unstoppable", "generous", "no force"],
 )
 def test_a_driver_that_breaks_a_promise_is_caught(check: Callable[[Any], None], rig: Any, message: str) -> None:
     with pytest.raises(AssertionError, match=message):

@@ -41,7 +41,7 @@ from anther.robot.testing import (
     check_recording,
     check_watcher_error,
 )
-from anther.show.log._machines import heard
+from anther.show.log._machines import log_machines
 from anther.sim.cell import Cell
 from anther.sim.robot import robot_of
 from evaluation.perception.replay_camera import ReplayCamera
@@ -61,7 +61,7 @@ def guarded() -> Robot:
 
 
 def logged() -> Robot:
-    return heard(fake_robot(), lambda what, value, when=None: None, lambda: None)
+    return log_machines(fake_robot(), lambda what, value, when=None: None, lambda: None)
 
 
 def not_yet_faulty() -> Robot:

@@ -281,7 +281,7 @@ def test_the_robots_own_reasons_end_a_motion_and_refuse_the_next(
     with pytest.raises(DeviceError, match=message):
         arm.follow(far(arm, 0.01))
     assert fr3.calls == ["start"]
-    assert any(line.startswith("cannot move: ") for line in arm.seen())
+    assert any(line.startswith("cannot move: ") for line in arm.describe())
 
 
 def test_a_person_enables_it_after_a_reflex(arm: Franka, fr3: FakeFranka) -> None:
@@ -296,7 +296,7 @@ def test_a_person_enables_it_after_a_reflex(arm: Franka, fr3: FakeFranka) -> Non
     fr3.recovered, before = True, fr3.aim.copy()
     arm.enable()
     assert fr3.aim == pytest.approx(before)
-    assert "ready to move" in arm.seen()
+    assert "ready to move" in arm.describe()
     arm.follow(far(arm, 0.02))
 
 

@@ -19,7 +19,7 @@ from served_franka import NO_SERVER, Controller, has_server
 from slow_clock import AGAIN_IF_HELD_UP
 from small_planner import SmallPlanner
 
-from anther.robot.arm.arms import named
+from anther.robot.arm.arms import find_arm
 from anther.robot.devices import ArmSample, DeviceError
 from anther.robot.drivers.franka import Franka
 
@@ -29,7 +29,7 @@ pytest.importorskip("pylibfranka", reason="no pylibfranka; run: pip install 'ant
 if not has_server():
     pytest.skip(NO_SERVER, allow_module_level=True)
 pytestmark = AGAIN_IF_HELD_UP
-FR3 = named("fr3")
+FR3 = find_arm("fr3")
 HOST = f"127.0.2.{1 + os.getpid() % 250}"  # libfranka's port is always the same
 
 
@@ -84,7 +84,7 @@ def server(tmp_path: Path) -> Iterator[Server]:
 @pytest.mark.slow
 def test_it_moves_within_the_limits_that_the_simulator_enforces(server: Server) -> None:
     with closing(server.connected()) as arm:
-        assert "ready to move" in arm.seen()
+        assert "ready to move" in arm.describe()
         for way in (0.1, -0.1):
             path = SmallPlanner(FR3).move(arm.joints(), arm.joints() + way)
             record = arm.follow(path)
@@ -100,15 +100,15 @@ def test_it_moves_within_the_limits_that_the_simulator_enforces(server: Server) 
 
         with pytest.raises(DeviceError, match="enough"):
             arm.follow(SmallPlanner(FR3).move(arm.joints(), arm.joints() + 0.2), enough)
-        assert "ready to move" in arm.seen()
+        assert "ready to move" in arm.describe()
 
 
 MOVES = f"""
 import sys; sys.path[:0] = [{str(HERE)!r}, {str(HERE / "cells")!r}]
 from served import franka
 from small_planner import SmallPlanner
-from anther.robot.arm.arms import named
-fr3 = named("fr3")
+from anther.robot.arm.arms import find_arm
+fr3 = find_arm("fr3")
 arm = franka(sys.argv[1], world=sys.argv[2], arm_model=fr3)
 path = SmallPlanner(fr3).move(arm.joints(), arm.joints() + 0.17)
 print("ready", flush=True)

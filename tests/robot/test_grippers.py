@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from anther.core.errors import InputError
 from anther.core.geometry import Box, transform, transform_points
 from anther.robot.arm import ArmName
-from anther.robot.arm.arms import named
+from anther.robot.arm.arms import find_arm
 from anther.robot.arm.gripper_shape import WRIST, GripperShape
 from anther.robot.arm.grippers import PRESETS, GripperSize, with_camera
 from anther.robot.arm.model import outline
@@ -152,7 +152,7 @@ def test_a_camera_about_where_the_tool_has_it_keeps_its_outline() -> None:
 
 @pytest.mark.parametrize("name", get_args(ArmName))
 def test_another_tool_leaves_the_arm_as_it_was(name: ArmName) -> None:
-    arm = named(name)
+    arm = find_arm(name)
     other = arm.with_tool(PRESETS["robotiq-2f-85"].on(arm.tool))
     assert np.array_equal(other.forward(arm.ready), arm.forward(arm.ready))
     assert (other.reach, other.tool.stroke) == (arm.reach, 0.085)
@@ -165,7 +165,7 @@ def test_another_tool_leaves_the_arm_as_it_was(name: ArmName) -> None:
 
 @pytest.mark.parametrize("name", get_args(ArmName))
 def test_a_kept_arm_is_read_as_it_was(tmp_path: Path, name: ArmName) -> None:
-    arm = named(name)
+    arm = find_arm(name)
     save_arm(tmp_path / "arm.json", arm, [Box(np.zeros(3), np.ones(3))])
     read, boxes = load_arm(tmp_path / "arm.json")
     before, after = asdict(arm), asdict(read)

@@ -30,7 +30,7 @@ from anther.robot.calibration import (
     Moved,
     board_views,
     calibrate,
-    camera_moved,
+    find_movement,
     flange_motions,
 )
 from anther.robot.calibration.live import (
@@ -39,10 +39,10 @@ from anther.robot.calibration.live import (
     candidates,
     is_steady,
     lacks,
+    read_earlier_views,
     read_record,
     sees_board,
     spread,
-    taken_before,
 )  # fmt: skip
 from anther.robot.cells import read_cell
 from anther.robot.cells.rewriting import point_to_calibration
@@ -124,7 +124,7 @@ def test_the_views_cover_image_tilt_and_turns(calibrated: Path) -> None:
     assert motions.second > np.deg2rad(30)
     assert np.rad2deg(np.arccos(np.abs(record.T_cam_board[:, 2, 2]))).max() > 30
     taken = taken_again(calibrated)
-    assert taken.covered() >= 0.4
+    assert taken.coverage() >= 0.4
 
 
 def taken_again(calibrated: Path) -> Taken:
@@ -132,7 +132,7 @@ def taken_again(calibrated: Path) -> Taken:
     other = folder.parent / "again"
     shutil.copytree(folder, other, dirs_exist_ok=True)
     (other / "calibration.json").unlink(missing_ok=True)
-    taken = taken_before(other, BOARD)
+    taken = read_earlier_views(other, BOARD)
     assert taken is not None
     return taken
 
@@ -231,7 +231,7 @@ def morning(case: tuple[HandEye, Array, Array, Array], seed: int, D: Array, E: A
     rng = np.random.default_rng([seed, 7])
     places = spread(inverse(T_cam_board), 4, int(rng.integers(len(true))), CENTRE, CAMERA)
     today = seen_from(jitter(true[places], rng, *REPEATS), rng, TRUE_FLANGE_CAM @ D, T_BASE_BOARD @ E)
-    return camera_moved(found, (reported[places], T_cam_board[places]), reported[places], today, CAMERA, CENTRE)
+    return find_movement(found, (reported[places], T_cam_board[places]), reported[places], today, CAMERA, CENTRE)
 
 
 def step(seed: int, degrees: float, metres: float) -> Array:
@@ -388,7 +388,7 @@ def test_an_interrupt_holds_the_arm_and_loses_no_view(tmp_path: Path, monkeypatc
         gather(eye, taken, Asking(True))
     assert arm.held >= 1
     assert len(taken) == 5  # two motions for each but the first
-    again = taken_before(tmp_path / "calib", BOARD)
+    again = read_earlier_views(tmp_path / "calib", BOARD)
     assert again is not None
     assert again.names == taken.names
     assert again.flange == pytest.approx(taken.flange, abs=1e-6)
@@ -514,13 +514,13 @@ def test_a_finished_or_other_folder_is_not_gone_on_with(copied: Path, capsys) ->
     assert "a finished calibration" in capsys.readouterr().err
     (copied / "calib" / "calibration.json").unlink()
     with pytest.raises(InputError, match="as in"):
-        taken_before(copied / "calib", "charuco:7x5:31mm:22mm")
+        read_earlier_views(copied / "calib", "charuco:7x5:31mm:22mm")
     (copied / "calib" / "view_02.png").write_bytes(b"")
     with pytest.raises(InputError, match=r"view_02.png"):
-        taken_before(copied / "calib", BOARD)
+        read_earlier_views(copied / "calib", BOARD)
     (copied / "calib" / "views.json").write_text('{"kind": "calibration-views", "schema": 1, "board": 7}')
     with pytest.raises(InputError, match=r"views.json"):
-        taken_before(copied / "calib", BOARD)
+        read_earlier_views(copied / "calib", BOARD)
 
 
 # ---- the cell file

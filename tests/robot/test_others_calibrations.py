@@ -31,10 +31,10 @@ from anther.robot.calibration import (
     HandEye,
     board_views,
     calibrate,
-    calibrate_beside,
+    calibrate_eye_to_hand,
     find_corners,
     read_intrinsics,
-    undistorted,
+    undistort,
 )
 
 RATIONAL = np.array([0.9, 0.05, 3e-4, -4e-4, 0.001, 1.25, 0.2, 0.01])
@@ -65,7 +65,7 @@ def test_all_numbers_of_a_lens_are_used(tmp_path: Path, stated: dict[str, object
     path.write_text(json.dumps(PLAIN | stated))
     intrinsics, lens = read_intrinsics(path)
     flange, board = poses(10, np.random.default_rng(0))
-    straight = undistorted(through(RATIONAL, board), intrinsics, lens)
+    straight = undistort(through(RATIONAL, board), intrinsics, lens)
     found = calibrate(flange, board_views(straight, intrinsics), intrinsics, distortion=lens)
     assert max(errors(found.T_flange_cam)) < 0.02
     found.save(tmp_path / "calibration.json")
@@ -98,7 +98,7 @@ def test_a_lens_that_is_not_understood_is_refused(tmp_path: Path, stated: dict[s
 def test_a_lens_that_cannot_be_undone_is_refused() -> None:
     _, board = poses(4, np.random.default_rng(0))
     with pytest.raises(InputError, match="cannot be undone"):
-        undistorted(through(np.zeros(5), board), CAMERA, np.array([-3.0, 0, 0, 0, 0]))
+        undistort(through(np.zeros(5), board), CAMERA, np.array([-3.0, 0, 0, 0, 0]))
 
 
 def test_the_pixel_centres_of_a_transforms_json_are_half_integers(tmp_path: Path) -> None:
@@ -155,7 +155,7 @@ def beside(count: int, rng: np.random.Generator) -> tuple[Array, Array]:
 def test_a_camera_beside_the_robot_is_found(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     flange, board = beside(15, rng)
-    found = calibrate_beside(jitter(flange, rng, 0.02, 0.0002), views_of(board, rng, 0.1), CAMERA)
+    found = calibrate_eye_to_hand(jitter(flange, rng, 0.02, 0.0002), views_of(board, rng, 0.1), CAMERA)
     assert max(errors(found.T_base_cam, T_BASE_CAM)) < 0.5
     assert max(errors(found.T_flange_board, T_FLANGE_BOARD)) < 0.5
     path = tmp_path / "calibration.json"
@@ -173,7 +173,7 @@ def test_the_arm_errors_of_a_camera_beside_the_robot_are_the_flanges() -> None:
         noise = np.stack(
             [small_transform(np.deg2rad(0.1) * rng.normal(size=3), 0.001 * rng.normal(size=3)) for _ in flange]
         )
-        found = calibrate_beside(flange @ noise, views_of(board, rng, 0.1), CAMERA).exchanged
+        found = calibrate_eye_to_hand(flange @ noise, views_of(board, rng, 0.1), CAMERA).exchanged
         told.append([np.rad2deg(found.arm_rotation_error), 1e3 * found.arm_translation_error])
     assert np.median(told, axis=0) == pytest.approx([0.1, 1.0], rel=0.4)
 
@@ -187,7 +187,7 @@ def test_the_other_place_of_the_camera_is_named() -> None:
     flange, board = poses(12, rng)
     views = views_of(board, rng)
     with pytest.raises(InputError, match="leave out --eye-to-hand"):
-        calibrate_beside(flange, views, CAMERA)
+        calibrate_eye_to_hand(flange, views, CAMERA)
     with pytest.raises(InputError, match="T_flange_base: invert them"):
         calibrate(inverse(flange), views, CAMERA)
 
@@ -200,7 +200,9 @@ def test_inverted_poses_of_the_other_place_are_doubted() -> None:
     assert any("from the flange" in note and "T_flange_base" in note for note in found.notes)
     flange, board = poses(12, rng)
     views = views_of(board, rng)
-    assert any("T_flange_base" in note for note in calibrate_beside(inverse(flange), views, CAMERA).exchanged.notes)
+    assert any(
+        "T_flange_base" in note for note in calibrate_eye_to_hand(inverse(flange), views, CAMERA).exchanged.notes
+    )
     assert not any("T_flange_base" in note for note in calibrate(flange, views, CAMERA).notes)
 
 

@@ -109,7 +109,7 @@ def test_every_message_begins_on_the_way_and_ends_at_rest(motion: JointTrajector
     reference = Reference(motion, lambda: None)  # something may follow: the motion need not end at rest
     top = np.abs(motion.velocities).max()
     for t in np.linspace(0, motion.duration, 73):
-        plan = ros2.planned(reference, t, ACCELERATION)
+        plan = ros2.plan(reference, t, ACCELERATION)
         rows = np.stack([plan.q, plan.rate, plan.acceleration], axis=1)
         assert np.all(np.diff(plan.times) > 0)
         assert plan.times[0] == 0.0
@@ -146,7 +146,7 @@ def test_nothing_is_said_before_anything_moves(arm: ros2.JointTrajectoryArm, rob
     sleep(0.2)
     assert robot.heard == []
     assert arm.readings.clock.offset == pytest.approx(-CLOCK, abs=0.05)
-    assert any("contact is not felt" in line for line in arm.seen())
+    assert any("contact is not felt" in line for line in arm.describe())
 
 
 @pytest.mark.slow
@@ -283,7 +283,7 @@ def test_a_controller_that_goes_away_is_told(wire: FakeNode, arm: ros2.JointTraj
         arm.follow(path)
     with pytest.raises(DeviceError, match="nobody listens"):
         arm.follow(path)
-    assert any("cannot move: nobody listens" in line for line in arm.seen())
+    assert any("cannot move: nobody listens" in line for line in arm.describe())
 
 
 def test_it_brakes_by_itself_when_nothing_more_is_heard(

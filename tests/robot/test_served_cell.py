@@ -22,7 +22,7 @@ from small_planner import SmallPlanner
 
 from anther.robot.arm import ArmName
 from anther.robot.cells import CellFile, read_cell
-from anther.robot.cells.hardware import connected
+from anther.robot.cells.hardware import connect_cell
 from anther.robot.devices import JointTrajectory, Robot
 
 pytestmark = [AGAIN_IF_HELD_UP, pytest.mark.slow]
@@ -62,7 +62,7 @@ def machines(
         thread = threading.Thread(target=go_on, daemon=True)
         thread.start()
         file = read_cell(served.file)
-        with connected(file) as robot:
+        with connect_cell(file) as robot:
             yield served, file, robot
         over.set()
         thread.join()

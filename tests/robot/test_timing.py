@@ -47,7 +47,7 @@ def test_only_where_the_flange_is_too_fast_does_a_straight_motion_slow_down() ->
     free, held = (
         motions.straight(sawyer.SAWYER, sawyer.NEUTRAL, sawyer.NEUTRAL + way, 0.9, 0.7, limit) for limit in (10.0, 0.8)
     )
-    evenly = motions.slowed(sawyer.SAWYER, free, 0.8)
+    evenly = motions.slow_down(sawyer.SAWYER, free, 0.8)
     assert motions.flange_speed(sawyer.SAWYER, free) > 0.95
     assert free.duration < held.duration < evenly.duration
 
@@ -57,6 +57,6 @@ def test_a_motion_too_strong_for_the_motors_is_slowed_until_they_bear_it() -> No
     motion = motions.straight(sawyer.SAWYER, stretched, lifted, 1.0, 1.0, 10.0)
     hasty = JointTrajectory(motion.times / 1.1, motion.positions, 1.1 * motion.velocities)
     assert motions.effort_share(sawyer.SAWYER, hasty).max() > motions.USABLE
-    calm = motions.within_effort(sawyer.SAWYER, hasty)
+    calm = motions.limit_effort(sawyer.SAWYER, hasty)
     assert motions.effort_share(sawyer.SAWYER, calm).max() <= motions.USABLE
     assert hasty.duration < calm.duration <= 1.2 * hasty.duration

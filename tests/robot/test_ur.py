@@ -223,7 +223,7 @@ def test_it_does_not_move_in_local_control(arm: UniversalRobot, ur: FakeUR) -> N
     with pytest.raises(DeviceError, match="not in remote control: switch it"):
         arm.follow(path)
     assert ur.heard == []
-    assert any("not in remote control" in line for line in arm.seen())
+    assert any("not in remote control" in line for line in arm.describe())
 
 
 @pytest.mark.parametrize("how", ["held up", "hangs"])
@@ -265,7 +265,7 @@ import sys; sys.path[:0] = [{here!r}]
 from multiprocessing.managers import BaseManager
 from slow_clock import clock, sleep
 from small_planner import SmallPlanner
-from anther.robot.arm.arms import named
+from anther.robot.arm.arms import find_arm
 from anther.robot.drivers.ur_controller import Controller
 from anther.robot.drivers.ur_rtde import UniversalRobot
 for name in ("receive", "dashboard", "program"):
@@ -273,7 +273,7 @@ for name in ("receive", "dashboard", "program"):
 far = BaseManager(("127.0.0.1", int(sys.argv[1])), b"ur")
 far.connect()
 make = lambda: Controller(far.receive(), far.dashboard(), far.program, clock=clock)
-ur5e = named("ur5e")
+ur5e = find_arm("ur5e")
 arm = UniversalRobot(make, names=ur5e.joints, acceleration=ur5e.acceleration, rate=100, clock=clock, sleep=sleep)
 print("ready", flush=True)
 arm.follow(SmallPlanner(ur5e).move(arm.joints(), arm.joints() + 0.8))

@@ -92,8 +92,8 @@ def test_nothing_is_released_without_a_person(arm: UniversalRobot, ur: FakeUR) -
 def test_the_controller_gives_the_rate(ur: FakeUR, version: str, rate: int) -> None:
     ur.version, ur.remote = version, version[0] == "5"
     with closing(connected(ur, model="ur5")) as arm:
-        assert f"{rate} a second" in " ".join(arm.seen())
-        assert "ready to move" in arm.seen()  # a CB3 has no local and remote control
+        assert f"{rate} a second" in " ".join(arm.describe())
+        assert "ready to move" in arm.describe()  # a CB3 has no local and remote control
     if rate == 125:
         with pytest.raises(DeviceError, match=r"rate: got 500 .* allowed: <= 125"):
             connected(ur, model="ur5", rate=500)
@@ -112,7 +112,7 @@ def test_an_arm_that_is_off_is_connected_to_and_told_about(ur: FakeUR) -> None:
     ur.mode = 3
     with closing(connected(ur)) as arm:
         assert arm.joints() == pytest.approx(READY)
-        assert any("cannot move: its motors are not on (power off)" in line for line in arm.seen())
+        assert any("cannot move: its motors are not on (power off)" in line for line in arm.describe())
     assert ur.programs == 0
 
 
@@ -146,7 +146,7 @@ def test_a_cell_file_names_it(tmp_path: Path, library: list[str]) -> None:
     cell = read_cell(cell_file(tmp_path, "rate = 250", "gain = 300"))
     with closing(cell.connect(cell.arm)) as arm:
         assert arm.joints() == pytest.approx(READY)
-        assert any("250 a second" in line and "gain 300" in line for line in arm.seen())
+        assert any("250 a second" in line and "gain 300" in line for line in arm.describe())
     assert library == ["ur.local"] * 3
 
 

@@ -14,7 +14,7 @@ from fake_shaker import FakeClock, FakeShaker
 
 from anther.core.errors import InputError, StageFailure
 from anther.robot.devices import ArmSample, DeviceError, Motor
-from anther.robot.drivers.voice_coil import VoiceCoil, open_port, sealed, unsealed
+from anther.robot.drivers.voice_coil import VoiceCoil, open_port, seal, unseal
 from anther.robot.safety import GuardedMotor
 from anther.robot.swing import Swing
 
@@ -269,10 +269,10 @@ def test_behind_the_guard_it_is_a_motor() -> None:
 
 
 def test_lines_with_a_wrong_sum_are_no_lines() -> None:
-    assert unsealed(sealed("7 BEAT")) == ["7", "BEAT"]
-    assert sealed("7 BEAT") == b"7 BEAT*05\n"
+    assert unseal(seal("7 BEAT")) == ["7", "BEAT"]
+    assert seal("7 BEAT") == b"7 BEAT*05\n"
     for line in (b"", b"7 BEAT\n", b"7 BEAT*06\n", b"*\n", b"7 BEAT*6\n", b"\xff\xfe*00\n", b"7 BEAT*0G\n"):
-        assert unsealed(line) == []
+        assert unseal(line) == []
 
 
 @pytest.mark.skipif(importlib.util.find_spec("serial") is not None, reason="pyserial is installed")
@@ -284,8 +284,8 @@ def test_without_pyserial_one_is_told_what_to_install() -> None:
 @pytest.mark.skipif(importlib.util.find_spec("serial") is None, reason="pyserial is not installed")
 def test_a_real_pyserial_port_carries_the_lines() -> None:
     port = open_port("loop://")
-    port.write(sealed("7 BEAT"))
-    assert unsealed(port.readline()) == ["7", "BEAT"]
+    port.write(seal("7 BEAT"))
+    assert unseal(port.readline()) == ["7", "BEAT"]
     assert port.readline() == b""
     with pytest.raises(DeviceError, match="no serial port"):
         open_port("/dev/there-is-none")

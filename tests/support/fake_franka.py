@@ -19,12 +19,12 @@ from slow_clock import SLOWER
 from small_planner import SmallPlanner
 
 from anther.core.geometry import Array
-from anther.robot.arm.arms import named
+from anther.robot.arm.arms import find_arm
 from anther.robot.devices import Arm, JointTrajectory
 from anther.robot.drivers._franka_loop import CYCLE, Loop
 from anther.robot.drivers.franka import Franka
 
-MODEL = named("fr3")
+MODEL = find_arm("fr3")
 READY = (0.3, -0.5, 0.1, -1.9, 0.2, 1.6, 0.7)
 ACCELERATION, JERK, LOST = 10.0, 5000.0, 20  # FR3: Franka's robot specifications, network requirements
 PATIENCE = 0.5  # s of the wall's clock in which a state is to be answered

@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 
-from anther.robot.drivers.voice_coil import sealed, unsealed
+from anther.robot.drivers.voice_coil import seal, unseal
 from anther.robot.swing import Swing
 
 WATCHDOG = 0.1
@@ -39,11 +39,11 @@ class FakeShaker:
 
     def write(self, data: bytes) -> None:
         self._advance()
-        words = unsealed(data)
+        words = unseal(data)
         if not words:
             return
         self._heard = self.clock()
-        self._replies.append(sealed(f"{words[0]} {self._answer(words[1:])}"))
+        self._replies.append(seal(f"{words[0]} {self._answer(words[1:])}"))
 
     def readline(self) -> bytes:
         self._advance()

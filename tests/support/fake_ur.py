@@ -17,13 +17,13 @@ import numpy as np
 from small_planner import SmallPlanner
 
 from anther.core.geometry import Array
-from anther.robot.arm.arms import named
+from anther.robot.arm.arms import find_arm
 from anther.robot.devices import Arm, JointTrajectory
 from anther.robot.drivers._streamed import prioritize_thread
 from anther.robot.drivers.ur_controller import Controller
 from anther.robot.drivers.ur_rtde import UniversalRobot
 
-MODEL = named("ur5e")
+MODEL = find_arm("ur5e")
 CLOCK = 3.7  # s by which the controller's clock is ahead
 FOLLOWS = 0.02  # s, the servo's time constant
 GAP = 0.012  # s without a command after which the servo goes on by itself

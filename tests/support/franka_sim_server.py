@@ -15,7 +15,7 @@ from pathlib import Path
 from served_franka import CYCLE, FrankaServer
 from served_world import World
 
-from anther.robot.arm.arms import named
+from anther.robot.arm.arms import find_arm
 from anther.robot.arm.model import ArmModel
 
 RATE = 0.25  # of the wall's clock: a busy machine serves a thousand cycles in four seconds
@@ -31,7 +31,7 @@ class Nowhere:
 
 
 def main(folder: Path, host: str) -> None:
-    world, shared = Nowhere(named("fr3")), World(folder / "world", count=7)
+    world, shared = Nowhere(find_arm("fr3")), World(folder / "world", count=7)
     shared.step(world.time, world.arm.neutral, RATE)
     arm, due = FrankaServer(host, world, shared, world.arm.neutral), time.monotonic()
     with (folder / "log").open("w") as log:

@@ -35,7 +35,7 @@ from served_world import World
 
 from anther.core.choices import Crop
 from anther.robot.arm import ArmName
-from anther.robot.arm.arms import in_simulated_cell
+from anther.robot.arm.arms import simulated_arm
 from anther.robot.arm.model import ArmModel
 from anther.robot.arm.sawyer import ACCELERATION, SAWYER, VELOCITY
 from anther.sim import cell
@@ -65,7 +65,7 @@ class Plant:
 
     @property
     def model(self) -> ArmModel:
-        return in_simulated_cell(self.arm)
+        return simulated_arm(self.arm)
 
     @property
     def distance(self) -> float:

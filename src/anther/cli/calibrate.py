@@ -94,11 +94,11 @@ def _from_files(args: Args) -> None:
     corners, size = _find(folder, names, board)
     intrinsics, distortion = given or calibration.estimate_intrinsics(corners, *size)
     calibration.check_size(intrinsics, size, "the images")
-    views = calibration.board_views(calibration.undistorted(corners, intrinsics, distortion), intrinsics)
+    views = calibration.board_views(calibration.undistort(corners, intrinsics, distortion), intrinsics)
     seen = tuple(names[number] for number in views.images)
     notes += [f"no board found in {', '.join(n for n in names if n not in seen)}"] if len(seen) < len(names) else []
     flange = np.stack([poses[name] for name in seen])
-    solve = calibration.calibrate_beside if args.eye_to_hand else calibration.calibrate
+    solve = calibration.calibrate_eye_to_hand if args.eye_to_hand else calibration.calibrate
     result = solve(
         flange,
         views,

@@ -40,7 +40,7 @@ def check(file: CellFile) -> int:
     from rich.table import Table
 
     from anther.core.errors import AntherError
-    from anther.robot.cells import kept_open
+    from anther.robot.cells import own_cell
 
     table, missing = Table("part", "driver", "what it sees", title=str(file.source.path), title_justify="left"), 0
     looks = (
@@ -50,7 +50,7 @@ def check(file: CellFile) -> int:
         ("side camera", file.side_camera, _camera_seen),
         ("shaker", file.shaker, lambda motor: [f"stroke {1e3 * motor.stroke:.2f} mm"]),
     )
-    with kept_open(file) as keep:
+    with own_cell(file) as keep:
         arm: Any = None
         for name, part, see in looks:
             if part is None:
@@ -89,9 +89,9 @@ def serve_ros(path: Path, frame: str) -> int:
 
 def enable(file: CellFile) -> int:
     """Switch the arm's motors on and let the gripper find its ends, each after a yes."""
-    from anther.robot.cells import kept_open
+    from anther.robot.cells import own_cell
 
-    with kept_open(file) as keep:
+    with own_cell(file) as keep:
         arm = keep(file.connect(file.arm))
         if hasattr(arm, "enable") and agreed("Switch the arm's motors on? Nobody in its reach, the stop in your hand."):
             arm.enable()
@@ -108,7 +108,7 @@ def enable(file: CellFile) -> int:
 def jog(file: CellFile, joint: int | None, degrees: float) -> int:
     """Move one joint, None is the last, a little and tell where it went, after a yes."""
     from anther.core.checks import check_range
-    from anther.robot.cells import kept_open
+    from anther.robot.cells import own_cell
     from anther.robot.safety import GuardedArm
 
     check_range("by", abs(degrees), 0.01, FARTHEST, "degrees")
@@ -116,7 +116,7 @@ def jog(file: CellFile, joint: int | None, degrees: float) -> int:
     last = len(limits.joint_lower) - 1
     joint = last if joint is None else joint
     check_range("joint", joint, 0, last)
-    with kept_open(file) as keep:
+    with own_cell(file) as keep:
         guarded = GuardedArm(keep(file.connect(file.arm)), limits)
         motion = _small_motion(file, guarded, joint, np.deg2rad(degrees))
         if not agreed(f"Move joint {joint} by {degrees:g} degrees in {motion.duration:.1f} s?"):
@@ -165,7 +165,7 @@ def _arm_seen(arm: Any, file: CellFile) -> list[str]:
     return [
         f"joints {joints} rad; {margin:.0f} degrees from the nearest end",
         f"flange at {place} m, {inside} its space",
-        *(arm.seen() if hasattr(arm, "seen") else []),
+        *(arm.describe() if hasattr(arm, "describe") else []),
     ]
 
 

@@ -18,9 +18,17 @@ from numpy.typing import NDArray
 
 from anther.core.errors import AntherError, InputError, StageFailure, bad_input
 from anther.core.geometry import Array, inverse, transform_points
-from anther.robot.arm.board_views import board_planner, first_reached
+from anther.robot.arm.board_views import board_planner, find_first_reachable
 from anther.robot.arm.planner import Planner
-from anther.robot.calibration import HandEye, Moved, camera_moved, check_size, parse_board, read_intrinsics, why_unseen
+from anther.robot.calibration import (
+    HandEye,
+    Moved,
+    check_size,
+    explain_missing_board,
+    find_movement,
+    parse_board,
+    read_intrinsics,
+)
 from anther.robot.calibration.live import (
     ENOUGH,
     INTRINSICS,
@@ -32,11 +40,11 @@ from anther.robot.calibration.live import (
     is_steady,
     lacks,
     least_alike,
+    read_earlier_views,
     read_record,
     spread,
-    taken_before,
 )  # fmt: skip
-from anther.robot.cells import CellFile, kept_open, read_cell
+from anther.robot.cells import CellFile, own_cell, read_cell
 from anther.robot.cells.hardware import CALM, motion_params
 from anther.robot.cells.rewriting import point_to_calibration
 from anther.robot.devices import Arm, Camera, DeviceError, JointTrajectory
@@ -118,7 +126,7 @@ class Eye:
 @contextmanager
 def _eye(file: CellFile) -> Iterator[Eye]:
     """Own the cell's arm and connect it, in its own process, and the wrist camera, both behind the guard."""
-    with kept_open(file) as keep:
+    with own_cell(file) as keep:
         arm = keep(file.arm_apart())
         camera = keep(file.connect(file.wrist_camera, arm=arm))
         yield Eye(file, GuardedArm(arm, file.safety_limits()), GuardedCamera(camera))
@@ -134,7 +142,7 @@ def live(
     file, ask = read_cell(cell), Asking(yes)
     parse_board(board)
     folder = out or cell.parent / f"{cell.stem}_calibration_{time.strftime('%Y%m%d_%H%M%S')}"
-    begun = taken_before(folder, board)
+    begun = read_earlier_views(folder, board)
     with _eye(file) as eye:
         camera = eye.camera.intrinsics
         lens = (camera, np.zeros(5)) if intrinsics is None else read_intrinsics(intrinsics)
@@ -160,7 +168,9 @@ def first_look(eye: Eye, taken: Taken, ask: Asking) -> None:
         view = taken.see(image)
         if view is not None:
             return taken.add(image, view, joints, eye.file.model.forward(joints))
-        why = f"the board is not seen from where the arm stands. {why_unseen(image, parse_board(taken.board))}"
+        why = (
+            f"the board is not seen from where the arm stands. {explain_missing_board(image, parse_board(taken.board))}"
+        )
         if ask.yes:
             raise InputError(why)
         print(why)
@@ -173,7 +183,7 @@ def gather(eye: Eye, taken: Taken, ask: Asking, *, by_hand: bool = False) -> Han
 
     It ends also when a person says so, when no further view can be reached, and after `MOST`.
     """
-    found = taken.solved()
+    found = taken.solve()
     history, missed, in_a_row = [found], list[Array](), 0
     _tell(taken, found)
     while len(taken) < MOST:
@@ -188,14 +198,14 @@ def gather(eye: Eye, taken: Taken, ask: Asking, *, by_hand: bool = False) -> Han
         if view is None:
             missed.append(expected)
             in_a_row += 1
-            print(f"the board is not seen. {why_unseen(image, parse_board(taken.board))}")
+            print(f"the board is not seen. {explain_missing_board(image, parse_board(taken.board))}")
             if in_a_row >= MISSED and not by_hand:
                 do = "Correct its T_flange_cam in the cell file roughly, give the board more room, or use --by-hand."
                 raise StageFailure("device_fault", f"{MISSED} views did not show the board where it should be. {do}")
             continue
         in_a_row = 0
         taken.add(image, view, joints, eye.file.model.forward(joints))
-        found = taken.solved()
+        found = taken.solve()
         history.append(found)
         _tell(taken, found)
     return found
@@ -213,7 +223,7 @@ def _by_arm(eye: Eye, taken: Taken, found: HandEye | None, missed: list[Array], 
     T_base_board = found.T_base_board if found is not None and known else seen_at
     options = _ranked(taken, missed, known=known)
     planner, limits = eye.planner(T_base_board, parse_board(taken.board).centre), eye.file.safety_limits()
-    reached = first_reached(planner, limits, eye.arm.joints(), T_base_board @ options @ inverse(T_flange_cam))
+    reached = find_first_reachable(planner, limits, eye.arm.joints(), T_base_board @ options @ inverse(T_flange_cam))
     if reached is None:
         print("no further view can be reached in straight lines within the limits")
         return None
@@ -258,9 +268,9 @@ def _way_in_words(taken: Taken, T_board_cam: Array) -> str:
 
 def _tell(taken: Taken, found: HandEye | None) -> None:
     """Print what the last view showed, how far all of them cover, and what they give."""
-    last, turned, known = taken.views[-1], np.rad2deg(taken.turned()), "nothing known yet"
+    last, turned, known = taken.views[-1], np.rad2deg(taken.largest_turns()), "nothing known yet"
     seen = f"{len(last.corners.pixels[0])} corners to {last.reprojection[0]:.2f} px"
-    cover = f"covers {taken.covered():.0%}, turned by {turned[0]:.0f} and across by {turned[1]:.0f} deg"
+    cover = f"covers {taken.coverage():.0%}, turned by {turned[0]:.0f} and across by {turned[1]:.0f} deg"
     if found is not None:
         turn, shift = np.rad2deg(found.rotation_error), 1e3 * found.translation_error
         known = f"camera known to {turn:.2f} deg, {shift:.1f} mm"
@@ -319,7 +329,7 @@ def check(cell: Path, *, yes: bool = False) -> int:
         return 1
     then = record.T_base_flange[places], record.T_cam_board[places]
     centre = parse_board(record.board).centre
-    moved = camera_moved(record.found, then, today.flange, today.all_views(), intrinsics, centre)
+    moved = find_movement(record.found, then, today.flange, today.all_views(), intrinsics, centre)
     print(_in_words(moved))
     if moved.verdict != "still":
         print(anew)

@@ -126,10 +126,10 @@ def _actuator(args: Args, arm: str) -> Actuator:
     def limit(grasp: Grasp, direction: Array, frequencies: Array) -> Array:
         if grasp.joints is None:
             return sawyer_limit(grasp, direction, frequencies)
-        from anther.robot.arm.arms import named  # needs the extra `cell`
+        from anther.robot.arm.arms import find_arm  # needs the extra `cell`
         from anther.robot.arm.planner import shake_limit
 
-        return shake_limit(named(arm), grasp.joints, direction, frequencies)
+        return shake_limit(find_arm(arm), grasp.joints, direction, frequencies)
 
     return arm_shaker(limit)
 

@@ -20,7 +20,7 @@ from anther.core.files import existing, made_folder, read_object, write_json
 from anther.core.runs import FILES, PROGRESS, Run
 from anther.history import add_missing, record_trial, shown
 from anther.plant.visit import Visit
-from anther.robot.devices import Tap, untapped
+from anther.robot.devices import Tap, no_tap
 from anther.show.results import ARM, EXECUTED, FILM, PARAMS, SUMMARY, TIMING, RunResults, read_run
 
 LOG, EARLIER = "log.mcap", "log_before.mcap"
@@ -31,7 +31,7 @@ class TrialLog:
     """Listens to a run where it is `wanted`; `tap` listens to a cell's machines. Use as a context manager."""
 
     def __init__(self, run: Run, *, wanted: bool) -> None:
-        self.tap: Tap = untapped
+        self.tap: Tap = no_tap
         self._log, self._lacks = None, None
         if not wanted:
             return

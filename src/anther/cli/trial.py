@@ -22,7 +22,7 @@ from anther.pollination.shake import with_preset
 from anther.robot.arm.gripper_shape import GripperShape
 from anther.robot.arm.saved import save_arm
 from anther.robot.cells import read_cell
-from anther.robot.devices import Tap, untapped
+from anther.robot.devices import Tap, no_tap
 from anther.show.results import ARM, EXECUTED, FILM
 from anther.show.summary import print_summary, summarise
 
@@ -125,11 +125,11 @@ def _file(args: Args) -> CellFile | None:
 def _resolved(args: Args, file: CellFile | None) -> Args:
     """Return the arguments with the arm, and in the simulated cell the distance, that they leave open."""
     if file is None:
-        from anther.robot.arm.arms import in_simulated_cell
+        from anther.robot.arm.arms import simulated_arm
         from anther.sim.simulated_cell import usual_distance
 
         name = args.arm or "sawyer"
-        distance = usual_distance(in_simulated_cell(name)) if args.distance is None else args.distance
+        distance = usual_distance(simulated_arm(name)) if args.distance is None else args.distance
         check_range("distance", distance, 0.3, 3.0, "m")
         return replace(args, arm=name, distance=distance)
     return replace(args, arm=file.model.name)
@@ -193,8 +193,8 @@ def _views(args: Args) -> ViewParams:
     return views if args.views is None else replace(views, count=args.views)
 
 
-def _build(args: Args, tap: Tap = untapped) -> SimulatedCell:
-    from anther.robot.arm.arms import in_simulated_cell
+def _build(args: Args, tap: Tap = no_tap) -> SimulatedCell:
+    from anther.robot.arm.arms import simulated_arm
     from anther.sim.simulated_cell import build
 
     return build(
@@ -206,7 +206,7 @@ def _build(args: Args, tap: Tap = untapped) -> SimulatedCell:
         truth=_truth(args),
         actuator=args.params.actuator,
         tap=tap,
-        arm=in_simulated_cell(args.arm or "sawyer"),
+        arm=simulated_arm(args.arm or "sawyer"),
     )
 
 

@@ -12,7 +12,7 @@ Crop = Literal["tomato", "pepper"]
 Preset = Literal["gentle", "default", "bold", "paper"]
 """What a lost flower counts (`anther.pollination.decision.PRICES`); "paper" asks for none."""
 ArmName = Literal["sawyer", "ur5e", "fr3", "xarm7"]
-"""The arms that are described (`anther.robot.arm.arms.named`); a cell file may describe another."""
+"""The arms that are described (`anther.robot.arm.arms.find_arm`); a cell file may describe another."""
 ActuatorName = Literal["arm", "gripper"]
 """What shakes the plant."""
 MaskSource = Literal["colour", "grounded-sam2", "sam3"]

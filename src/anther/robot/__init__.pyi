@@ -1,6 +1,6 @@
 """The public names of the room, and where they stand; `__init__.py` finds them when they are asked for."""
 
-from .arm.arms import named
+from .arm.arms import find_arm
 from .arm.model import ArmModel
 from .arm.planner import Planner
 from .arm.urdf import from_urdf
@@ -8,7 +8,7 @@ from .arm.views import Viewpoints, Views, plan_views
 from .calibration import CharucoBoard, HandEye, calibrate, estimate_intrinsics
 from .cell import Cell, MotionPlanner, TrajectoryPlanner
 from .cells import CellFile, read_cell
-from .cells.hardware import connected, hardware_cell
+from .cells.hardware import connect_cell, hardware_cell
 from .devices import (
     LEAD,
     Arm,
@@ -52,12 +52,12 @@ __all__ = [
     "Viewpoints",
     "Views",
     "calibrate",
-    "connected",
+    "connect_cell",
     "estimate_intrinsics",
+    "find_arm",
     "from_urdf",
     "guard",
     "hardware_cell",
-    "named",
     "plan_views",
     "read_cell",
 ]

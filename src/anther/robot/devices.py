@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Protocol
 
 import numpy as np
@@ -273,6 +273,26 @@ class Robot:
     motor: Motor | None = None
 
 
+class Proxy:
+    """A machine that passes on to the one within all that its class does not change, as the log's and the faults' do.
+
+    The guard's are none: what they do not check they do not pass on.
+    """
+
+    def __init__(self, machine: Any) -> None:
+        self._machine = machine
+
+    def __getattr__(self, name: str) -> Any:
+        """Return what the machine within has under a name that is not defined here."""
+        return getattr(self._machine, name)
+
+
+def wrap(robot: Robot, **wrappers: Callable[[Any], Any]) -> Robot:
+    """Return the robot with some of its machines wrapped, by the names of its fields; those that it lacks stay None."""
+    machines = {name: getattr(robot, name) for name in wrappers}
+    return replace(robot, **{name: wrappers[name](found) for name, found in machines.items() if found is not None})
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SafetyLimits(Record):
     """What no command may exceed, whoever gives it. `anther.robot.safety` holds every command and reading against them.
@@ -347,6 +367,6 @@ Tap = Callable[[Robot, SafetyLimits, Array, Callable[[], float]], Robot]
 """Returns the same machines, listened to; of (robot, limits, wrist camera on the flange (4, 4), robot's clock [s])."""
 
 
-def untapped(robot: Robot, limits: SafetyLimits, T_flange_cam: Array, clock: Callable[[], float]) -> Robot:
+def no_tap(robot: Robot, limits: SafetyLimits, T_flange_cam: Array, clock: Callable[[], float]) -> Robot:
     """Return the machines as they are: a `Tap`."""
     return robot

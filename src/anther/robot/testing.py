@@ -28,7 +28,6 @@ __all__ = [
     "ArmRig",
     "CameraRig",
     "GripperRig",
-    "check_arm_refusal",
 ]
 
 WAY, SECONDS = 0.25, 0.9
@@ -38,8 +37,9 @@ PAUSE = 0.3
 JUMP = 2e-3
 """An arm further than this from where its acceleration lets it go on has jumped [rad]."""
 
-ArmFault = Literal["silence", "not a number", "clock jump", "force lost"]
-"""The machine tells no joints any more, or NaN; its clock goes back by a second; it tells no force any more."""
+ArmFault = Literal["silence", "not a number", "clock jump", "force lost", "stop"]
+"""The machine tells no joints any more, or NaN; its clock goes back by a second; it tells no force any more; it stops
+itself and refuses to move, as with a pressed stop button."""
 T = TypeVar("T")
 
 
@@ -102,7 +102,7 @@ class CameraRig:
 
 
 @contextmanager
-def _connected(connect: Callable[[], T]) -> Iterator[T]:
+def _connect(connect: Callable[[], T]) -> Iterator[T]:
     driver = connect()
     try:
         yield driver
@@ -186,33 +186,33 @@ def _check_stopped(rig: ArmRig, since: float) -> None:
 
 def check_motion(rig: ArmRig) -> None:
     """A motion reaches its end, and every reading is recorded and shown to the watcher."""
-    with _connected(rig.connect) as arm:
-        start, seen = arm.joints(), list[ArmSample]()
-        record = arm.follow(_motion(start), seen.append)
+    with _connect(rig.connect) as arm:
+        start, samples = arm.joints(), list[ArmSample]()
+        record = arm.follow(_motion(start), samples.append)
         np.testing.assert_allclose(record.commanded[-1], start + WAY, atol=2e-3, err_msg="last command")
         np.testing.assert_allclose(arm.joints(), start + WAY, atol=3e-3, err_msg="joints at the end")
-        _check_record(record, seen)
+        _check_record(record, samples)
         back = arm.follow(_motion(arm.joints(), -WAY))
         _require(back.times[0] >= record.times[-1], "the second motion begins before the first one ended")
 
 
-def _check_record(record: ArmRecord, seen: list[ArmSample]) -> None:
-    times = np.array([sample.time for sample in seen])
+def _check_record(record: ArmRecord, samples: list[ArmSample]) -> None:
+    times = np.array([sample.time for sample in samples])
     _require(bool(np.all(np.diff(times) > 0)), "the times of readings do not increase")
-    rate = len(seen) / (times[-1] - times[0])
+    rate = len(samples) / (times[-1] - times[0])
     _require(rate > 50, f"the watcher saw {rate:.0f} readings a second; allowed: 50 or more")
     _require(record.commanded.shape == record.measured.shape, "commanded and measured differ in shape")
     _require(bool(np.all(np.diff(record.times) > 0)), "the record's times do not increase")
-    off = max(float(np.abs(s.measured - s.commanded).max()) for s in seen)
+    off = max(float(np.abs(s.measured - s.commanded).max()) for s in samples)
     _require(off < 0.02, f"measured joints are {off:.2g} rad off the command of their time; allowed: 0.02")
-    forces = np.array([sample.force for sample in seen])
+    forces = np.array([sample.force for sample in samples])
     _require(bool(np.all(np.isnan(forces) | (forces >= 0))), "a force is negative; allowed: a size, or NaN")
 
 
 def check_watcher_error(rig: ArmRig) -> None:
     """An error of the watcher, or Ctrl-C, stops the arm, reaches the caller, and the arm can move again."""
     for error in (DeviceError("enough"), KeyboardInterrupt("enough")):
-        with _connected(rig.connect) as arm:
+        with _connect(rig.connect) as arm:
             start = arm.joints()
 
             def fail(error: BaseException = error) -> None:
@@ -233,7 +233,7 @@ def check_watcher_error(rig: ArmRig) -> None:
 
 def check_hold_at_rest(rig: ArmRig) -> None:
     """Connecting and holding move nothing."""
-    with _connected(rig.connect) as arm:
+    with _connect(rig.connect) as arm:
         before = arm.joints()
         arm.hold()
         rig.sleep(0.1)
@@ -242,7 +242,7 @@ def check_hold_at_rest(rig: ArmRig) -> None:
 
 def check_joined_motions(rig: ArmRig) -> None:
     """`more` joins motions: the arm goes on from one to the next, and ends where the last one does."""
-    with _connected(rig.connect) as arm:
+    with _connect(rig.connect) as arm:
         first, second = _pieces(arm.joints())
         following = iter([second, None])
 
@@ -267,13 +267,13 @@ def check_close(rig: ArmRig) -> None:
         raise unittest.SkipTest("the driver has no close")
     arm.close()
     arm.close()
-    with _connected(rig.connect) as again:
+    with _connect(rig.connect) as again:
         again.follow(_motion(again.joints(), 0.05))
 
 
 def check_late_next_motion(rig: ArmRig) -> None:
     """A next motion that comes too late ends in a braked stop and a DeviceError."""
-    with _connected(rig.connect) as arm:
+    with _connect(rig.connect) as arm:
         first, _ = _pieces(arm.joints())
         with _raises(DeviceError, "follow, where the next motion comes too late"):
             arm.follow(first, None, lambda: rig.sleep(0.8))
@@ -282,7 +282,7 @@ def check_late_next_motion(rig: ArmRig) -> None:
 
 def check_pause(rig: ArmRig) -> None:
     """After a pause beyond every time-out a DeviceError ends the motion, and the arm stays where it stands."""
-    with _connected(rig.connect) as arm:
+    with _connect(rig.connect) as arm:
         start, woke = arm.joints(), list[float]()
 
         def pause() -> None:
@@ -299,7 +299,7 @@ def check_pause(rig: ArmRig) -> None:
 
 def check_delayed_stop(rig: ArmRig) -> None:
     """After a delay shorter than the time-outs the arm is braked without a jump."""
-    with _connected(rig.connect) as arm:
+    with _connect(rig.connect) as arm:
         start = arm.joints()
 
         def fail() -> None:
@@ -314,7 +314,7 @@ def check_delayed_stop(rig: ArmRig) -> None:
 def check_clock_jump(rig: ArmRig) -> None:
     """Where the machine's clock jumps, its readings are refused, and the arm is braked without a jump."""
     jump = _need(rig.faults.get("clock jump"), "fault 'clock jump'")
-    with _connected(rig.connect) as arm:
+    with _connect(rig.connect) as arm:
         start = arm.joints()
         with _raises(DeviceError, "follow, where the machine's clock jumps"):
             arm.follow(_motion(start), _once_beyond(start, jump))
@@ -333,7 +333,7 @@ def check_nan_readings(rig: ArmRig) -> None:
 
 def _check_refused(rig: ArmRig, fault: ArmFault, wait: Callable[[], Any]) -> None:
     strike, commands = _need(rig.faults.get(fault), f"fault '{fault}'"), _need(rig.commands, "commands")
-    with _connected(rig.connect) as arm:
+    with _connect(rig.connect) as arm:
         path, before = _motion(arm.joints()), commands()
         strike()
         wait()
@@ -347,7 +347,7 @@ def _check_refused(rig: ArmRig, fault: ArmFault, wait: Callable[[], Any]) -> Non
 def check_stale_readings_in_motion(rig: ArmRig) -> None:
     """Joints that are no longer told stop a motion."""
     silence = _need(rig.faults.get("silence"), "fault 'silence'")
-    with _connected(rig.connect) as arm:
+    with _connect(rig.connect) as arm:
         start, since = arm.joints(), list[float]()
 
         def strike() -> None:
@@ -362,38 +362,35 @@ def check_stale_readings_in_motion(rig: ArmRig) -> None:
 def check_missing_force(rig: ArmRig) -> None:
     """A force that is no longer told stops the motion, or is NaN: never 0, nor the last one for ever."""
     lose = _need(rig.faults.get("force lost"), "fault 'force lost'")
-    with _connected(rig.connect) as arm:
-        start, seen = arm.joints(), list[ArmSample]()
+    with _connect(rig.connect) as arm:
+        start, samples = arm.joints(), list[ArmSample]()
         strike = _once_beyond(start, lose)
 
         def watch(sample: ArmSample) -> None:
-            seen.append(sample)
+            samples.append(sample)
             strike(sample)
 
         try:
             arm.follow(_motion(start), watch)
         except DeviceError:
             return
-        _require(bool(np.isnan(seen[-1].force)), f"force: got {seen[-1].force:g} N after it was lost; allowed: NaN")
+        _require(
+            bool(np.isnan(samples[-1].force)), f"force: got {samples[-1].force:g} N after it was lost; allowed: NaN"
+        )
 
 
-def check_arm_refusal(rig: ArmRig, stop: Callable[[], Any]) -> str:
-    """Check that a stop of the machine's own ends a motion, and that the next is refused; return the second message.
-
-    Args:
-        rig: of the driver.
-        stop: makes the machine refuse to move, such as a pressed stop button.
-    """
-    with _connected(rig.connect) as arm:
+def check_refusal(rig: ArmRig) -> None:
+    """A stop of the machine's own ends a motion, and the next motion is refused and not commanded."""
+    stop, commands = _need(rig.faults.get("stop"), "fault 'stop'"), _need(rig.commands, "commands")
+    with _connect(rig.connect) as arm:
         start = arm.joints()
         with _raises(DeviceError, "follow, where the machine stops"):
             arm.follow(_motion(start), _once_beyond(start, stop))
         rig.sleep(0.2)
-        before = _need(rig.commands, "commands")()
-        with _raises(DeviceError, "follow, after the machine stopped") as caught:
+        before = commands()
+        with _raises(DeviceError, "follow, after the machine stopped"):
             arm.follow(_motion(start))
-        _require(rig.commands is not None and rig.commands() == before, "the arm was commanded after the stop")
-    return str(caught[0])
+        _require(commands() == before, "the arm was commanded after the stop")
 
 
 ARM_CHECKS = (check_motion, check_watcher_error, check_hold_at_rest, check_joined_motions, check_close)
@@ -407,13 +404,14 @@ ARM_FAULT_CHECKS = (
     check_stale_readings_in_motion,
     check_nan_readings,
     check_missing_force,
+    check_refusal,
 )
 """What an arm keeps whose driver streams to it in real time; the rig needs a history."""
 
 
 def check_opening(rig: GripperRig) -> None:
     """Pads go where they are sent, and the state says so; beyond the stroke, and NaN, are refused."""
-    with _connected(rig.connect) as gripper:
+    with _connect(rig.connect) as gripper:
         for opening in (0.75 * gripper.stroke, 0.5 * gripper.stroke):
             state = gripper.move(opening)
             off = abs(state.opening - opening)
@@ -424,7 +422,7 @@ def check_opening(rig: GripperRig) -> None:
 
 def check_impossible_opening(rig: GripperRig) -> None:
     """An opening that cannot be is refused."""
-    with _connected(rig.connect) as gripper:
+    with _connect(rig.connect) as gripper:
         for opening in (1.2 * gripper.stroke, -0.01, float("nan")):
             with _raises(AntherError, f"move to {opening:g} m"):
                 gripper.move(opening)
@@ -433,7 +431,7 @@ def check_impossible_opening(rig: GripperRig) -> None:
 def check_closing(rig: GripperRig) -> None:
     """Pads that meet something stop there and say so; open again, they hold nothing."""
     insert = _need(rig.insert, "insert")
-    with _connected(rig.connect) as gripper:
+    with _connect(rig.connect) as gripper:
         width = 0.2 * gripper.stroke
         gripper.move(0.8 * gripper.stroke)
         insert(width)
@@ -447,7 +445,7 @@ def check_closing(rig: GripperRig) -> None:
 def check_silent_gripper(rig: GripperRig) -> None:
     """A gripper that answers no more is a DeviceError."""
     silence = _need(rig.silence, "silence")
-    with _connected(rig.connect) as gripper:
+    with _connect(rig.connect) as gripper:
         silence()
         with _raises(DeviceError, "move, where the machine answers no more"):
             gripper.move(0.5 * gripper.stroke)
@@ -456,7 +454,7 @@ def check_silent_gripper(rig: GripperRig) -> None:
 def check_missing_grip_force(rig: GripperRig) -> None:
     """A force that is not told is NaN, never 0."""
     lose = _need(rig.lose_force, "lose_force")
-    with _connected(rig.connect) as gripper:
+    with _connect(rig.connect) as gripper:
         lose()
         force = gripper.state().force
         _require(bool(np.isnan(force)), f"force: got {force:g} N though none is told; allowed: NaN")
@@ -474,7 +472,7 @@ GRIPPER_CHECKS = (
 
 def check_frames(rig: CameraRig) -> None:
     """Frames, read and recorded, have the size of the intrinsics, the right types, and times that increase."""
-    with _connected(rig.connect) as camera:
+    with _connect(rig.connect) as camera:
         size = (camera.intrinsics.height, camera.intrinsics.width)
         frame = camera.read()
         _require(frame.rgb.shape == (*size, 3) and frame.rgb.dtype == np.uint8, f"rgb: got {frame.rgb.shape}")
@@ -489,7 +487,7 @@ def check_frames(rig: CameraRig) -> None:
 
 def check_recording(rig: CameraRig) -> None:
     """A recording under way shows the frames since a time, and loses none of them until its end."""
-    with _connected(rig.connect) as camera:
+    with _connect(rig.connect) as camera:
         since = camera.read().time
         camera.start(20.0)
         rig.sleep(0.3)
@@ -503,7 +501,7 @@ def check_recording(rig: CameraRig) -> None:
 def check_unplugged_camera(rig: CameraRig) -> None:
     """A camera that is gone is a DeviceError, reading and recording; what it recorded before is kept."""
     unplug = _need(rig.unplug, "unplug")
-    with _connected(rig.connect) as camera:
+    with _connect(rig.connect) as camera:
         camera.start(max(camera.rates))
         rig.sleep(0.3)
         unplug()

@@ -8,7 +8,7 @@ import numpy as np
 
 from anther.core.errors import AntherError
 from anther.robot.arm import ArmName
-from anther.robot.arm.arms import in_simulated_cell, named
+from anther.robot.arm.arms import find_arm, simulated_arm
 from anther.robot.arm.model import ArmModel
 from anther.robot.arm.saved import load_arm
 from anther.robot.cells import read_cell
@@ -52,7 +52,9 @@ def arm_of(results: RunResults) -> ArmModel | None:
         if (results.folder / ARM).exists():
             return load_arm(results.folder / ARM)[0]
         if results.simulated:
-            return in_simulated_cell(results.arm)
-        return named(results.arm) if results.arm in get_args(ArmName) else read_cell(str(results.params["cell"])).model
+            return simulated_arm(results.arm)
+        return (
+            find_arm(results.arm) if results.arm in get_args(ArmName) else read_cell(str(results.params["cell"])).model
+        )
     except AntherError:
         return None

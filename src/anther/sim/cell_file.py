@@ -28,7 +28,7 @@ from anther.robot.arm.views import plan_views
 from anther.robot.cell import Cell
 from anther.robot.cells import CellFile, Simulation, read_cell
 from anther.robot.cells.hardware import motion_params, planner_around
-from anther.robot.devices import Tap, untapped
+from anther.robot.devices import Tap, no_tap
 from anther.robot.safety import guard
 from anther.sim import arm_model
 from anther.sim import cell as world
@@ -96,7 +96,7 @@ def simulate(
     *,
     truth: Truth = NOMINAL,
     actuator: ActuatorName = "arm",
-    tap: Tap = untapped,
+    tap: Tap = no_tap,
 ) -> SimulatedCell:
     """Build the simulated cell of a cell file around one plant; see `simulated_cell.build` for the arguments.
 

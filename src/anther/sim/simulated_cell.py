@@ -19,7 +19,7 @@ from anther.robot.arm.sawyer import SAWYER
 from anther.robot.arm.views import Params as ViewParams
 from anther.robot.arm.views import Views, capture_time, plan_views
 from anther.robot.cell import Cell
-from anther.robot.devices import SafetyLimits, Tap, untapped
+from anther.robot.devices import SafetyLimits, Tap, no_tap
 from anther.robot.safety import guard
 from anther.sim import arm_model
 from anther.sim import cell as world
@@ -161,7 +161,7 @@ def build(
     truth: Truth = NOMINAL,
     actuator: ActuatorName = "arm",
     visit: int = 0,
-    tap: Tap = untapped,
+    tap: Tap = no_tap,
     arm: ArmModel = SAWYER,
 ) -> SimulatedCell:
     """Build a cell around one plant. All randomness comes from `seed`, but for what `truth` says.

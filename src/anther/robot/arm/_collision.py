@@ -40,8 +40,8 @@ class CollisionWorld:
         floor = Box(np.array([-3.0, -3.0, arm.floor - 0.1]), np.array([3.0, 3.0, arm.floor]))
         for i, box in enumerate((floor, *boxes)):
             shape, middle = SceneBox(*(box.upper - box.lower)), _pose((box.lower + box.upper) / 2)
-            self.scene.addBoxGeometry(f"box{i}", "universe", shape, middle, _GREY)
-            self._stands_still(f"box{i}")
+            self.scene.addBoxGeometry(f"box{i}", "universe", shape, middle, np.full(4, 0.5))
+            self._ignore_static(f"box{i}")
 
     def free(self, q: Array) -> bool:
         """Return whether joints (J,) are within limits and touch nothing."""
@@ -76,11 +76,11 @@ class CollisionWorld:
         rows = np.column_stack(
             [centers, np.full(len(centers), VOXEL), np.ones(len(centers)), np.full(len(centers), 0.5)]
         )
-        self.scene.addOcTreeGeometry(name, "universe", OcTree(list(rows), VOXEL), _pose(np.zeros(3)), _GREY)
-        self._stands_still(name)
+        self.scene.addOcTreeGeometry(name, "universe", OcTree(list(rows), VOXEL), _pose(np.zeros(3)), np.full(4, 0.5))
+        self._ignore_static(name)
         return True
 
-    def _stands_still(self, name: str) -> None:
+    def _ignore_static(self, name: str) -> None:
         self.scene.setCollisions([(name, other) for other in self._still], False)
         self._still.append(name)
 
@@ -88,9 +88,6 @@ class CollisionWorld:
 def cube_centres(points: Array) -> Array:
     """Return the centres (M, 3) of the octree's cubes that hold points (N, 3) [m]."""
     return VOXEL * (occupied_cells(points, VOXEL).astype(np.float64) + 0.5) if len(points) else np.zeros((0, 3))
-
-
-_GREY = np.array([0.5, 0.5, 0.5, 1.0])
 
 
 def _pose(center: Array) -> Array:

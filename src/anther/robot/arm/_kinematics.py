@@ -19,7 +19,6 @@ from anther.robot.arm.model import ArmModel
 
 LIMIT_MARGIN = 0.05  # rad kept free at both ends of every joint's range
 SAME = 0.25  # rad, solutions closer than this in every joint count as one branch
-ITERATIONS = 25  # of Newton; seeds that need more are given up
 
 
 def inverse(arm: ArmModel, T_world_flange: ArrayLike, *, near: ArrayLike | None = None, seeds: int = 48) -> Array:
@@ -50,7 +49,7 @@ def inverse_many(arm: ArmModel, T_world_flange: Array, *, near: Array | None = N
 
 def _useful(arm: ArmModel, q: Array, near: Array | None) -> Array:
     """Return the distinct solutions within limits in order of preference."""
-    q = _turned(arm, q)
+    q = _add_full_turns(arm, q)
     q = q[np.all((q >= arm.lower + LIMIT_MARGIN) & (q <= arm.upper - LIMIT_MARGIN), axis=1)]
     half = (arm.upper - arm.lower) / 2
     towards_limits = np.max(np.abs(q - (arm.lower + half)) / half, axis=-1)
@@ -87,7 +86,7 @@ def _meet(arm: ArmModel, q: Array, target: Array) -> tuple[Array, NDArray[np.boo
 def _solve(arm: ArmModel, targets: Array, pose: NDArray[np.intp], q: Array) -> tuple[Array, NDArray[np.intp]]:
     """Return the seeds (K, J), each for the target its `pose` (K,) names, that converged, and their poses."""
     solved, of_pose = [np.zeros((0, arm.count))], [pose[:0]]
-    for k in range(ITERATIONS):
+    for k in range(25):  # Newton steps; seeds that need more are given up
         step, error = newton_step(arm, q, targets[pose], damping=1e-6 if k > 6 else 1e-3)
         done = np.abs(error).max(axis=1) < 1e-7
         solved.append(q[done])
@@ -112,7 +111,7 @@ def _nearest_postures(arm: ArmModel, target: Array, count: int) -> Array:
     return q[np.argpartition(distance, count)[:count]]
 
 
-def _turned(arm: ArmModel, q: Array) -> Array:
+def _add_full_turns(arm: ArmModel, q: Array) -> Array:
     """Return the solutions with each joint that turns more than once also a full turn either way."""
     for joint in np.flatnonzero(arm.upper - arm.lower > 2 * np.pi):
         turn = np.zeros(arm.count)

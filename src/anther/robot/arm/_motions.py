@@ -24,15 +24,7 @@ from anther.robot.devices import JointTrajectory
 
 pin: Any = pinocchio  # its names come from C++ at run time; type checkers do not see them
 
-LESS = 1e-3
-"""No speed [rad/s]."""
-NEARLY = 0.95
-"""Share that is used of the speed allowed near the end of a joint's range: between two samples it changes."""
 PERIOD = 0.004  # s between samples
-LEAST = 20  # samples of a line, however short: of fewer its acceleration cannot be told
-BLEND = 0.01  # rad, how far a rounded corner may leave the waypoint where nothing else is said
-GRID = 400  # pieces of a straight joint line within each of which the acceleration is constant
-RAMP = 0.15  # s to reach the speed of a slow line: a third of the joints' acceleration at 0.12 m/s
 
 
 def straight(
@@ -50,7 +42,7 @@ def straight(
         velocity_share, acceleration_share: of the joints' limits.
         flange_limit: [m/s].
     """
-    way, s = goal - start, np.linspace(0, 1, GRID + 1)
+    way, s = goal - start, np.linspace(0, 1, 401)  # within each piece the acceleration is constant
     rate = np.linalg.norm(np.gradient(arm.forward(start + s[:, None] * way)[:, :3, 3], s, axis=0), axis=1)
     room = velocity_share * (arm.velocity / np.maximum(np.abs(way), 1e-12)).min()
     gain = 2 * acceleration_share * (arm.acceleration / np.maximum(np.abs(way), 1e-12)).min() * s
@@ -67,7 +59,7 @@ def straight(
 
 
 def fastest(
-    arm: ArmModel, scene: Scene, path: Array, velocity_share: float, acceleration_share: float, blend: float = BLEND
+    arm: ArmModel, scene: Scene, path: Array, velocity_share: float, acceleration_share: float, blend: float = 0.01
 ) -> JointTrajectory:
     """Return the time-optimal motion along joints (N, J) by TOPP-RA, corners rounded by at most `blend` [rad].
 
@@ -98,13 +90,13 @@ def stopping(
 ) -> JointTrajectory:
     """Return the motion that follows joints (N, J) exactly, stops at every waypoint; arguments as of `straight`."""
     legs = [leg for leg in zip(path, path[1:], strict=False) if np.abs(leg[1] - leg[0]).max() > 1e-9]
-    return joined([straight(arm, *leg, velocity_share, acceleration_share, flange_limit) for leg in legs])
+    return join([straight(arm, *leg, velocity_share, acceleration_share, flange_limit) for leg in legs])
 
 
 def along_line(arm: ArmModel, path: Array, length: float, speed: float) -> JointTrajectory:
     """Return the motion along joints (N, J), evenly spaced on a line of the flange, smooth at both ends.
 
-    The speed rises and falls as a quintic within `RAMP`; all is slowed down evenly where a joint would be too fast.
+    The speed rises and falls as a quintic; all is slowed down evenly where a joint would be too fast.
 
     Args:
         arm: its description.
@@ -113,10 +105,10 @@ def along_line(arm: ArmModel, path: Array, length: float, speed: float) -> Joint
         speed: of the flange between the ramps [m/s].
     """
     joints = CubicSpline(np.linspace(0, 1, len(path)), path)
-    ramp = min(RAMP, length / speed)
+    ramp = min(0.15, length / speed)  # [s]: a third of the joints' acceleration at 0.12 m/s
     duration = length / speed + ramp
-    slow = max(1.0, _excess(arm, *_ramped(joints, duration, ramp)))
-    times, positions, velocities = _ramped(joints, duration * slow, ramp * slow)
+    slow = max(1.0, _excess(arm, *_ramp(joints, duration, ramp)))
+    times, positions, velocities = _ramp(joints, duration * slow, ramp * slow)
     return JointTrajectory(times, positions, velocities)
 
 
@@ -126,7 +118,7 @@ def limit_share(arm: ArmModel, trajectory: JointTrajectory) -> float:
     return float(max(np.abs(trajectory.velocities / arm.velocity).max(), np.abs(acceleration / arm.acceleration).max()))
 
 
-def slowed(arm: ArmModel, trajectory: JointTrajectory, flange_limit: float) -> JointTrajectory:
+def slow_down(arm: ArmModel, trajectory: JointTrajectory, flange_limit: float) -> JointTrajectory:
     """Return the same motion, evenly slowed down where the flange [m/s] or a joint's acceleration is beyond its limit.
 
     TOPP-RA's samples keep the joints' limits; between them a cubic, as a controller interpolates, may not.
@@ -138,14 +130,16 @@ def slowed(arm: ArmModel, trajectory: JointTrajectory, flange_limit: float) -> J
     return JointTrajectory(trajectory.times * factor, trajectory.positions, trajectory.velocities / factor)
 
 
-def within_speed(arm: ArmModel, trajectory: JointTrajectory) -> JointTrajectory:
+def limit_speed(arm: ArmModel, trajectory: JointTrajectory) -> JointTrajectory:
     """Return the motion, slowed down evenly where it is too fast for an arm that `slows` near the ends of its range."""
     if arm.slows is None:
         return trajectory
     q, v = trajectory.positions, trajectory.velocities
     most = np.where(v > 0, arm.speed_limit(q), arm.speed_limit(q, down=True))
-    moves = np.abs(v) > LESS
-    factor = max(1.0, float((np.abs(v[moves]) / np.maximum(most[moves], LESS)).max(initial=0.0)) / NEARLY)
+    rest = 1e-3  # no speed [rad/s]
+    moves = np.abs(v) > rest
+    share = float((np.abs(v[moves]) / np.maximum(most[moves], rest)).max(initial=0.0))
+    factor = max(1.0, share / 0.95)  # between two samples the speed allowed changes
     return JointTrajectory(trajectory.times * factor, q, v / factor)
 
 
@@ -155,7 +149,7 @@ def flange_speed(arm: ArmModel, trajectory: JointTrajectory) -> float:
     return float((np.linalg.norm(np.diff(at, axis=0), axis=1) / np.diff(trajectory.times)).max())
 
 
-def joined(parts: list[JointTrajectory]) -> JointTrajectory:
+def join(parts: list[JointTrajectory]) -> JointTrajectory:
     """Return motions, each starting at rest where the one before ended at rest, one after the other."""
     times, start = [parts[0].times], parts[0].duration
     for part in parts[1:]:
@@ -166,17 +160,18 @@ def joined(parts: list[JointTrajectory]) -> JointTrajectory:
     return JointTrajectory(np.concatenate(times), np.concatenate(positions), np.concatenate(velocities))
 
 
-def _ramped(joints: CubicSpline, duration: float, ramp: float) -> tuple[Array, Array, Array]:
+def _ramp(joints: CubicSpline, duration: float, ramp: float) -> tuple[Array, Array, Array]:
     """Return times, positions and velocities of a motion 0..1 whose speed is flat between two smooth ramps."""
-    times = np.linspace(0, duration, max(int(np.ceil(duration / PERIOD)), LEAST) + 1)
+    count = max(int(np.ceil(duration / PERIOD)), 20)  # of fewer samples the acceleration cannot be told
+    times = np.linspace(0, duration, count + 1)
     top = 1 / (duration - ramp)
 
-    def risen(t: Array) -> tuple[Array, Array]:
+    def rise(t: Array) -> tuple[Array, Array]:
         x = np.clip(t / ramp, 0, 1)
         area = ramp * x**4 * (2.5 - 3 * x + x**2)
         return area + np.maximum(t - ramp, 0), x**3 * (10 - 15 * x + 6 * x**2)
 
-    (up, speed_up), (down, speed_down) = risen(times), risen(times - (duration - ramp))
+    (up, speed_up), (down, speed_down) = rise(times), rise(times - (duration - ramp))
     s, rate = np.clip(top * (up - down), 0, 1), top * (speed_up - speed_down)
     return times, joints(s), joints(s, 1) * rate[:, None]
 
@@ -225,7 +220,7 @@ def check_effort(arm: ArmModel, trajectory: JointTrajectory) -> JointTrajectory:
     return trajectory
 
 
-def within_effort(arm: ArmModel, trajectory: JointTrajectory) -> JointTrajectory:
+def limit_effort(arm: ArmModel, trajectory: JointTrajectory) -> JointTrajectory:
     """Return the motion, slowed down evenly by up to a fifth where the motors are not strong enough for it."""
     motions = (JointTrajectory(trajectory.times * k, trajectory.positions, trajectory.velocities / k) for k in SLOWER)
     return next((motion for motion in motions if effort_share(arm, motion).max() <= USABLE), trajectory)

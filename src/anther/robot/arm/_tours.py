@@ -16,8 +16,6 @@ from anther.core.geometry import Array
 from anther.robot.arm.model import ArmModel
 
 DETOUR = 2.0  # s that a motion is taken to last longer when the straight joint line is not free: measured, 1 to 4 s
-ROUNDS = 30  # of looking for a tour without such motions
-TRIALS, HOT = (3000, 400), (0.3, 0.05)  # orders tried, and the temperature [s] at first, in the first and later rounds
 
 Tour = list[tuple[int, Array]]
 """(view, joints (J,)) in the order of the visits."""
@@ -40,9 +38,9 @@ def shortest_tour(arm: ArmModel, free: Callable[[Array], bool], start: Array, ch
     layers = [slice(a, b) for a, b in zip(ends, ends[1:], strict=False)]
     cost, rng = least_times(arm, stops, stops), np.random.default_rng(0)
     order, found, checked = list(range(len(choices))), list[tuple[list[int], NDArray[Any]]](), set[tuple[int, int]]()
-    for turn in range(ROUNDS):
-        again = int(turn > 0)
-        order = shorter(order, cost, layers, TRIALS[again], HOT[again], rng)
+    for turn in range(30):
+        trials, hot = (400, 0.05) if turn else (3000, 0.3)  # the first tour is sought, later ones are mended
+        order = shorter(order, cost, layers, trials, hot, rng)
         picks = best_choices(order, cost, layers)
         found.append((order, picks))
         lines = {(int(a), int(b)) for a, b in zip([0, *picks], picks, strict=False)} - checked
@@ -77,7 +75,7 @@ def shorter(
     start, stop = (np.array([getattr(layer, end) for layer in layers]) for end in ("start", "stop"))
     now = best = order, _length(np.array(order), cost, start, stop)
     for k in range(trials):
-        tried = _changed(now[0], rng)
+        tried = _perturb(now[0], rng)
         length = _length(np.array(tried), cost, start, stop)
         worse = length - now[1]
         if worse < 0 or rng.random() < np.exp(-worse / (hot * (1 - k / trials) ** 2)):
@@ -114,7 +112,7 @@ def _length(order, cost, start, stop):
     return total.min()
 
 
-def _changed(order: list[int], rng: np.random.Generator) -> list[int]:
+def _perturb(order: list[int], rng: np.random.Generator) -> list[int]:
     a, b = sorted(rng.integers(0, len(order) + 1, 2).tolist())
     if rng.random() < 0.5:
         return order[:a] + order[a:b][::-1] + order[b:]

@@ -13,13 +13,13 @@ import numpy as np
 
 from anther.core.errors import bad_input
 from anther.robot.arm import ArmName
-from anther.robot.arm.model import ArmModel, Capsule, Link, completed
+from anther.robot.arm.model import ArmModel, Capsule, Link, complete
 from anther.robot.arm.sawyer import SAWYER
 from anther.robot.arm.urdf import ROTOR, SPRING, WIDEST, from_urdf
 
 
 @cache
-def named(name: str) -> ArmModel:
+def find_arm(name: str) -> ArmModel:
     """Return an arm by its name.
 
     Raises:
@@ -40,14 +40,14 @@ def named(name: str) -> ArmModel:
 
 
 @cache
-def in_simulated_cell(name: str) -> ArmModel:
+def simulated_arm(name: str) -> ArmModel:
     """Return an arm on a mount with which its shoulder is at the Sawyer's height: the simulated cell then fits it.
 
     Raises:
-        AntherError: see `named`.
+        AntherError: see `find_arm`.
     """
-    arm = named(name)
-    return arm if arm is SAWYER else arm.raised(float(SAWYER.shoulder[2] - arm.shoulder[2]))
+    arm = find_arm(name)
+    return arm if arm is SAWYER else arm.on_mount(float(SAWYER.shoulder[2] - arm.shoulder[2]))
 
 
 def _ur5e() -> ArmModel:
@@ -98,7 +98,7 @@ def _xarm7() -> ArmModel:
     """
     effort = np.array([50.0, 50.0, 30.0, 30.0, 30.0, 20.0, 20.0])
     ready = np.array([0.158, -0.267, 0.817, 0.61, -1.919, 1.022, -0.635])  # flange at (0.25, 0.3) m, level
-    return completed(
+    return complete(
         ArmModel(
             name="xarm7",
             joints=tuple(f"joint{i}" for i in range(1, 8)),

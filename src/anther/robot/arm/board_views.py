@@ -14,17 +14,6 @@ from anther.robot.arm.planner import Params, Planner
 from anther.robot.devices import JointTrajectory, SafetyLimits
 from anther.robot.safety import check_trajectory
 
-AROUND, DEEP = 0.03, 0.02
-"""The board is taken to be so much larger to each side, and so much thicker, than it is [m]: its plate, and what is not
-yet known of the camera's place."""
-GRAIN = 0.006
-"""Between the points that stand for it [m]: less than a cube of the octree that they go into (`collision.VOXEL`)."""
-BATCH, SEEDS, BRANCHES = 24, 8, 2
-"""Poses whose joints are sought together, from so many seeds; and how many branches of each are tried, the nearest
-first."""
-SWING = 2.2
-"""No joint turns further at once [rad]: nobody expects an arm to fold over between two views."""
-
 
 def board_planner(
     T_base_board: Array, centre: Array, boxes: Sequence[Box], space: Box, motion: Params, arm: ArmModel
@@ -39,13 +28,15 @@ def board_planner(
         motion: how the arm moves.
         arm: its description.
     """
-    sides = [np.arange(-AROUND, 2 * c + AROUND, GRAIN) for c in centre[:2]]
-    grid = np.stack(np.meshgrid(*sides, np.arange(-DEEP, DEEP, GRAIN), indexing="ij"), axis=-1)
+    margin, depth = 0.03, 0.02  # [m], about the board: its plate, and what is not yet known of the camera's place
+    grain = 0.006  # between the points [m]: less than a cube of the octree that they go into (`collision.VOXEL`)
+    sides = [np.arange(-margin, 2 * c + margin, grain) for c in centre[:2]]
+    grid = np.stack(np.meshgrid(*sides, np.arange(-depth, depth, grain), indexing="ij"), axis=-1)
     plate = transform_points(T_base_board, grid.reshape(-1, 3))
     return Planner(np.zeros((0, 3)), plate, boxes, space=space, params=motion, arm=arm)
 
 
-def first_reached(
+def find_first_reachable(
     planner: Planner, limits: SafetyLimits, here: Array, T_base_flange: Array
 ) -> tuple[int, JointTrajectory] | None:
     """Return the number of the first of (C, 4, 4) poses that the arm can go to, and the motion; None if there is none.
@@ -53,11 +44,12 @@ def first_reached(
     Only straight lines of the joints count, from joints `here` (J,): whoever stands beside the arm can foresee them.
     They touch nothing the planner knows, and pass all that the guard will ask of them.
     """
-    for begin in range(0, len(T_base_flange), BATCH):
-        poses = T_base_flange[begin : begin + BATCH]
-        solved = _kinematics.inverse_many(planner.arm, poses, near=here, seeds=SEEDS)
+    batch = 24  # poses whose joints are sought together
+    for begin in range(0, len(T_base_flange), batch):
+        poses = T_base_flange[begin : begin + batch]
+        solved = _kinematics.inverse_many(planner.arm, poses, near=here, seeds=8)
         for number, branches in enumerate(solved):
-            for there in branches[:BRANCHES]:
+            for there in branches[:2]:  # the nearest
                 motion = straight_way(planner, limits, here, there)
                 if motion is not None:
                     return begin + number, motion
@@ -68,7 +60,8 @@ def straight_way(planner: Planner, limits: SafetyLimits, here: Array, there: Arr
     """Return the motion along the straight line between joints (J,), if it is free and within the limits."""
     line = np.linspace(here, there, 20)
     inside = planner.space is None or planner.space.contains(planner.arm.forward(line)[:, :3, 3]).all()
-    if not inside or np.abs(there - here).max() > SWING or not planner.world.path_free(line[[0, -1]]):
+    folds = np.abs(there - here).max() > 2.2  # [rad]: nobody expects an arm to fold over between two views
+    if not inside or folds or not planner.world.path_free(line[[0, -1]]):
         return None
     try:
         motion = planner.move(here, there)

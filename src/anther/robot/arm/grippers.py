@@ -124,11 +124,6 @@ PRESETS = {
 }
 """Grippers by name, with the source of their measures."""
 
-BRACKET = 0.02, 0.006
-"""Half the width of the camera's bracket, and its thickness [m]: those of `sawyer.TOOL`."""
-ALIKE = 0.005, np.radians(3)
-"""A camera that is calibrated within this of where the tool has it [m], [rad] keeps the tool's outline."""
-
 
 def with_camera(tool: Tool, T_flange_cam: Array, outline: tuple[float, float, float] | None = None) -> Tool:
     """Return the tool with its camera at the pose of a hand-eye calibration.
@@ -140,13 +135,13 @@ def with_camera(tool: Tool, T_flange_cam: Array, outline: tuple[float, float, fl
     """
     gap = inverse(tool.T_flange_cam) @ T_flange_cam
     shift, turn = np.linalg.norm(gap[:3, 3]), Rotation.from_matrix(gap[:3, :3]).magnitude()
-    if outline is None and shift <= ALIKE[0] and turn <= ALIKE[1]:
+    if outline is None and shift <= 0.005 and turn <= np.radians(3):  # alike: the tool keeps its outline
         return tool if np.allclose(gap, np.eye(4), atol=1e-6) else replace(tool, T_flange_cam=T_flange_cam)
     width, height, depth = (0.124, 0.029, 0.026) if outline is None else outline
     centre = T_flange_cam[:3, 3] - depth / 2 * T_flange_cam[:3, 2]
     half = np.abs(T_flange_cam[:3, :3]) @ np.array([width, height, depth]) / 2  # of the box along the flange's axes
-    lower, upper = np.minimum(centre[:2], 0.0) - BRACKET[0], np.maximum(centre[:2], 0.0) + BRACKET[0]
-    thin = BRACKET[1] / 2
+    lower, upper = np.minimum(centre[:2], 0.0) - 0.02, np.maximum(centre[:2], 0.0) + 0.02
+    thin = 0.003  # half the thickness of the bracket, as of `sawyer.TOOL`, like its half width above [m]
     plate = _solid("bracket", np.append((lower + upper) / 2, thin), np.append((upper - lower) / 2, thin))
     camera = _solid("camera", centre, half)
     return replace(tool, T_flange_cam=T_flange_cam, camera=(camera, plate))

@@ -202,7 +202,7 @@ class ArmModel:
         turned = [transform(Rotation.from_euler("xyz", link.rpy).as_matrix(), link.xyz) for link in self.links]
         object.__setattr__(self, "local", np.stack(turned))
 
-    def raised(self, height: float) -> ArmModel:
+    def on_mount(self, height: float) -> ArmModel:
         """Return the same arm on a mount so much higher [m]."""
 
         def up(place: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -282,10 +282,10 @@ def outline(arm: ArmModel, q: ArrayLike) -> Array:
     They fill the shapes that `collision` plans with and never stand out of them. Base and riders are left out.
     """
     poses, shapes = arm.link_poses(q), _balls(arm)
-    return np.concatenate([_placed(poses[..., i, :, :], balls) for i, balls in enumerate(shapes)], axis=-2)
+    return np.concatenate([_place(poses[..., i, :, :], balls) for i, balls in enumerate(shapes)], axis=-2)
 
 
-def _placed(T: Array, balls: Array) -> Array:
+def _place(T: Array, balls: Array) -> Array:
     """Return balls (S, 4) of a frame, centre and radius, at its poses (..., 4, 4): (..., S, 4)."""
     centres = balls[:, :3] @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3]
     return np.concatenate([centres, np.broadcast_to(balls[:, 3:], (*centres.shape[:-1], 1))], axis=-1)
@@ -315,11 +315,7 @@ def _balls(arm: ArmModel) -> tuple[Array, ...]:
     return (*(np.concatenate([_of_capsule(c) for c in link.capsules]) for link in arm.links), tool)
 
 
-POSTURES = 256  # looked at for links that touch
-OFTEN = 0.3  # share of the postures in which links one apart touch, from which on that says nothing
-
-
-def completed(arm: ArmModel) -> ArmModel:
+def complete(arm: ArmModel) -> ArmModel:
     """Return an arm with the shoulder, reach and neighbours that follow from its links."""
     at, q = arm.link_poses(np.zeros(arm.count)), scipy.stats.qmc.Sobol(arm.count, scramble=False).random_base2(12)
     shoulder = np.array([0.0, 0.0, at[1, 2, 3]])
@@ -334,22 +330,20 @@ def completed(arm: ArmModel) -> ArmModel:
 def _neighbours(arm: ArmModel) -> tuple[tuple[str, str], ...]:
     """Return the pairs of parts that are not to be checked: joined ones, and those whose shapes say nothing.
 
-    The latter touch where the arm is ready or waits, or, links one apart, in more than `OFTEN` of all postures.
+    The latter touch where the arm is ready or waits, or, links one apart, in more than 30 % of all postures.
     """
     names = _part_names(arm)
     tool = len(names) - 2
     joined = {*zip(names[:tool], names[1:tool], strict=False), (GRIPPER, CAMERA)}
     joined |= {(names[i], part) for i in (tool - 2, tool - 1) for part in (GRIPPER, CAMERA)}
-    samples = scipy.stats.qmc.scale(
-        scipy.stats.qmc.Sobol(arm.count, scramble=False).random(POSTURES), arm.lower, arm.upper
-    )
+    samples = scipy.stats.qmc.scale(scipy.stats.qmc.Sobol(arm.count, scramble=False).random(256), arm.lower, arm.upper)
     q = np.concatenate([[arm.ready, arm.waiting], samples])
     balls = _parts_at(arm, q)
     for i, j in combinations(range(len(names)), 2):
         pair = names[i], names[j]
         if pair not in joined:
             touch = np.array([_touch(a, b) for a, b in zip(balls[i], balls[j], strict=True)])
-            if touch[:2].any() or (min(j, tool) - i == 2 and touch.mean() > OFTEN):
+            if touch[:2].any() or (min(j, tool) - i == 2 and touch.mean() > 0.3):
                 joined.add(pair)
     return tuple(sorted(joined))
 
@@ -375,7 +369,7 @@ def _parts_at(arm: ArmModel, q: Array) -> list[Array]:
     tools = [np.concatenate([_of_solid(s) for s in solids]) for solids in (gripper, camera)]
     poses = arm.link_poses(q)
     ground = np.concatenate(base) if base else np.zeros((0, 4))
-    moving = [_placed(poses[:, min(i, arm.count)], shape) for i, shape in enumerate([*links, *tools])]
+    moving = [_place(poses[:, min(i, arm.count)], shape) for i, shape in enumerate([*links, *tools])]
     return [np.tile(ground, (len(q), 1, 1)), *moving]
 
 

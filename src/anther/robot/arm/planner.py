@@ -26,23 +26,12 @@ from anther.robot.swing import Swing
 
 SHAKE_SHARE = 0.85  # of the local limit; the rest covers ramps and the bend of the joint path
 SHAKE_CAP = 0.02  # m, beyond which the local limit means little
-REACH_STEP = 0.01  # m between the poses checked on a way in
-WAYS_FOLLOWED, WAYS_CONNECTED = 5, 2  # branches of a grasp of which the way in, and then the path there, is tried
-HURRY = 0.4  # share of the shake's amplitude that a second less on the way to a grasp is worth; an estimate
-STEADY = 0.1  # rad, most that a joint may turn within REACH_STEP on a way in
 ROOMS = SHAKE_CAP / 2.0 ** np.arange(7)  # m, amplitudes tried for being free, the largest first
-SEARCHES = 3  # for a path, each with half the step of the one before
 SEARCH_TIME = 2.0  # s for a path around obstacles in each of them
-SEEDS = 3  # of each search: the quickest way found is taken
-SHIFTS, SHIFT = 20, 0.4  # times that the waypoints of that way are shifted, and how far at first [rad]
 BLENDS = (0.3, 0.05)  # rad, how far a corner may be rounded, in order of preference
 SEARCH_STEP = 0.02  # rad between collision checks while searching; the result is checked at collision.FREE_STEP
 LINE_STEP = 0.003
 """Spacing of the poses along a straight line [m]."""
-BACK_OUT = 0.3
-"""How far the gripper draws back out of leaves before it moves freely [m]."""
-REACH_TIME = 0.2
-"""Longest search when only asked whether a grasp can be reached [s]."""
 
 Place = tuple[Array, JointTrajectory | None]
 """Free joints (J,), and the way back to them from such as are not."""
@@ -109,10 +98,10 @@ class Planner:
         branches = _kinematics.inverse(self.arm, grasp)
         if not len(branches):
             return None
-        poses = _kinematics.poses_between(grasp, pregrasp, REACH_STEP)
+        poses = _kinematics.poses_between(grasp, pregrasp, 0.01)
         ways = sorted(self._ways_in(branches, poses), key=lambda way: self._delay(way[-1]))
         free = (way for way in ways if self._brushing_free(way))
-        return next((way[0] for way in islice(free, WAYS_CONNECTED) if self._connected(way[-1])), None)
+        return next((way[0] for way in islice(free, 2) if self._is_soon_reached(way[-1])), None)  # a path takes long
 
     def move(self, q_from: ArrayLike, q_to: ArrayLike) -> JointTrajectory:
         """Return a free motion between two joint vectors (J,).
@@ -129,11 +118,11 @@ class Planner:
             check_array("goal joints", q_to, (self.arm.count,)),
         )
         try:
-            return self._between(*map(self._backed_out, ends))
+            return self._join_places(*map(self._back_out, ends))
         except StageFailure as failure:
             if failure.kind != "unreachable" or all(map(self.world.free, ends)):
                 raise
-            return self._between(*(self._backed_out(q, far=True) for q in ends))
+            return self._join_places(*(self._back_out(q, far=True) for q in ends))
 
     def line(self, q_from: ArrayLike, T_world_to: ArrayLike, speed: float | None = None) -> JointTrajectory:
         """Return a slow straight motion of the flange to a pose; gripper and camera may touch the plant.
@@ -157,7 +146,7 @@ class Planner:
                 raise StageFailure("collision", f"the straight line to {target[:3, 3].round(3)} m is not free.")
         length = np.linalg.norm(target[:3, 3] - here[:3, 3]) + 0.1 * _kinematics.angle(here, target)
         motion = _motions.along_line(self.arm, path, max(float(length), 1e-4), speed or self.params.approach_speed)
-        return _motions.check_effort(self.arm, _motions.within_speed(self.arm, motion))
+        return _motions.check_effort(self.arm, _motions.limit_speed(self.arm, motion))
 
     def shake_limit(self, q: ArrayLike, direction: ArrayLike, frequencies: ArrayLike) -> Array:
         """Return the amplitudes (Q,) [m] that `swing` can do at joints (J,): see `shake_limit`, and what is free."""
@@ -190,8 +179,8 @@ class Planner:
             return False
         begin, end, radius = self.arm.wrist.start[2], self.arm.wrist.end[2], self.arm.wrist.radius + ARM_MARGIN
         across, along = np.split((self.plant - T_world_flange[:3, 3]) @ T_world_flange[:3, :3], [2], axis=1)
-        beside = along[:, 0] - np.clip(along[:, 0], begin - length, end)
-        return bool(np.any(np.sum(across**2, axis=1) + beside**2 < radius**2))
+        beyond = along[:, 0] - np.clip(along[:, 0], begin - length, end)
+        return bool(np.any(np.sum(across**2, axis=1) + beyond**2 < radius**2))
 
     def _ways_in(self, branches: Array, poses: Array) -> list[Array]:
         """Return the joint ways (N, J) from the grasp back through poses (N, 4, 4) that are free there.
@@ -200,9 +189,10 @@ class Planner:
         """
         with self.world.touching_plant():
             free = branches[[self.world.free(q) for q in branches]]
-            worth = _shake_rank(self.arm, free) * np.exp(-HURRY * least_times(self.arm, free, self.home[None])[:, 0])
+            hurry = 0.4  # share of the amplitude that a second less on the way is worth; an estimate
+            worth = _shake_rank(self.arm, free) * np.exp(-hurry * least_times(self.arm, free, self.home[None])[:, 0])
             ranked = free[np.argsort(-worth, kind="stable")]
-            followed = _kinematics.follow(self.arm, ranked[:WAYS_FOLLOWED], poses)
+            followed = _kinematics.follow(self.arm, ranked[:5], poses)
             return [way for way in followed if _steady(self.arm, way) and all(map(self.world.free, way))]
 
     def _brushing_free(self, way: Array) -> bool:
@@ -227,58 +217,58 @@ class Planner:
             0.0 if self.world.path_free(line, SEARCH_STEP) else DETOUR
         )
 
-    def _connected(self, q: Array) -> bool:
+    def _is_soon_reached(self, q: Array) -> bool:
         """Return whether a path from home to q, or to where q can be backed out to, is found quickly."""
         if not self.world.free(self.home):
             return True
         try:
-            goal = self._backed_out(q)[0]
+            goal = self._back_out(q)[0]
         except StageFailure:
             return False
-        return self._search(self.home, goal, REACH_TIME, SEARCH_STEP, 0) is not None
+        return self._search(self.home, goal, 0.2, SEARCH_STEP, 0) is not None
 
-    def _between(self, start: Place, goal: Place) -> JointTrajectory:
+    def _join_places(self, start: Place, goal: Place) -> JointTrajectory:
         (begin, leave), (end, enter) = start, goal
         parts = [] if leave is None else [leave]
         if np.abs(end - begin).max() > 1e-9 or (leave is None and enter is None):
             parts.append(self._free_motion(begin, end))
-        motion = _motions.joined(parts if enter is None else [*parts, enter.backwards()])
-        return _motions.check_effort(self.arm, _motions.within_speed(self.arm, motion))
+        motion = _motions.join(parts if enter is None else [*parts, enter.backwards()])
+        return _motions.check_effort(self.arm, _motions.limit_speed(self.arm, motion))
 
     def _free_motion(self, start: Array, goal: Array) -> JointTrajectory:
         """Return the straight joint line if it is free, else the quickest way around that was found."""
         p, line = self.params, np.stack([start, goal])
         motion = _motions.straight(self.arm, start, goal, p.velocity_share, p.acceleration_share, p.flange_speed)
-        return _motions.within_effort(
-            self.arm, motion if self._open(line, motion.positions, FREE_STEP) else self._around(start, goal)
+        return _motions.limit_effort(
+            self.arm, motion if self._is_free(line, motion.positions, FREE_STEP) else self._find_detour(start, goal)
         )
 
-    def _around(self, start: Array, goal: Array) -> JointTrajectory:
+    def _find_detour(self, start: Array, goal: Array) -> JointTrajectory:
         """Return the quickest of several ways found by RRT-Connect that is free, its waypoints shifted to save time.
 
         Where none is found, or a finer check finds none of them free, it is asked again in smaller steps.
         """
-        for step in SEARCH_STEP / 2.0 ** np.arange(SEARCHES):
+        for step in SEARCH_STEP * np.array([1, 1 / 2, 1 / 4]):
             for motion, _ in sorted(self._ways(start, goal, step), key=lambda way: way[0].duration):
                 if self.world.path_free(motion.positions[::4]):
                     return motion
-        given = f"no free path found to joints {goal.round(2)}, in {SEARCHES} searches"
+        given = f"no free path found to joints {goal.round(2)}, in 3 searches"
         raise StageFailure("unreachable", f"{given}. Move the plant, or take another grasp or view.")
 
     def _ways(self, start: Array, goal: Array, step: float) -> list[tuple[JointTrajectory, Array]]:
         """Return motions by the ways found, and the waypoints (N, J) of each; free as far as steps [rad] tell."""
-        tried = ((self._timed(path, step) for path in paths) for paths in self._detours(start, goal, step))
+        tried = ((self._time_path(path, step) for path in paths) for paths in self._detours(start, goal, step))
         ways = [way for some in tried if (way := next(filter(None, some), None))]
         rng = np.random.default_rng(0)
-        for left in np.linspace(SHIFT, 0, SHIFTS, endpoint=False) if ways else ():
+        for left in np.linspace(0.4, 0, 20, endpoint=False) if ways else ():  # [rad] of shift
             quickest, path = min(ways, key=lambda way: way[0].duration)
             shifts = left * self.arm.velocity / self.arm.velocity.mean() * rng.normal(size=path[1:-1].shape)
             moved = np.concatenate([path[:1], np.clip(path[1:-1] + shifts, self.arm.lower, self.arm.upper), path[-1:]])
-            better = self._timed(moved, step, BLENDS[:1], quickest.duration)
+            better = self._time_path(moved, step, BLENDS[:1], quickest.duration)
             ways += [better] if better else []
         return ways
 
-    def _timed(
+    def _time_path(
         self, path: Array, step: float, blends: Sequence[float] = BLENDS, within: float = np.inf
     ) -> tuple[JointTrajectory, Array] | None:
         """Return a motion by way of joints (N, J), and them, if it lasts less than `within` [s]; else None.
@@ -296,20 +286,20 @@ class Planner:
             except RuntimeError:  # TOPP-RA's linear programs fail on some paths
                 continue
             kept = _motions.limit_share(self.arm, rounded) <= 1.05 * max(p.velocity_share, p.acceleration_share)
-            motion = _motions.slowed(self.arm, rounded, p.flange_speed)
-            if kept and motion.duration < within and self._open(motion.positions[::4], motion.positions, step):
+            motion = _motions.slow_down(self.arm, rounded, p.flange_speed)
+            if kept and motion.duration < within and self._is_free(motion.positions[::4], motion.positions, step):
                 return motion, path
         motion = _motions.stopping(self.arm, path, p.velocity_share, p.acceleration_share, p.flange_speed)
-        return (motion, path) if motion.duration < within and self._open(path, motion.positions, step) else None
+        return (motion, path) if motion.duration < within and self._is_free(path, motion.positions, step) else None
 
-    def _open(self, path: Array, passed: Array, step: float) -> bool:
+    def _is_free(self, path: Array, passed: Array, step: float) -> bool:
         """Return whether the flange stays within its space at joints (T, J) passed, and the path (N, J) is free."""
         inside = self.space is None or bool(self.space.contains(self.arm.forward(passed)[:, :3, 3]).all())
         return inside and self.world.path_free(path, step)
 
     def _detours(self, start: Array, goal: Array, step: float) -> Iterator[tuple[Array, Array]]:
         """Yield waypoints (N, J) of what RRT-Connect finds, shortened and as found, one a seed until it finds none."""
-        for seed in range(SEEDS):
+        for seed in range(3):
             found = self._search(start, goal, SEARCH_TIME, step, seed)
             if found is None:
                 return
@@ -334,7 +324,7 @@ class Planner:
         except RuntimeError:
             return None
 
-    def _backed_out(self, q: Array, *, far: bool = False) -> Place:
+    def _back_out(self, q: Array, *, far: bool = False) -> Place:
         """Return free joints straight back along the approach axis and the way there; None if q is free.
 
         `far`: the farthest, since the nearest may be a pocket among leaves.
@@ -342,7 +332,8 @@ class Planner:
         if self.world.free(q):
             return q, None
         here, free = self.arm.forward(q), list[int]()
-        poses = _kinematics.poses_between(here, here @ transform(np.eye(3), [0, 0, -BACK_OUT]), LINE_STEP)
+        behind = here @ transform(np.eye(3), [0, 0, -0.3])  # [m]: out of leaves
+        poses = _kinematics.poses_between(here, behind, LINE_STEP)
         path = _kinematics.follow(self.arm, q[None], poses)[0]
         for i, joints in enumerate(path):
             with self.world.touching_plant():
@@ -378,4 +369,4 @@ def _steady(arm: ArmModel, way: Array) -> bool:
     Near either the way back, or the same way in other steps, might not be found again.
     """
     inside = np.all((way > arm.lower + 0.01) & (way < arm.upper - 0.01))
-    return bool(inside and np.abs(np.diff(way, axis=0)).max() < STEADY)
+    return bool(inside and np.abs(np.diff(way, axis=0)).max() < 0.1)  # [rad] between two poses

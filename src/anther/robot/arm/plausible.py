@@ -18,11 +18,9 @@ LARGEST_ANGLE = 13.0
 """A joint's limits are no farther from zero [rad]: two turns, more than its cables bear; 18 are degrees."""
 LARGEST_SPEED = 30.0
 """Of a joint [rad/s]: half as much again as the quickest wrists turn (Stäubli TX2-40: 20)."""
-LARGEST_ACCELERATION = 300.0
-"""Of a joint [rad/s^2]: the largest speed within 0.1 s."""
 LARGEST_EFFORT = 1e5
 """Of a joint [N m]: holds 2 t at 5 m."""
-SHORTEST_REACH, LONGEST_REACH = 0.1, 5.0
+LONGEST_REACH = 5.0
 """Of the flange [m]: desk-top arms reach 0.2 m, the largest 4.7 m (Fanuc M-2000iA)."""
 FARTHEST = 2 * LONGEST_REACH
 """What an arm has to know of is no farther from its base [m]."""
@@ -49,7 +47,8 @@ def check_acceleration(joint: str, acceleration: float) -> None:
     Raises:
         InputError: no arm has such a joint.
     """
-    _check_above_zero(f"{joint}: acceleration", acceleration, LARGEST_ACCELERATION, "rad/s^2", DO)
+    # the largest speed within 0.1 s
+    _check_above_zero(f"{joint}: acceleration", acceleration, 10 * LARGEST_SPEED, "rad/s^2", DO)
 
 
 def _check_above_zero(what: str, value: float, most: float, unit: str, do: str) -> None:
@@ -72,7 +71,7 @@ def check_extent(
     Raises:
         InputError: no arm is so.
     """
-    check_range(f"{name}'s reach", reach, SHORTEST_REACH, LONGEST_REACH, "m")
+    check_range(f"{name}'s reach", reach, 0.1, LONGEST_REACH, "m")
     check_range(f"{name}'s floor, over its shoulder", floor, -LONGEST_REACH, 0.0, "m")
     shapes = [(link, capsules, reach) for link, capsules in links]
     for link, capsules, most in [*shapes, ("base", base, LONGEST_REACH)]:

@@ -27,11 +27,10 @@ from scipy.spatial.transform import Rotation
 from anther.core.errors import bad_input
 from anther.core.files import named_file, read_lines, understood
 from anther.core.geometry import Array, inverse, transform
-from anther.robot.arm.model import ArmModel, Capsule, Link, Tool, completed, rpy
+from anther.robot.arm.model import ArmModel, Capsule, Link, Tool, complete, rpy
 from anther.robot.arm.plausible import check_joint
 from anther.robot.arm.sawyer import TOOL
 
-SURFACE = 3000  # points on a link's shapes, beside their corners
 ROTOR = 1 / 150  # kg m^2 of rotor inertia for each N m of effort: a guess, half of Sawyer's
 SPRING = 20.0  # N m/rad of a joint's spring for each N m of effort, as of Sawyer: a guess
 WIDEST = np.pi
@@ -39,8 +38,6 @@ WIDEST = np.pi
 ENDLESS = 1e9
 """Limits from here on say that a joint turns on and on, as some exporters write it [rad]."""
 LESS = 1e-6  # rad
-DENSEST = 2e4
-"""No link is denser [kg/m^3]: tungsten."""
 MESHES = ".stl", ".obj", ".ply", ".off"
 """Formats of meshes whose numbers are metres. Collada's have a unit of their own, which trimesh does not read."""
 
@@ -118,14 +115,13 @@ def from_urdf(
         shoulder=np.zeros(3),
         reach=np.inf,
         floor=floor,
-        base_capsules=capsules_around(np.concatenate(shapes[0])) if shapes[0] else (),
+        base_capsules=fit_capsules(np.concatenate(shapes[0])) if shapes[0] else (),
     )
-    return completed(arm)
+    return complete(arm)
 
 
 _XACRO = re.compile(r"<xacro:(?!macro\b)\w|\$\{(?!\w+\})|\$\(")
 """What only xacro understands: its tags but a macro's, expressions and substitutions."""
-_XACRO_SECONDS = 60.0
 
 
 def _robot(path: Path) -> Any:
@@ -154,7 +150,7 @@ def _of_xacro(path: Path) -> str:
         do += ", or install it: pip install 'anther[cell]'"
         raise bad_input(str(path), given="a xacro file, and xacro is not installed", allowed=allowed, do=f"{do}.")
     try:
-        ran = subprocess.run([program, str(path)], capture_output=True, text=True, timeout=_XACRO_SECONDS, check=True)
+        ran = subprocess.run([program, str(path)], capture_output=True, text=True, timeout=60.0, check=True)
     except (subprocess.SubprocessError, OSError) as error:
         said = [line for line in (getattr(error, "stderr", None) or str(error)).splitlines() if line.strip()]
         raise bad_input(
@@ -206,8 +202,8 @@ def _only_what_moves(joint: Any, path: Path) -> Any:
     Soft limits (`safety_controller`) that are narrower take the place of the others.
     """
     name, kind = f"{path}: joint {joint.get('name')}", joint.get("type")
-    kept = ElementTree.Element("joint", joint.attrib)
-    kept.extend([copy(part) for part in joint if part.tag in ("origin", "parent", "child", "axis", "limit", "mimic")])
+    plain = ElementTree.Element("joint", joint.attrib)
+    plain.extend([copy(part) for part in joint if part.tag in ("origin", "parent", "child", "axis", "limit", "mimic")])
     if kind not in ("fixed", "revolute", "continuous", "prismatic", "floating", "planar"):
         given = f"joints that do not turn: {[joint.get('name')]}"
         raise bad_input("arm", given=given, allowed="revolute", do="Choose other links.")
@@ -221,18 +217,18 @@ def _only_what_moves(joint: Any, path: Path) -> Any:
     if limit is None and kind == "revolute":
         raise bad_input(name, given="no limit", allowed="<limit lower= upper= velocity= effort=>", do=_LIMIT)
     if kind in ("revolute", "continuous") and limit is not None:
-        told = {key: _limit(name, key, text) for key, text in limit.attrib.items()}
-        told = {"lower": -ENDLESS, "upper": ENDLESS} | told
+        bounds = {key: _limit(name, key, text) for key, text in limit.attrib.items()}
+        bounds = {"lower": -ENDLESS, "upper": ENDLESS} | bounds
         if soft is not None:
             ends = {
                 key: _limit(name, f"soft_{key}_limit", soft.get(f"soft_{key}_limit", "0")) for key in ("lower", "upper")
             }
             if ends["lower"] < ends["upper"]:  # else none are stated
-                told["lower"] = max(told["lower"], ends["lower"])
-                told["upper"] = min(told["upper"], ends["upper"])
-        kept.set("type", "revolute")
-        kept.find("limit").attrib = {key: repr(value) for key, value in told.items()}  # type: ignore[union-attr]
-    return kept
+                bounds["lower"] = max(bounds["lower"], ends["lower"])
+                bounds["upper"] = min(bounds["upper"], ends["upper"])
+        plain.set("type", "revolute")
+        plain.find("limit").attrib = {key: repr(value) for key, value in bounds.items()}  # type: ignore[union-attr]
+    return plain
 
 
 _LIMIT = "Write <limit lower= upper= velocity= effort=> into the joint, in rad, rad/s and N m."
@@ -267,11 +263,12 @@ def _link(model: Any, j: int, turn_before: Array, turn: Array, body: Any, shapes
     points = np.concatenate(shapes) @ turn[:3, :3]
     x, y, z = body.inertia
     moments = (x[0], y[1], z[2], x[1], x[2], y[2])
-    told: Any = [T[:3, 3], rpy(Rotation.from_matrix(T[:3, :3])), body.lever, moments]
-    xyz, turned, com, inertia = (tuple(map(float, part)) for part in told)
-    capsules = capsules_around(points)
-    if body.mass > DENSEST * _volume(capsules):
-        given, allowed = f"{body.mass:g} kg in {_volume(capsules):.2g} m3", f"<= {DENSEST:g} kg/m3"
+    parts: Any = [T[:3, 3], rpy(Rotation.from_matrix(T[:3, :3])), body.lever, moments]
+    xyz, turned, com, inertia = (tuple(map(float, part)) for part in parts)
+    capsules = fit_capsules(points)
+    densest = 2e4  # [kg/m^3]: tungsten
+    if body.mass > densest * _volume(capsules):
+        given, allowed = f"{body.mass:g} kg in {_volume(capsules):.2g} m3", f"<= {densest:g} kg/m3"
         raise bad_input(f"link {name}", given=given, allowed=allowed, do="Masses in a URDF are kilograms.")
     return Link(name, xyz, turned, body.mass, com, inertia, capsules)  # type: ignore[arg-type]
 
@@ -281,11 +278,11 @@ def _points(link: Any, T: Array, path: Path, packages: Path | None) -> list[Arra
     out = []
     for collision in link.findall("collision"):
         mesh = _mesh(collision.find("geometry")[0], path, packages)
-        surface = trimesh.sample.sample_surface(mesh, SURFACE, seed=0)[0]
+        surface = trimesh.sample.sample_surface(mesh, 3000, seed=0)[0]
         origin = collision.find("origin")
-        told = {} if origin is None else origin.attrib
-        turn = Rotation.from_euler("xyz", _numbers(told.get("rpy", "0 0 0"))).as_matrix()
-        points = np.concatenate([mesh.vertices, surface]) @ turn.T + _numbers(told.get("xyz", "0 0 0"))
+        attributes = {} if origin is None else origin.attrib
+        turn = Rotation.from_euler("xyz", _numbers(attributes.get("rpy", "0 0 0"))).as_matrix()
+        points = np.concatenate([mesh.vertices, surface]) @ turn.T + _numbers(attributes.get("xyz", "0 0 0"))
         out.append(points @ T[:3, :3].T + T[:3, 3])
     return out
 
@@ -313,22 +310,22 @@ def _mesh(shape: Any, path: Path, packages: Path | None) -> Any:
     raise bad_input(f"{path}: shape", given=f"<{shape.tag}>", allowed=allowed, do="Give the link another collision.")
 
 
-def _mesh_file(told: str, path: Path, packages: Path | None) -> Path:
+def _mesh_file(name: str, path: Path, packages: Path | None) -> Path:
     """Return where a mesh lies that a URDF names.
 
     Raises:
         InputError: it cannot be read, or there is none.
     """
-    where, inside = told.removeprefix("file://"), re.sub("^(?:package|model)://", "", told)
-    if packages is None and inside != told:
+    where, inside = name.removeprefix("file://"), re.sub("^(?:package|model)://", "", name)
+    if packages is None and inside != name:
         do = f'Give packages = "...", the folder in which {inside.split("/")[0]} lies.'
-        raise bad_input(f"{path}: mesh", given=told, allowed="a path beside the URDF, or with the key packages", do=do)
-    file = named_file(packages, inside) if packages and inside != told else named_file(path.parent, where)
+        raise bad_input(f"{path}: mesh", given=name, allowed="a path beside the URDF, or with the key packages", do=do)
+    file = named_file(packages, inside) if packages and inside != name else named_file(path.parent, where)
     if file.suffix.lower() not in MESHES:
         do = "Export it as STL in metres, and name that."
-        raise bad_input(f"{path}: mesh", given=told, allowed=f"{', '.join(MESHES)}", do=do)
+        raise bad_input(f"{path}: mesh", given=name, allowed=f"{', '.join(MESHES)}", do=do)
     if not file.is_file():
-        raise bad_input(f"{path}: mesh", given=told, allowed="a file that exists", do=f"There is none at {file}.")
+        raise bad_input(f"{path}: mesh", given=name, allowed="a file that exists", do=f"There is none at {file}.")
     return file
 
 
@@ -337,8 +334,8 @@ def _limits(model: Any, j: int, path: Path) -> tuple[float, float, float, float]
     at, to = model.idx_qs[j], model.idx_vs[j]
     lower, upper = float(model.lowerPositionLimit[at]), float(model.upperPositionLimit[at])
     velocity, effort = float(model.velocityLimit[to]), float(model.effortLimit[to])
-    told = (-WIDEST, WIDEST) if max(-lower, upper) >= ENDLESS else (lower, upper)
-    check_joint(f"{path}: joint {model.names[j]}", *told, velocity, effort, _LIMIT)
+    bounds = (-WIDEST, WIDEST) if max(-lower, upper) >= ENDLESS else (lower, upper)
+    check_joint(f"{path}: joint {model.names[j]}", *bounds, velocity, effort, _LIMIT)
     if upper - lower > 2 * WIDEST:
         lower, upper = max(lower, -WIDEST), min(upper, WIDEST)
     return lower, upper, velocity, effort
@@ -358,22 +355,16 @@ def _numbers(text: str) -> Array:
     return np.array(text.split(), dtype=float)
 
 
-MOST = 3  # capsules a link
-GAIN = 0.8  # share of the volume before, below which one more capsule is worth it
-SHORTEST = 0.002  # m, axis of a capsule
-ROUNDS = 80  # of moving a circle's centre towards the farthest point: it is then within some percent of the smallest
-
-
-def capsules_around(points: Array) -> tuple[Capsule, ...]:
-    """Return one to `MOST` capsules that together hold all points (P, 3) [m], all in the same frame."""
+def fit_capsules(points: Array) -> tuple[Capsule, ...]:
+    """Return one to three capsules that together hold all points (P, 3) [m], all in the same frame."""
     best = (_capsule(points),)
-    for count in range(2, MOST + 1):
+    for count in (2, 3):
         which = kmeans2(points, count, minit="++", rng=np.random.default_rng(0))[1]
         parts = [points[which == k] for k in range(count)]
         if min(map(len, parts)) < 4:
             break
         tried = tuple(map(_capsule, parts))
-        if _volume(tried) < GAIN * _volume(best):
+        if _volume(tried) < 0.8 * _volume(best):  # else one more is not worth it
             best = tried
     return best
 
@@ -382,20 +373,20 @@ def _capsule(points: Array) -> Capsule:
     """Return the smallest capsule of those along the points' and the frame's main axes."""
     points = points[ConvexHull(points).vertices]
     axes = np.concatenate([np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2], np.eye(3)])
-    return min((_along(points, axis) for axis in axes), key=lambda capsule: _volume([capsule]))
+    return min((_fit_along(points, axis) for axis in axes), key=lambda capsule: _volume([capsule]))
 
 
-def _along(points: Array, axis: Array) -> Capsule:
+def _fit_along(points: Array, axis: Array) -> Capsule:
     """Return the capsule around the points whose axis has this direction (3,)."""
     flat = points - np.outer(points @ axis, axis)
     centre = (flat.min(axis=0) + flat.max(axis=0)) / 2
-    for k in range(ROUNDS):  # Badoiu and Clarkson 2003
+    for k in range(80):  # Badoiu and Clarkson 2003: within some percent of the smallest circle
         centre = centre + (flat[np.linalg.norm(flat - centre, axis=1).argmax()] - centre) / (k + 2)
-    beside = np.linalg.norm(flat - centre, axis=1)
-    radius, along = float(beside.max()), points @ axis
-    cap = np.sqrt(np.maximum(radius**2 - beside**2, 0))
+    radii = np.linalg.norm(flat - centre, axis=1)
+    radius, along = float(radii.max()), points @ axis
+    cap = np.sqrt(np.maximum(radius**2 - radii**2, 0))
     low, high = (along + cap).min(), (along - cap).max()  # the other way round where a ball holds them
-    middle, half = (low + high) / 2, max(high - low, SHORTEST) / 2
+    middle, half = (low + high) / 2, max(high - low, 0.002) / 2
     low, high = middle - half, middle + half
     start, end = (tuple(float(x) for x in centre - (centre @ axis) * axis + t * axis) for t in (low, high))
     return Capsule(start, end, radius)  # type: ignore[arg-type]

@@ -30,21 +30,7 @@ from anther.robot.devices import JointTrajectory
 
 FAST = MotionParams(velocity_share=0.95, acceleration_share=0.85)
 SEEN = 0.08  # m between the points of the region whose motion in the image is looked at
-SEEDS, MORE_SEEDS = 12, 48  # of the inverse kinematics: to see whether a view can be reached, and to choose a way there
-ELEVATIONS = (-5.0, 15.0, 35.0, 55.0)
-"""Of the camera above its target [degrees]."""
-HEIGHT_SHARES = (0.4, 0.65, 0.45, 0.6)
-"""At which share of the region's height each elevation aims."""
-STEP = 1e-3  # s between the instants looked at
-WIDE = 1.1
-"""|x / z| and |y / z| of a point beyond this are outside a D455's colour image (90 x 65 deg: facts, sawyer 4)."""
 SOON = 1e-4  # s in which a point's motion in the image is taken
-JITTER = 0.001
-"""By which the camera's and the arm's clock may differ [s]. Our assumption, for one computer."""
-SHIFT = 2e-4
-"""How far the camera may move within that [m]; a fifth of an image's usual pose error."""
-BLUR = 0.5
-"""How far any point of the plant's region may move in the image within an exposure [px]: less than the lens blurs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,15 +128,15 @@ class Viewpoints:
     def visit(self, chosen: Sequence[int]) -> Views:
         """Return the chosen views with branches and in an order that keep the motion short."""
         planner, arm = self.planner, self.planner.arm
-        more = _free_branches(self.T_world_cam[list(chosen)], planner, self.T_flange_cam, MORE_SEEDS)
+        more = _free_branches(self.T_world_cam[list(chosen)], planner, self.T_flange_cam, seeds=48)
         choices = [q if len(q) else self.branches[i] for i, q in zip(chosen, more, strict=True)]
         tour = shortest_tour(arm, lambda line: planner.world.path_free(line, SEARCH_STEP), self.start, choices)
         kept, motions = _motions(planner, self.start, [(chosen[i], q) for i, q in tour])
         at, joints = [i for i, _ in kept], np.array([q for _, q in kept])
         dwell = np.full(len(kept), self.params.dwell, dtype=float)
         if self.params.dwell is None:
-            seen = cylinder_points(self.region, SEEN)
-            dwell = standing_times(arm, motions, self.T_flange_cam, seen, self.params)
+            points = cylinder_points(self.region, SEEN)
+            dwell = standing_times(arm, motions, self.T_flange_cam, points, self.params)
         T_world_cam = arm.forward(joints) @ self.T_flange_cam
         return Views(joints, T_world_cam, tuple(motions), self.azimuth[at], self.elevation[at], dwell)
 
@@ -210,12 +196,14 @@ def reachable_views(
     hand_eye = check_transform("T_flange_cam", arm.tool.T_flange_cam if T_flange_cam is None else T_flange_cam)
     steps = np.arange(-180, 180, params.azimuth_step)
     steps = steps[np.abs(steps) <= params.widest]
-    grid = [(a, e, share) for e, share in zip(ELEVATIONS, HEIGHT_SHARES, strict=True) for a in steps]
+    # elevations above the target [degrees], each with the share of the region's height at which it aims
+    aims = (-5.0, 0.4), (15.0, 0.65), (35.0, 0.45), (55.0, 0.6)
+    grid = [(a, e, share) for e, share in aims for a in steps]
     found: dict[int, Array] = {}
     for distance in params.distances:
         open_ = [i for i in range(len(grid)) if i not in found]
         poses = np.array([_camera_pose(region, *grid[i], distance) for i in open_])
-        for i, free in zip(open_, _free_branches(poses, planner, hand_eye, SEEDS), strict=True):
+        for i, free in zip(open_, _free_branches(poses, planner, hand_eye, seeds=12), strict=True):
             if len(free):
                 found[i] = free
     if len(found) < 3:
@@ -253,15 +241,16 @@ def image_speed(arm: ArmModel, q: Array, rates: Array, T_flange_cam: Array, poin
         focal: [px].
     """
 
-    def seen(joints: Array) -> Array:
+    def project(joints: Array) -> Array:
         T_cam_world = inverse(arm.forward(joints) @ T_flange_cam)
         p = np.einsum("tij,pj->tpi", T_cam_world[:, :3, :3], points) + T_cam_world[:, None, :3, 3]
         ahead = p[..., 2:] > 0.05
         return np.where(ahead, p[..., :2] / np.where(ahead, p[..., 2:], 1), np.nan)
 
-    now = seen(q)
-    speed = focal * np.linalg.norm(seen(q + SOON * rates) - now, axis=2) / SOON
-    return np.where(np.abs(now).max(axis=2) <= WIDE, speed, 0).max(axis=1)
+    now = project(q)
+    speed = focal * np.linalg.norm(project(q + SOON * rates) - now, axis=2) / SOON
+    inside = np.abs(now).max(axis=2) <= 1.1  # |x / z| and |y / z| of a D455's image (90 x 65 deg: facts, sawyer 4)
+    return np.where(inside, speed, 0).max(axis=1)
 
 
 def is_sharp(
@@ -269,9 +258,10 @@ def is_sharp(
 ) -> NDArray[np.bool_]:
     """Return (T,) whether a frame then is neither blurred nor taken at a place not known; see `image_speed`."""
     here, soon = (arm.forward(joints) @ T_flange_cam for joints in (q, q + SOON * rates))
-    travel = np.linalg.norm(soon[:, :3, 3] - here[:, :3, 3], axis=1) / SOON * JITTER
+    jitter = 0.001  # by which the clocks of camera and arm may differ [s]: our assumption, for one computer
+    travel = np.linalg.norm(soon[:, :3, 3] - here[:, :3, 3], axis=1) / SOON * jitter
     blur = image_speed(arm, q, rates, T_flange_cam, points, params.focal) * params.exposure
-    return (blur <= BLUR) & (travel <= SHIFT)
+    return (blur <= 0.5) & (travel <= 2e-4)  # [px] less than a lens blurs; [m] a fifth of an image's usual pose error
 
 
 def standing_times(
@@ -284,9 +274,10 @@ def standing_times(
 
     def sharp(motion: JointTrajectory) -> float:  # how long pictures stay so from the beginning of a motion [s]
         curve = CubicHermiteSpline(motion.times, motion.positions, motion.velocities)
-        t = np.arange(0, min(params.span, motion.duration), STEP)
+        step = 1e-3
+        t = np.arange(0, min(params.span, motion.duration), step)
         good = is_sharp(arm, curve(t), curve(t, 1), T_flange_cam, points, params)
-        return STEP * float(np.logical_and.accumulate(good)[1:].sum())
+        return step * float(np.logical_and.accumulate(good)[1:].sum())
 
     braking, leaving = [sharp(motion.backwards()) for motion in motions], [*map(sharp, motions[1:]), 0.0]
     return np.maximum(params.span - np.array(braking) - np.array(leaving), 0)

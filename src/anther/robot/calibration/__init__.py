@@ -26,19 +26,19 @@ from anther.robot.calibration._hand_eye import (
     HandEye,
     MethodError,
     Moved,
-    camera_moved,
     closed_form,
     disagreement,
-    predicted_board,
+    find_movement,
+    predict_board,
     robust_estimate,
 )  # fmt: skip
 from anther.robot.calibration._inputs import (
     Board,
     CharucoBoard,
     Chessboard,
+    explain_missing_board,
     parse_board,
     read_poses,
-    why_unseen,
 )  # fmt: skip
 from anther.robot.calibration._intrinsics import check_size, read_intrinsics
 from anther.robot.calibration._refinement import (
@@ -62,26 +62,42 @@ from anther.robot.calibration._views import (
     image_coverage,
     largest_distortion,
     motion_warnings,
-    undistorted,
+    undistort,
 )  # fmt: skip
 
 __all__ = [
-    "CELLS", "Board", "BoardCorners", "BoardViews", "CharucoBoard", "Chessboard", "EyeToHand", "HandEye", "Method",
-    "MethodError", "Moved", "board_views", "calibrate", "calibrate_beside", "camera_moved", "check_size",
-    "estimate_intrinsics", "find_corners", "flange_motions", "image_coverage", "largest_distortion", "parse_board",
-    "read_intrinsics", "read_poses", "undistorted", "why_unseen",
+    "CELLS",
+    "Board",
+    "BoardCorners",
+    "BoardViews",
+    "CharucoBoard",
+    "Chessboard",
+    "EyeToHand",
+    "HandEye",
+    "Method",
+    "MethodError",
+    "Moved",
+    "board_views",
+    "calibrate",
+    "calibrate_eye_to_hand",
+    "check_size",
+    "estimate_intrinsics",
+    "explain_missing_board",
+    "find_corners",
+    "find_movement",
+    "flange_motions",
+    "image_coverage",
+    "largest_distortion",
+    "parse_board",
+    "read_intrinsics",
+    "read_poses",
+    "undistort",
 ]  # fmt: skip
 
 FEW_FOR_NOISE = 6
 """With fewer views the arm's errors are `ARM_ERRORS`; with more they are where the estimate begins."""
 ARM_ERRORS = float(np.deg2rad(0.1)), 0.001
 """Of rotation [rad] and translation [m] in one view, per axis."""
-OUTLIER = 4.0
-"""Views less likely than so many standard deviations of a normal distribution are left out."""
-HOPELESS = float(np.deg2rad(4)), 0.04
-"""Half of the views disagree by more than one of these [rad], [m]: the poses do not belong to the images."""
-ROUNDS = 8
-"""After so many rounds the outliers stay what they are, should they still change."""
 LEAST_TURN = float(np.deg2rad(3))
 """The flange must turn about two different axes by at least this [rad]."""
 LOOSE = 0.002
@@ -116,10 +132,10 @@ def calibrate(
             to the images; an unknown method.
     """
     flange = check_transform("T_base_flange", T_base_flange, len(views.images))
-    return _calibrated(flange, views, intrinsics, method, free_intrinsics, images, distortion)
+    return _calibrate(flange, views, intrinsics, method, free_intrinsics, images, distortion)
 
 
-def calibrate_beside(
+def calibrate_eye_to_hand(
     T_base_flange: Any,
     views: BoardViews,
     intrinsics: Intrinsics,
@@ -136,11 +152,11 @@ def calibrate_beside(
     """
     flange = check_transform("T_base_flange", T_base_flange, len(views.images))
     return EyeToHand(
-        _calibrated(inverse(flange), views, intrinsics, method, free_intrinsics, images, distortion, eye_to_hand=True)
+        _calibrate(inverse(flange), views, intrinsics, method, free_intrinsics, images, distortion, eye_to_hand=True)
     )
 
 
-def _calibrated(
+def _calibrate(
     flange: Array,
     views: BoardViews,
     intrinsics: Intrinsics,
@@ -164,7 +180,7 @@ def _calibrated(
     problem = Problem.of(flange, views, intrinsics, free_intrinsics, eye_to_hand)
     fit, noise, used = _without_outliers(problem, X, Z, used, pixel_noise(views))
     problem, board = problem.at(fit.intrinsics), board_views(views.corners, fit.intrinsics).T_cam_board
-    turn, shift = disagreement(predicted_board(flange, fit.T_flange_cam, fit.T_base_board), board, centre)
+    turn, shift = disagreement(predict_board(flange, fit.T_flange_cam, fit.T_base_board), board, centre)
     left_out = _left_out_errors(problem, board, centre, fit, noise, used)
     spread = np.sqrt([np.linalg.eigvalsh(fit.covariance[i : i + 3, i : i + 3])[-1] for i in (0, 3)])
     return HandEye(
@@ -200,7 +216,7 @@ def _without_outliers(
     flange = problem.T_base_flange
     pixel = float(np.median(own_noise))
     noise = Noise(pixel, *ARM_ERRORS)
-    limit = float(np.sqrt(chi2.isf(2 * norm.sf(OUTLIER), 6)))
+    limit = float(np.sqrt(chi2.isf(2 * norm.sf(4.0), 6)))  # as likely as four standard deviations of a normal one
     rounds = 0
     while True:
         check_motions(flange[used], LEAST_TURN)
@@ -211,7 +227,7 @@ def _without_outliers(
         distances = view_distances(problem, fit, noise, own_noise)
         scale = max(float(np.median(distances[used])) / np.sqrt(chi2.median(6)), 1.0)
         kept, rounds = distances <= limit * scale, rounds + 1
-        if np.array_equal(kept, used) or rounds == ROUNDS:
+        if np.array_equal(kept, used) or rounds == 8:  # the outliers stay what they are
             return fit, noise, used
         used, X, Z, problem = kept, fit.T_flange_cam, fit.T_base_board, problem.at(fit.intrinsics)
 
@@ -286,10 +302,10 @@ def _refuse_strangers(
     for text, other in advice.items():
         X_other, Z_other, misfit = robust_estimate(other, board, centre, ARM_ERRORS, "park")
         if _half(misfit) < best_score and not _hopeless(other, board, centre, X_other, Z_other):
-            best, best_score = text or _exchanged(X_other, Z_other, eye_to_hand), _half(misfit)
+            best, best_score = text or _explain_inverse(X_other, Z_other, eye_to_hand), _half(misfit)
     if not hopeless and best_score == score / ODD:
         return
-    turn, shift = disagreement(predicted_board(flange, X, Z), board, centre)
+    turn, shift = disagreement(predict_board(flange, X, Z), board, centre)
     fixed, moving = ("camera", "board") if eye_to_hand else ("board", "camera")
     raise bad_input(
         "flange poses",
@@ -300,7 +316,7 @@ def _refuse_strangers(
     )
 
 
-def _exchanged(X: Array, Z: Array, eye_to_hand: bool) -> str:
+def _explain_inverse(X: Array, Z: Array, eye_to_hand: bool) -> str:
     """Return what to do about poses that fit once inverted.
 
     Poses T_flange_base of a camera on the flange look exactly like poses T_base_flange of a board on the flange; but
@@ -323,8 +339,9 @@ def _half(values: Array) -> float:
 
 
 def _hopeless(flange: Array, board: Array, centre: Array, X: Array, Z: Array) -> bool:
-    turn, shift = disagreement(predicted_board(flange, X, Z), board, centre)
-    return _half(turn) > HOPELESS[0] or _half(shift) > HOPELESS[1]
+    turn, shift = disagreement(predict_board(flange, X, Z), board, centre)
+    # the poses do not belong to the images
+    return bool(_half(turn) > np.deg2rad(4) or _half(shift) > 0.04)  # [rad], [m]
 
 
 def _left_out_errors(
@@ -359,7 +376,7 @@ def _left_out_errors(
             X, Z, camera = refine(problem, fit.T_flange_cam, fit.T_base_board, noise, others)[:3]
         else:
             (X, Z), camera = closed_form(problem.T_base_flange[others], T_cam_board[others], method), fit.intrinsics
-        turn, shift = disagreement(predicted_board(problem.T_base_flange, X, Z), T_cam_board, centre)
+        turn, shift = disagreement(predict_board(problem.T_base_flange, X, Z), T_cam_board, centre)
         out[view] = problem.at(camera).pixel_rms(X, Z)[view], turn[view], shift[view]
     return out
 

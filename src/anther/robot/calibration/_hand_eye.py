@@ -186,9 +186,6 @@ METHODS: dict[Method, int] = {
 """Tsai and Lenz 1989, Park and Martin 1994, Horaud and Dornaika 1995, Daniilidis 1999.
 
 Andreff is left out: its translation is unstable (facts: perception)."""
-SAMPLES = 150
-"""Subsets of views that are tried [-]: with 4 of 10 views wrong, one is all right with a certainty of 1 - 1e-9."""
-SAMPLE_VIEWS = 4
 AGREED, ODD = 3.0, 4.0
 """Where the median misfit of all views is below the one, and none exceeds it by the other, no subset is tried [-]."""
 
@@ -222,15 +219,15 @@ def closed_form(T_base_flange: Array, T_cam_board: Array, method: Method) -> tup
     return T_flange_cam, _middle(flange @ T_flange_cam @ board)
 
 
-def predicted_board(T_base_flange: Array, T_flange_cam: Array, T_base_board: Array) -> Array:
+def predict_board(T_base_flange: Array, T_flange_cam: Array, T_base_board: Array) -> Array:
     """Return T_cam_board (V, 4, 4) as the arm and the calibration have it."""
     return inverse(T_base_flange @ T_flange_cam) @ T_base_board
 
 
-def disagreement(predicted: Array, seen: Array, centre: Array) -> tuple[Array, Array]:
+def disagreement(predicted: Array, observed: Array, centre: Array) -> tuple[Array, Array]:
     """Return by how much two (V, 4, 4) board poses differ: angle [rad], distance of the board's `centre` (3,) [m]."""
-    turn = Rotation.from_matrix(np.swapaxes(predicted[:, :3, :3], 1, 2) @ seen[:, :3, :3]).magnitude()
-    shift = (predicted[:, :3, :3] - seen[:, :3, :3]) @ centre + predicted[:, :3, 3] - seen[:, :3, 3]
+    turn = Rotation.from_matrix(np.swapaxes(predicted[:, :3, :3], 1, 2) @ observed[:, :3, :3]).magnitude()
+    shift = (predicted[:, :3, :3] - observed[:, :3, :3]) @ centre + predicted[:, :3, 3] - observed[:, :3, 3]
     return turn, np.linalg.norm(shift, axis=1)
 
 
@@ -257,7 +254,7 @@ def robust_estimate(
             X, Z = closed_form(T_base_flange[views], T_cam_board[views], method)
         except InputError:
             continue
-        turn, shift = disagreement(predicted_board(T_base_flange, X, Z), T_cam_board, centre)
+        turn, shift = disagreement(predict_board(T_base_flange, X, Z), T_cam_board, centre)
         misfit = np.hypot(turn / sigmas[0], shift / sigmas[1])
         score = float(np.partition(misfit, count // 2)[count // 2])
         if score < best_score:
@@ -271,13 +268,14 @@ def robust_estimate(
 
 def _subsets(count: int, rng: np.random.Generator) -> list[NDArray[Any]]:
     """Return all views, then subsets of them."""
-    size = min(SAMPLE_VIEWS, count - 1)
+    size = min(4, count - 1)
     if size < 3:
         return [np.arange(count)]
     if count <= 8:
         some = [np.array(views) for views in combinations(range(count), size)]
     else:
-        some = [rng.choice(count, size, replace=False) for _ in range(SAMPLES)]
+        # with 4 of 10 views wrong, one of 150 subsets is all right with a certainty of 1 - 1e-9
+        some = [rng.choice(count, size, replace=False) for _ in range(150)]
     return [np.arange(count), *some]
 
 
@@ -296,13 +294,8 @@ def _nearest_rotation(R: Array) -> Array:
 # them has moved: a camera by the same way in the flange's frame in every view, a board by the same way in the base
 # frame. Each is fitted (`refine`); squared residuals tell which it was.
 Verdict = Literal["still", "camera", "board", "camera or board", "more"]
-CAMERA, BOARD, BOTH = slice(0, 6), slice(6, 12), slice(0, 12)
 CERTAIN = 4.0
 """A movement counts beyond so many standard deviations of a normal distribution: once in 16 000 mornings by chance."""
-TRIFLE = float(np.deg2rad(0.1)), 0.5e-3
-"""Less is not told, however certain [rad], [m]. A guess: a camera that warms up moves as much, and no grasp is lost."""
-LIKELIER = 9.0
-"""One explanation is preferred when its squared misfit is less by this [-]: it is then 90 times as likely."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -326,7 +319,7 @@ class Moved:
     board_translation: float
 
 
-def camera_moved(
+def find_movement(
     found: HandEye,
     then: tuple[Array, Array],
     T_base_flange: Array,
@@ -360,13 +353,15 @@ def camera_moved(
     rest = {name: misfit(problem, fit.T_flange_cam, fit.T_base_board, noise) for name, fit in fits.items()}
     gain = misfit(problem, X, Z, noise) - np.array([rest["camera"], rest["board"]])
     camera, board = _way(X, fits["camera"].T_flange_cam), _way(Z, fits["board"].T_base_board, centre)
-    verdict = _verdict(rest, gain, bool(np.all(np.array([camera, board]) < TRIFLE)))
+    # a guess: a camera that warms up moves as much, and no grasp is lost
+    trifle = np.deg2rad(0.1), 0.5e-3  # [rad], [m]
+    verdict = _verdict(rest, gain, bool(np.all(np.array([camera, board]) < trifle)))
     fit = fits["both" if verdict == "more" else "camera"]
     turn, shift = (float(np.sqrt(np.linalg.eigvalsh(fit.covariance[i : i + 3, i : i + 3])[-1])) for i in (0, 3))
     return Moved(verdict, *_way(X, fit.T_flange_cam), turn, shift, *board)
 
 
-_PARTS: dict[str, slice] = {"camera": CAMERA, "board": BOARD, "both": BOTH}
+_PARTS: dict[str, slice] = {"camera": slice(0, 6), "board": slice(6, 12), "both": slice(0, 12)}
 
 
 def _verdict(rest: dict[str, float], gain: Array, trifling: bool) -> Verdict:
@@ -375,7 +370,7 @@ def _verdict(rest: dict[str, float], gain: Array, trifling: bool) -> Verdict:
         return "still"
     if min(rest["camera"], rest["board"]) - rest["both"] > limit:
         return "more"
-    if abs(rest["camera"] - rest["board"]) < LIKELIER:
+    if abs(rest["camera"] - rest["board"]) < 9:  # squared misfits: else the one is 90 times as likely
         return "camera or board"
     return "camera" if rest["camera"] < rest["board"] else "board"
 

@@ -151,23 +151,21 @@ Board = CharucoBoard | Chessboard
 
 
 DICTIONARIES = ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL")
-FEWEST = 8
-"""Corners that tell one board from another: as many as a view needs (`find_corners`)."""
-DARK, BRIGHT = 20, 235
-"""Images with a mean grey beyond these show nothing [of 255]."""
+LEAST_CORNERS = 8
+"""Corners that a view needs, and that tell one board from another."""
 
 
-def why_unseen(image: NDArray[Any], board: Board) -> str:
+def explain_missing_board(image: NDArray[Any], board: Board) -> str:
     """Return what a grey image (H, W) uint8 without the board shows instead, in a sentence."""
     grey = float(image.mean())
-    if not DARK <= grey <= BRIGHT:
-        return f"The image is {'dark' if grey < DARK else 'overexposed'} (mean grey {grey:.0f} of 255): mind the light."
+    if not 20 <= grey <= 235:
+        return f"The image is {'dark' if grey < 20 else 'overexposed'} (mean grey {grey:.0f} of 255): mind the light."
     if isinstance(board, CharucoBoard):
         markers = _markers(image, board.dictionary)
         if markers >= 2:
             alike = {text: len(other.find(image)[0]) for text, other in _alike(board).items()}
             text, count = max(alike.items(), key=lambda other: other[1])
-            if count > max(len(board.find(image)[0]), FEWEST):
+            if count > max(len(board.find(image)[0]), LEAST_CORNERS):
                 return f"{markers} of its markers are seen, but they are another board's: {text}"
             do = "Show more of it, nearer; is it printed as --board says (squares, dictionary, :legacy)?"
             return f"{markers} of its markers are seen, but too few corners between them. {do}"
@@ -236,8 +234,6 @@ def _length(word: str, text: str) -> float:
 
 
 COLUMNS = ("image", "x", "y", "z", "qx", "qy", "qz", "qw")
-REACH = 10.0
-"""A flange farther than this from its base [m] was not given in metres."""
 
 
 def read_poses(path: Path | str) -> dict[str, Array]:
@@ -261,9 +257,9 @@ def read_poses(path: Path | str) -> dict[str, Array]:
         except (TypeError, ValueError) as error:
             reason = error if isinstance(error, InputError) else f"{numbers} is not 7 numbers"
             raise InputError(f"{where}: {reason}") from error
-        if max(map(abs, pose[:3])) > REACH:
+        if max(map(abs, pose[:3])) > 10:
             raise bad_input(
-                where, given=f"a flange at {pose[:3]}", allowed=f"within {REACH:g} m", do="Give positions in metres."
+                where, given=f"a flange at {pose[:3]}", allowed="within 10 m", do="Give positions in metres."
             )
         poses[name] = T
     if not poses:
@@ -300,6 +296,6 @@ def _csv_rows(path: Path) -> list[tuple[str, str, Any]]:
         if len(words) != len(names):
             raise bad_input(where, given=f"{len(words)} entries", allowed=str(len(names)), do="Complete the line.")
         entry = dict(zip(names, words, strict=True))
-        told = [(entry[name], number(entry[name])) for name in COLUMNS[1:]]
-        rows.append((where, entry["image"], [cell if value is None else value for cell, value in told]))
+        cells = [(entry[name], number(entry[name])) for name in COLUMNS[1:]]
+        rows.append((where, entry["image"], [cell if value is None else value for cell, value in cells]))
     return rows

@@ -57,11 +57,11 @@ def read_intrinsics(path: Path | str) -> tuple[Intrinsics, Array]:
 
 def _of_frames(path: Path | str, frames: list[Any]) -> dict[str, Any]:
     """Return the intrinsics of the frames of a transforms.json if they are all alike."""
-    told = [{n: f[n] for names in _NAMES.values() for n in names if n in f} for f in frames if isinstance(f, dict)]
-    if any(one != told[0] for one in told):
+    stated = [{n: f[n] for names in _NAMES.values() for n in names if n in f} for f in frames if isinstance(f, dict)]
+    if any(one != stated[0] for one in stated):
         allowed, do = "one camera", "Give those of the images of the board in a file of their own."
         raise bad_input(str(path), given="other intrinsics in each frame", allowed=allowed, do=do)
-    return frames[0] if told else {}
+    return frames[0] if stated else {}
 
 
 def _distortion(path: Path | str, stored: dict[str, Any], *, nerfstudio: bool) -> Array:

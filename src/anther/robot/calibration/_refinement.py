@@ -29,11 +29,6 @@ from anther.robot.calibration._views import BoardViews
 
 LEAST_PIXEL_NOISE = 0.05  # [px]: blur and perspective shift whole views' corners by about as much
 LEAST_DEPTH = 1e-3  # [m]: a wrong pose may put the board behind the camera
-ITERATIONS = 50
-SETTLED = 1e-8  # [rad], [m]
-LARGEST_STEP = 0.5  # [rad], [m]
-LARGEST_SIGMA = 0.1  # [rad], [m]
-LEAST_SIGMA = 1e-6  # [rad], [m]
 
 
 class Noise(NamedTuple):
@@ -178,19 +173,19 @@ def refine(problem: Problem, X: Array, Z: Array, noise: Noise, used: NDArray[Any
         InputError: the views do not determine camera and board.
     """
     weights, scale = np.asarray(used, dtype=np.float64), 1.0
-    for _ in range(ITERATIONS):
+    for _ in range(50):
         A, b, _ = _normal_equations(problem.sums(X, Z), noise, weights)
         A, step = A[sought, sought], np.zeros(len(b))
         step[sought] = np.linalg.lstsq(A, b[sought], rcond=1e-14)[0]
         length = float(np.abs(step).max())
-        step *= min(1.0, LARGEST_STEP / (length + 1e-300))
-        X, Z = _moved(X, step[:6]), _moved(Z, step[6:12])
+        step *= min(1.0, 0.5 / (length + 1e-300))
+        X, Z = _apply_step(X, step[:6]), _apply_step(Z, step[6:12])
         if problem.free_intrinsics:
-            problem = problem.at(_adjusted(problem.intrinsics, step[12:16]))
+            problem = problem.at(_adjust_intrinsics(problem.intrinsics, step[12:16]))
         if problem.free_scale:
             grown = float(np.exp(step[-1]))
             problem, scale = problem.at(problem.intrinsics, grown), scale * grown
-        if length < SETTLED:
+        if length < 1e-8:
             covariance = np.asarray(np.linalg.pinv(A, rcond=1e-14, hermitian=True), dtype=np.float64)
             return Fit(X, Z, problem.intrinsics, covariance, scale)
     raise InputError("hand-eye calibration: the refinement does not settle. Take more views, tilted more.")
@@ -212,10 +207,10 @@ def estimate_noise(problem: Problem, fit: Fit, pixel: float, used: NDArray[Any])
     def unlikely(logs: Array) -> float:
         noise = Noise(pixel, *np.exp(logs))
         A, b, fixed = _normal_equations(sums, noise, weights)
-        determinants = np.linalg.slogdet(np.eye(6) + _scaled(sums.JJ, noise) / pixel**2)[1]
+        determinants = np.linalg.slogdet(np.eye(6) + _scale(sums.JJ, noise) / pixel**2)[1]
         return float(weights @ determinants + np.linalg.slogdet(A)[1] + fixed - b @ np.linalg.solve(A, b))
 
-    bounds = [(np.log(LEAST_SIGMA), np.log(LARGEST_SIGMA))] * 2
+    bounds = [(np.log(1e-6), np.log(0.1))] * 2  # [rad], [m]
     start = np.log([1e-3, 5e-4])
     found = minimize(unlikely, start, method="Nelder-Mead", bounds=bounds, options={"xatol": 0.02, "fatol": 0.01})
     return Noise(pixel, *(float(sigma) for sigma in np.exp(found.x)))
@@ -238,7 +233,7 @@ def view_distances(problem: Problem, fit: Fit, noise: Noise, own_noise: Array) -
 
 def _normal_equations(sums: _Sums, noise: Noise, weights: Array) -> tuple[Array, Array, float]:
     """Return A, b of A x = b and the sum of squares at x = 0, by Woodbury's identity with each view's covariance."""
-    middle = np.eye(6) * noise.pixel**2 + _scaled(sums.JJ, noise)
+    middle = np.eye(6) * noise.pixel**2 + _scale(sums.JJ, noise)
     L = np.repeat([noise.rotation, noise.translation], 3)
     JF, Jr = L[:, None] * sums.JF, L * sums.Jr
     solved = np.linalg.solve(middle, np.concatenate([JF, Jr[..., None]], axis=2))
@@ -249,17 +244,17 @@ def _normal_equations(sums: _Sums, noise: Noise, weights: Array) -> tuple[Array,
     return A, b, fixed
 
 
-def _scaled(JJ: Array, noise: Noise) -> Array:
+def _scale(JJ: Array, noise: Noise) -> Array:
     L = np.repeat([noise.rotation, noise.translation], 3)
     return L[:, None] * JJ * L
 
 
-def _moved(T: Array, step: Array) -> Array:
+def _apply_step(T: Array, step: Array) -> Array:
     """Return a transform turned and shifted, both in the axes of the frame it leads to."""
     return transform(Rotation.from_rotvec(step[:3]).as_matrix() @ T[:3, :3], T[:3, 3] + step[3:])
 
 
-def _adjusted(camera: Intrinsics, step: Array) -> Intrinsics:
+def _adjust_intrinsics(camera: Intrinsics, step: Array) -> Intrinsics:
     """Return intrinsics with a step of fx, fy, cx, cy, as shares of the focal length."""
     fx, fy = camera.fx * float(np.exp(step[0])), camera.fy * float(np.exp(step[1]))
     return replace(

@@ -16,11 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from anther.core.errors import InputError, bad_input
 from anther.core.geometry import Array, Intrinsics, small_transform, transform_points
-from anther.robot.calibration._inputs import Board, why_unseen
+from anther.robot.calibration._inputs import LEAST_CORNERS, Board, explain_missing_board
 
-LEAST_VIEWS, LEAST_CORNERS = 3, 8
-UNDONE = 0.05
-"""A corner freed of its lens and bent again lies within this of where it was seen [px]; corners are found to 0.1."""
 CELLS = (8, 6)
 """Columns and rows of the grid in which covered cells are counted."""
 
@@ -86,7 +83,7 @@ def find_corners(images: Iterable[NDArray[Any]], board: Board) -> BoardCorners:
             "calibration images",
             given=f"{count} images, none with {LEAST_CORNERS} corners of the board",
             allowed=f"a {board}",
-            do=why_unseen(last if last.ndim == 2 else cv2.cvtColor(last, cv2.COLOR_BGR2GRAY), board),
+            do=explain_missing_board(last if last.ndim == 2 else cv2.cvtColor(last, cv2.COLOR_BGR2GRAY), board),
         )
     return BoardCorners(np.array(numbers), tuple(points), tuple(pixels))
 
@@ -100,11 +97,11 @@ def estimate_intrinsics(corners: BoardCorners, width: int, height: int) -> tuple
     Raises:
         InputError: fewer than three views, or views that do not determine the intrinsics.
     """
-    if len(corners) < LEAST_VIEWS:
+    if len(corners) < 3:
         raise bad_input(
             "intrinsics",
             given=f"{len(corners)} views of the board",
-            allowed=f"{LEAST_VIEWS} or more",
+            allowed="3 or more",
             do="Take 15 to 20 views, tilted, all over the image.",
         )
     flat = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3
@@ -128,7 +125,7 @@ def _calibrate_camera(corners: BoardCorners, size: tuple[int, int], flags: int) 
     return rms, np.asarray(K, dtype=np.float64), np.asarray(distortion, dtype=np.float64)
 
 
-def undistorted(corners: BoardCorners, intrinsics: Intrinsics, distortion: Array) -> BoardCorners:
+def undistort(corners: BoardCorners, intrinsics: Intrinsics, distortion: Array) -> BoardCorners:
     """Return the corners where a camera of these intrinsics without distortion would see them.
 
     Args:
@@ -148,9 +145,9 @@ def undistorted(corners: BoardCorners, intrinsics: Intrinsics, distortion: Array
         rays = np.asarray(rays, dtype=np.float64).reshape(-1, 2)
         back, _ = cv2.projectPoints(np.c_[rays, np.ones(len(rays))], np.zeros(3), np.zeros(3), K, distortion)
         off = float(np.abs(back.reshape(-1, 2) - seen).max())
-        if not off < UNDONE:
+        if not off < 0.05:  # corners are found to 0.1
             do = "Are these the numbers of this lens, at this image size?"
-            given, allowed = f"a lens that cannot be undone ({off:.3g} px off)", f"within {UNDONE:g} px"
+            given, allowed = f"a lens that cannot be undone ({off:.3g} px off)", "within 0.05 px"
             raise bad_input("distortion", given=given, allowed=allowed, do=do)
         pixels.append(rays @ np.diag([K[0, 0], K[1, 1]]) + K[:2, 2])
     return BoardCorners(corners.images, corners.points, tuple(pixels))
@@ -188,12 +185,6 @@ def board_views(corners: BoardCorners, intrinsics: Intrinsics) -> BoardViews:
         poses.append(T)
         errors.append(float(np.sqrt(np.mean(np.sum(away**2, axis=1)))))
     return BoardViews(corners, np.stack(poses), np.array(errors))
-
-
-FEW_VIEWS = 10
-SMALL_TURN = float(np.deg2rad(20))
-"""Largest turn below which errors grow: they go with 1 / turn (Tsai and Lenz 1989, section VI) [rad]."""
-SMALL_SECOND_TURN = float(np.deg2rad(15))
 
 
 class Motions(NamedTuple):
@@ -250,14 +241,14 @@ def check_motions(T_base_flange: Array, least_turn: float) -> None:
 def motion_warnings(T_base_flange: Array) -> tuple[str, ...]:
     """Return what is poor about the motions between (V, 4, 4) flange poses, one sentence each."""
     motions, notes = flange_motions(T_base_flange), []
-    if len(T_base_flange) < FEW_VIEWS:
+    if len(T_base_flange) < 10:
         notes.append(f"only {len(T_base_flange)} views: take 15 to 20, errors go with 1 / sqrt(views)")
-    if motions.largest < SMALL_TURN:
+    if motions.largest < np.deg2rad(20):  # errors go with 1 / turn (Tsai and Lenz 1989, section VI)
         notes.append(
             f"too little rotation: at most {np.rad2deg(motions.largest):.0f} deg between views, errors go with "
             f"1 / rotation; tilt the flange by 20 to 40 deg"
         )
-    elif motions.second < SMALL_SECOND_TURN:
+    elif motions.second < np.deg2rad(15):
         notes.append(
             f"rotation axes nearly parallel: at most {np.rad2deg(motions.second):.0f} deg about any axis across the "
             f"main one, along which the camera's place is poorly known; turn about two axes"

@@ -45,18 +45,14 @@ from anther.robot.calibration._views import (
     flange_motions,
     image_coverage,
     motion_warnings,
-    undistorted,
+    undistort,
 )  # fmt: skip
 
 KIND, SCHEMA = "calibration-views", 1
 _POSES = ("T_base_flange", "T_cam_board")
 VIEWS, POSES, INTRINSICS, RESULT = "views.json", "poses.csv", "intrinsics.json", "calibration.json"
-UNLIKE = 3.0
-"""Corners that miss a flat board by more than this are of another board, or one that is bent [px]."""
 ENOUGH, MOST = 10, 24
 """Views: fewer are never enough, and more are not asked for (docs/calibration.md: 15 to 20)."""
-SETTLED_VIEWS, SETTLED = 3, 0.2
-"""The error of a left-out view is steady when the last so many views changed it by no more than this share."""
 COVERED = 0.4
 """Share of the image that corners should cover [-]."""
 
@@ -104,7 +100,7 @@ class Taken:
         Raises:
             InputError: what is seen is another board.
         """
-        return seen(image, parse_board(self.board), self.intrinsics, self.distortion)
+        return find_board(image, parse_board(self.board), self.intrinsics, self.distortion)
 
     def add(self, image: NDArray[Any], view: BoardViews, joints: Array, T_base_flange: Array) -> None:
         """Keep a view, on disk too.
@@ -138,7 +134,7 @@ class Taken:
         corners = BoardCorners(np.arange(len(self)), points, pixels)
         return BoardViews(corners, self.T_cam_board, np.concatenate([v.reprojection for v in self.views]))
 
-    def solved(self) -> HandEye | None:
+    def solve(self) -> HandEye | None:
         """Return the hand-eye transform, or None while the views do not determine it."""
         if len(self) < 3:
             return None
@@ -153,11 +149,11 @@ class Taken:
         except InputError:
             return None
 
-    def covered(self) -> float:
+    def coverage(self) -> float:
         """Return the share of the image that corners cover, see `image_coverage`."""
         return image_coverage(np.concatenate([v.corners.pixels[0] for v in self.views]), self.intrinsics)
 
-    def turned(self) -> tuple[float, float]:
+    def largest_turns(self) -> tuple[float, float]:
         """Return the flange's largest turn between views, and the largest across its axis [rad]."""
         if len(self) < 2:
             return 0.0, 0.0
@@ -178,7 +174,7 @@ class Taken:
         write_json(self.folder / VIEWS, {"kind": KIND, "schema": SCHEMA, "board": self.board, "views": views})
 
 
-def seen(image: NDArray[Any], board: Board, intrinsics: Intrinsics, distortion: Array) -> BoardViews | None:
+def find_board(image: NDArray[Any], board: Board, intrinsics: Intrinsics, distortion: Array) -> BoardViews | None:
     """Return the board in a grey image (H, W) uint8; None where fewer than `LEAST_CORNERS` of its corners are seen.
 
     Raises:
@@ -188,12 +184,12 @@ def seen(image: NDArray[Any], board: Board, intrinsics: Intrinsics, distortion: 
         corners = find_corners([image], board)
     except InputError:
         return None
-    view = board_views(undistorted(corners, intrinsics, distortion), intrinsics)
-    if view.reprojection[0] > UNLIKE:
+    view = board_views(undistort(corners, intrinsics, distortion), intrinsics)
+    if view.reprojection[0] > 3:
         raise bad_input(
             "board",
             given=f"corners that miss those of a flat {board} by {view.reprojection[0]:.1f} px",
-            allowed=f"<= {UNLIKE:g} px",
+            allowed="<= 3 px",
             do="Is --board what was printed, is it flat, and are the camera's intrinsics its own?",
         )
     return view
@@ -232,7 +228,7 @@ def read_record(folder: Path | str) -> Record:
         return Record(found, board, joints, flange, cam)
 
 
-def taken_before(folder: Path, board: str) -> Taken | None:
+def read_earlier_views(folder: Path, board: str) -> Taken | None:
     """Return the views of a calibration that was interrupted; None where there are none in the folder.
 
     Raises:
@@ -270,15 +266,15 @@ def _read_views(folder: Path) -> tuple[str, dict[str, Any]]:
 
 
 def is_steady(history: list[HandEye | None]) -> bool:
-    """Return whether the last views changed the error of a left-out view by no more than `SETTLED`.
+    """Return whether the last views changed the error of a left-out view by no more than a fifth.
 
     Args:
         history: what was found after each view.
     """
-    last = history[-SETTLED_VIEWS - 1 :]
+    last = history[-4:]
     errors = np.array([np.nan if found is None else found.methods[-1].left_out_pixel for found in last])
-    few = len(last) <= SETTLED_VIEWS or not np.isfinite(errors).all()
-    return not few and float(errors.max() / errors.min() - 1) <= SETTLED
+    few = len(last) < 4 or not np.isfinite(errors).all()
+    return not few and float(errors.max() / errors.min() - 1) <= 0.2
 
 
 def lacks(taken: Taken, found: HandEye | None) -> list[str]:
@@ -292,25 +288,13 @@ def lacks(taken: Taken, found: HandEye | None) -> list[str]:
     if found.translation_error > LOOSE:
         open_by = 1e3 * found.translation_error
         notes.append(f"the views leave the camera's place open by {open_by:.1f} mm: take more, tilted more")
-    if (covered := taken.covered()) < COVERED:
+    if (covered := taken.coverage()) < COVERED:
         notes.append(f"the corners cover {covered:.0%} of the image: show the board in its corners too")
     return notes
 
 
-TILT, ROLL = float(np.deg2rad(40)), float(np.deg2rad(60))
-"""Most from the board's normal, and about the optical axis from the first view [rad]; docs/calibration.md: 20 to 40
-degrees between views."""
-NEAREST, FARTHEST = 0.25, 1.7
-"""The camera is no nearer [m], nor so near that the board would fill more than `FILLED` of the image's lesser side; and
-no farther than so many times that."""
-FILLED, MARGIN = 0.8, 0.04
-"""Shares of the image: see above; and the frame that the board keeps out of, where lenses are worst [-]."""
-COUNT = 256
-CAREFUL = float(np.deg2rad(12))
-"""While the camera's place is not known the camera circles the board by so little that it stays in view [rad]."""
-LIKE = float(np.deg2rad(30)), 0.25, 0.3
-"""Views that differ by one of these count as equally far apart: turn [rad], place of the board in the image [of its
-width], distance [its logarithm]. A choice."""
+MARGIN = 0.04
+"""Share of the image: the frame that the board keeps out of, where lenses are worst [-]."""
 
 
 def candidates(T_board_cam_first: Array, centre: Array, intrinsics: Intrinsics, *, known: bool) -> Array:
@@ -324,14 +308,13 @@ def candidates(T_board_cam_first: Array, centre: Array, intrinsics: Intrinsics, 
             the first view about the board.
     """
     if not known:
-        turns = Rotation.from_rotvec(CAREFUL * np.concatenate([np.eye(3), -np.eye(3)])).as_matrix()
+        turns = Rotation.from_rotvec(np.deg2rad(12) * np.concatenate([np.eye(3), -np.eye(3)])).as_matrix()
         about = np.stack([transform(R, centre - R @ centre) for R in turns])
         return about @ T_board_cam_first
     side = np.sign(T_board_cam_first[2, 3]) or -1.0
-    near = max(
-        NEAREST, np.linalg.norm(centre) * 2 * intrinsics.fx / (FILLED * min(intrinsics.width, intrinsics.height))
-    )
-    draws = qmc.Halton(6, scramble=False).random(COUNT + 1)[1:]
+    fills = np.linalg.norm(centre) * 2 * intrinsics.fx / (0.8 * min(intrinsics.width, intrinsics.height))
+    near = max(0.25, fills)  # [m]; the board fills at most 0.8 of the image's lesser side
+    draws = qmc.Halton(6, scramble=False).random(257)[1:]
     poses = np.stack([_pose(draw, T_board_cam_first, centre, side, float(near), intrinsics) for draw in draws])
     return poses[sees_board(poses, centre, intrinsics)]
 
@@ -346,14 +329,18 @@ def sees_board(T_board_cam: Array, centre: Array, intrinsics: Intrinsics) -> NDA
 
 
 def differences(T_board_cam: Array, others: Array, centre: Array, intrinsics: Intrinsics) -> Array:
-    """Return (C, V) how unlike the views from (C, 4, 4) and (V, 4, 4) are [-], see `LIKE`."""
+    """Return (C, V) how unlike the views from (C, 4, 4) and (V, 4, 4) are [-].
+
+    Views count as equally far apart that differ by 30 degrees, by a quarter of the width in the place of the board in
+    the image, or by 0.3 in the logarithm of its distance: a choice.
+    """
     turn = Rotation.from_matrix(
         np.einsum("cji,vjk->cvik", T_board_cam[:, :3, :3], others[:, :3, :3]).reshape(-1, 3, 3)
     ).magnitude()
     (place, far), (place_other, far_other) = (_place(T, centre, intrinsics) for T in (T_board_cam, others))
     shift = np.linalg.norm(place[:, None] - place_other[None], axis=2)
     nearer = far[:, None] - far_other[None]
-    return np.sqrt((turn.reshape(shift.shape) / LIKE[0]) ** 2 + (shift / LIKE[1]) ** 2 + (nearer / LIKE[2]) ** 2)
+    return np.sqrt((turn.reshape(shift.shape) / np.deg2rad(30)) ** 2 + (shift / 0.25) ** 2 + (nearer / 0.3) ** 2)
 
 
 def least_alike(T_board_cam: Array, taken: Array, centre: Array, intrinsics: Intrinsics) -> NDArray[np.intp]:
@@ -372,9 +359,10 @@ def spread(T_board_cam: Array, count: int, first: int, centre: Array, intrinsics
 
 def _pose(draw: Array, first: Array, centre: Array, side: float, near: float, intrinsics: Intrinsics) -> Array:
     """Return T_board_cam (4, 4) of six numbers from 0 to 1."""
-    tilt, azimuth, roll = draw[:3] * [TILT, 2 * np.pi, 2 * ROLL] - [0, 0, ROLL]
+    most = np.deg2rad(60)  # about the optical axis from the first view; docs/calibration.md: 20 to 40 deg between views
+    tilt, azimuth, roll = draw[:3] * [np.deg2rad(40), 2 * np.pi, 2 * most] - [0, 0, most]
     ray = np.array([np.sin(tilt) * np.cos(azimuth), np.sin(tilt) * np.sin(azimuth), side * np.cos(tilt)])
-    distance = near * FARTHEST ** draw[3]
+    distance = near * 1.7 ** draw[3]
     size = np.array([intrinsics.width, intrinsics.height])
     reach = intrinsics.fx * np.linalg.norm(centre[:2]) / distance
     room = np.maximum(size * (0.5 - MARGIN) - reach, 0)  # that the board has around it in the image [px]

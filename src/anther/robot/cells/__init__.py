@@ -17,23 +17,21 @@ import numpy as np
 from anther.core.checks import check_range
 from anther.core.errors import StageFailure, bad_input
 from anther.core.geometry import Array, Box, Intrinsics, transform_from_pose7
-from anther.robot.arm.arms import named
+from anther.robot.arm.arms import find_arm
 from anther.robot.arm.grippers import PRESETS, GripperSize, with_camera
 from anther.robot.arm.model import ArmModel, outline
 from anther.robot.arm.plausible import FARTHEST
 from anther.robot.arm.sawyer import SAWYER
 from anther.robot.calibration import HandEye
 from anther.robot.cells import _parts
-from anther.robot.cells._lock import owned
-from anther.robot.cells._reading import Keys, Point, Pose, TomlFile, box, built, checked, fitted, read_toml
+from anther.robot.cells._lock import own_arm
+from anther.robot.cells._reading import Keys, Point, Pose, TomlFile, box, build, convert, fit_arguments, read_toml
 from anther.robot.devices import JointTrajectory, SafetyLimits
 from anther.robot.drivers.apart import ArmApart
 from anther.robot.safety import check_trajectory
 
-__all__ = ["CellFile", "Limits", "Part", "Simulation", "ToolSection", "kept_open", "owned", "read_cell"]
+__all__ = ["CellFile", "Limits", "Part", "Simulation", "ToolSection", "own_arm", "own_cell", "read_cell"]
 
-MODELLED = 0.005, 0.1
-"""A tool may differ from the one that plans are made for by so much of its length [m] and mass [kg]."""
 REQUIRED = "arm", "gripper", "wrist_camera", "workspace", "region", "arm_space"
 KNOWN = (*REQUIRED, "side_camera", "shaker", "tool", "keep_out", "limits", "simulation")
 Lens = tuple[float, float, float, float, float, float]
@@ -81,8 +79,8 @@ class Simulation:
         Raises:
             InputError: no camera is like that.
         """
-        told = getattr(self, name)
-        return None if told is None else Intrinsics(int(told[0]), int(told[1]), *told[2:])
+        numbers = getattr(self, name)
+        return None if numbers is None else Intrinsics(int(numbers[0]), int(numbers[1]), *numbers[2:])
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,7 +176,7 @@ class CellFile:
             InputError: one of its keys is not possible.
             MissingExtra, DeviceError: it cannot be had.
         """
-        return built(self.source, part.keys, part.table, part.make, **self._given(part, given))
+        return build(self.source, part.keys, part.table, part.make, **self._arguments(part, given))
 
     def arm_apart(self) -> ArmApart:
         """Return the arm, connected in a process of its own, behind a guard of its own.
@@ -186,11 +184,11 @@ class CellFile:
         Raises:
             AntherError: see `connect`.
         """
-        given = self._given(self.arm, {})
-        options = fitted(self.source, self.arm.keys, self.arm.table, self.arm.make, given) | given
+        given = self._arguments(self.arm, {})
+        options = fit_arguments(self.source, self.arm.keys, self.arm.table, self.arm.make, given) | given
         return ArmApart(self.arm.make, options, self.safety_limits())
 
-    def _given(self, part: Part, given: dict[str, Any]) -> dict[str, Any]:
+    def _arguments(self, part: Part, given: dict[str, Any]) -> dict[str, Any]:
         rest = {
             "speed_ratio": self.limits.speed_ratio,
             "arm_master": self.arm.table.get("master", ""),
@@ -206,10 +204,10 @@ class CellFile:
             InputError: a limit is out of the range it may be set to.
         """
         ratio = self.limits.speed_ratio
-        said: dict[str, Any] = {name: value for name, value in asdict(self.limits).items() if value is not None}
-        del said["speed_ratio"]
-        said.setdefault("flange_speed", ratio * SafetyLimits.__dataclass_fields__["flange_speed"].default)
-        with self.source.located(("limits",)):
+        values: dict[str, Any] = {name: value for name, value in asdict(self.limits).items() if value is not None}
+        del values["speed_ratio"]
+        values.setdefault("flange_speed", ratio * SafetyLimits.__dataclass_fields__["flange_speed"].default)
+        with self.source.locate_errors(("limits",)):
             return SafetyLimits(
                 forward=self.model.forward,
                 outline=partial(outline, self.model),
@@ -219,7 +217,7 @@ class CellFile:
                 joint_acceleration=ratio * self.model.acceleration,
                 workspace=self.arm_space,
                 keep_out=self.keep_out,
-                **said,
+                **values,
             )
 
 
@@ -238,8 +236,8 @@ def read_cell(path: Path | str, suppose: Suppose | None = None) -> CellFile:
     for key in source.table:
         if key not in KNOWN:
             raise source.error((key,), given=f"an unknown key '{key}'", allowed=", ".join(KNOWN), do="Remove it.")
-    simulation = built(source, ("simulation",), source.table.get("simulation", {}), Simulation)
-    source, supposed = (source, ()) if suppose is None else _supposed(source, suppose, simulation)
+    simulation = build(source, ("simulation",), source.table.get("simulation", {}), Simulation)
+    source, supposed = (source, ()) if suppose is None else _suppose(source, suppose, simulation)
     table = source.table
     for key in REQUIRED:
         if key not in table:
@@ -255,23 +253,23 @@ def read_cell(path: Path | str, suppose: Suppose | None = None) -> CellFile:
         T_world_side_camera=None if side is None else _pose(source, "side_camera", "T_world_cam", side),
         side_camera=None if side is None else of("side_camera", _parts.CAMERAS, besides=("T_world_cam",)),
         shaker=of("shaker", _parts.SHAKERS) if "shaker" in table else None,
-        tool=built(source, ("tool",), table.get("tool", {}), ToolSection),
-        limits=built(source, ("limits",), table.get("limits", {}), Limits),
-        **{name: checked(source, (name,), table[name], Box) for name in ("workspace", "region", "arm_space")},
+        tool=build(source, ("tool",), table.get("tool", {}), ToolSection),
+        limits=build(source, ("limits",), table.get("limits", {}), Limits),
+        **{name: convert(source, (name,), table[name], Box) for name in ("workspace", "region", "arm_space")},
         keep_out=_keep_outs(source),
         simulation=simulation,
         supposed=supposed,
     )
-    cell = replace(cell, model=_equipped(source, _model(source), cell.T_flange_cam))
+    cell = replace(cell, model=_equip(source, _model(source), cell.T_flange_cam))
     _check_tool(cell)
     _check_places(cell)
     return cell
 
 
-def _supposed(source: TomlFile, suppose: Suppose, simulation: Simulation) -> tuple[TomlFile, tuple[str, ...]]:
+def _suppose(source: TomlFile, suppose: Suppose, simulation: Simulation) -> tuple[TomlFile, tuple[str, ...]]:
     """Return the file with what it lacks, and the names of that."""
     said = source.table
-    region = checked(source, ("region",), said["region"], Box) if "region" in said else None
+    region = convert(source, ("region",), said["region"], Box) if "region" in said else None
     usual = suppose(_model(source), simulation, region)
     table, lacks = dict(usual) | said, [name for name in usual if name not in said]
     for name, keys in (("wrist_camera", ("T_flange_cam", "calibration")), ("side_camera", ("T_world_cam",))):
@@ -282,11 +280,11 @@ def _supposed(source: TomlFile, suppose: Suppose, simulation: Simulation) -> tup
     return replace(source, table=table), tuple(lacks)
 
 
-def _equipped(source: TomlFile, model: ArmModel, T_flange_cam: Array) -> ArmModel:
+def _equip(source: TomlFile, model: ArmModel, T_flange_cam: Array) -> ArmModel:
     """Return the arm with the gripper that the file describes, and its camera where it was calibrated."""
-    told, keys, tool = source.table["gripper"].get("shape"), ("gripper", "shape"), model.tool
-    if told is not None:
-        rest = dict(told) if isinstance(told, dict) else {"preset": told}
+    shape, keys, tool = source.table["gripper"].get("shape"), ("gripper", "shape"), model.tool
+    if shape is not None:
+        rest = dict(shape) if isinstance(shape, dict) else {"preset": shape}
         name, given = rest.pop("preset", None), dict[str, Any]()
         if name is not None:
             if name not in PRESETS:
@@ -294,11 +292,11 @@ def _equipped(source: TomlFile, model: ArmModel, T_flange_cam: Array) -> ArmMode
                 raise source.error(keys, given=repr(name), allowed=allowed, do="Choose one, or measure yours.")
             given = asdict(PRESETS[name])
             given["palm"] = list(given["palm"])
-        tool = built(source, keys, given | rest, GripperSize).on(tool)
+        tool = build(source, keys, given | rest, GripperSize).on(tool)
     outline, keys = source.table["wrist_camera"].get("outline"), ("wrist_camera", "outline")
     if outline is not None:
-        outline = checked(source, keys, outline, Point)
-        with source.located(keys):
+        outline = convert(source, keys, outline, Point)
+        with source.locate_errors(keys):
             for side in outline:
                 check_range("side", side, 0.005, 0.3, "m")
     return model.with_tool(with_camera(tool, T_flange_cam, outline))
@@ -312,11 +310,11 @@ def _check_tool(cell: CellFile) -> None:
     """
     measured, tool = cell.tool, cell.model.tool
     mass = tool.mass + tool.camera_mass
-    with cell.source.located(("tool",)):
+    with cell.source.locate_errors(("tool",)):
         if measured.tip is not None:
-            check_range("tip", measured.tip, tool.tip - MODELLED[0], tool.tip + MODELLED[0], "m")
+            check_range("tip", measured.tip, tool.tip - 0.005, tool.tip + 0.005, "m")
         if measured.mass is not None:
-            check_range("mass", measured.mass, 0.0, mass + MODELLED[1], "kg")
+            check_range("mass", measured.mass, 0.0, mass + 0.1, "kg")
 
 
 def _check_places(cell: CellFile) -> None:
@@ -329,12 +327,12 @@ def _check_places(cell: CellFile) -> None:
     keep_out: dict[Keys, Box] = {("keep_out", str(i)): place for i, place in enumerate(cell.keep_out)}
     places: dict[Keys, Box] = {("workspace",): cell.workspace, ("region",): cell.region, ("arm_space",): cell.arm_space}
     for keys, place in (places | keep_out).items():
-        with source.located(keys):
+        with source.locate_errors(keys):
             check_range("farthest coordinate", float(np.abs([place.lower, place.upper]).max()), 0, FARTHEST, "m")
-    with source.located(("wrist_camera",)):
+    with source.locate_errors(("wrist_camera",)):
         _check_distance("the flange", cell.T_flange_cam, arm.reach)
     if cell.T_world_side_camera is not None:
-        with source.located(("side_camera", "T_world_cam")):
+        with source.locate_errors(("side_camera", "T_world_cam")):
             _check_distance("the base", cell.T_world_side_camera, FARTHEST)
     still = JointTrajectory.standstill(arm.ready, 1.0)
     boxes: dict[Keys, tuple[Box, ...]] = {("arm_space",): ()} | {keys: (place,) for keys, place in keep_out.items()}
@@ -355,7 +353,7 @@ def _check_plant(cell: CellFile, keep_out: dict[Keys, Box]) -> None:
     """Check that the arm can get to where the plant stands, and may."""
     source, plant, shoulder, tip = cell.source, cell.workspace, cell.model.shoulder, cell.model.tool.tip
     gap = float(np.linalg.norm(np.clip(shoulder, plant.lower, plant.upper) - shoulder))
-    with source.located(("workspace",)):
+    with source.locate_errors(("workspace",)):
         check_range("distance from the arm's shoulder", gap, 0, cell.model.reach + tip, "m")
     for name, place, room in (("arm_space", cell.arm_space, tip), ("region", cell.region, 0.0)):
         if np.any((place.lower - room > plant.upper) | (place.upper + room < plant.lower)):
@@ -394,18 +392,18 @@ def _part(
             allowed = ", ".join(f'"{known}"' for known in drivers) + ', "package.module:callable"'
             raise source.error(keys, given=f'"{driver}"', allowed=allowed, do="Choose one.")
         make = _parts.own_driver(driver, source.where(keys), source.path.parent)
-    fitted(source, (name,), rest, make, _parts.GIVEN)
+    fit_arguments(source, (name,), rest, make, _parts.GIVEN)
     if not connects:
         return Part(driver, _parts.none, _parts.usual(make) | rest, (name,))
     return Part(driver, make, rest, (name,))
 
 
 def _model(source: TomlFile) -> ArmModel:
-    told, keys = source.table["arm"].get("model", "sawyer"), ("arm", "model")
-    if isinstance(told, dict):
-        return built(source, keys, told, _parts.arm_of_urdf)
-    with source.located(keys):
-        return named(str(told))
+    model, keys = source.table["arm"].get("model", "sawyer"), ("arm", "model")
+    if isinstance(model, dict):
+        return build(source, keys, model, _parts.arm_of_urdf)
+    with source.locate_errors(keys):
+        return find_arm(str(model))
 
 
 def _hand_eye(source: TomlFile, table: dict[str, Any]) -> Array:
@@ -416,14 +414,14 @@ def _hand_eye(source: TomlFile, table: dict[str, Any]) -> Array:
         raise source.error(("wrist_camera",), given=given, allowed="one of the two", do=do)
     if "T_flange_cam" in table:
         return _pose(source, "wrist_camera", "T_flange_cam", table)
-    return HandEye.load(checked(source, ("wrist_camera", "calibration"), table["calibration"], Path)).T_flange_cam
+    return HandEye.load(convert(source, ("wrist_camera", "calibration"), table["calibration"], Path)).T_flange_cam
 
 
 def _pose(source: TomlFile, name: str, key: str, table: dict[str, Any]) -> Array:
     if key not in table:
         raise source.error((name,), given=f"no '{key}'", allowed="7 numbers: x y z [m] qx qy qz qw", do="Add it.")
-    numbers = checked(source, (name, key), table[key], Pose)
-    with source.located((name, key)):
+    numbers = convert(source, (name, key), table[key], Pose)
+    with source.locate_errors((name, key)):
         return transform_from_pose7(np.array(numbers))
 
 
@@ -437,14 +435,14 @@ def _keep_outs(source: TomlFile) -> tuple[Box, ...]:
     if not isinstance(tables, list):
         do = "Write [[keep_out]] above each."
         raise source.error(("keep_out",), given="one table", allowed="a list of tables", do=do)
-    return tuple(built(source, ("keep_out", str(i)), table, _keep_out) for i, table in enumerate(tables))
+    return tuple(build(source, ("keep_out", str(i)), table, _keep_out) for i, table in enumerate(tables))
 
 
 @contextmanager
-def kept_open(file: CellFile) -> Iterator[Callable[[Any], Any]]:
+def own_cell(file: CellFile) -> Iterator[Callable[[Any], Any]]:
     """Own the cell's arm for the block; yield what is told each machine, and closes it at the end."""
     with ExitStack() as stack:
-        stack.enter_context(owned(file.owner_name))
+        stack.enter_context(own_arm(file.owner_name))
 
         def keep(machine: Any) -> Any:
             stack.callback(getattr(machine, "close", lambda: None))

@@ -38,11 +38,11 @@ def addresses(place: str) -> list[str]:
             port = url.port or {"http": 80, "https": 443}.get(url.scheme)
             path = url.path.strip("/")
             end = (f":{port}" if port else "") + (f"/{path}" if path else "")
-            return sorted({f"{host}{end}" for host in _resolved(url.hostname)})
+            return sorted({f"{host}{end}" for host in _resolve(url.hostname)})
     return [place.strip("/")]
 
 
-def _resolved(host: str) -> set[str]:
+def _resolve(host: str) -> set[str]:
     host = host.rstrip(".")
     try:
         found = {str(entry[4][0]) for entry in socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)}
@@ -65,7 +65,7 @@ def _is_here(address: str) -> bool:
 
 
 @contextmanager
-def owned(arm: str, folder: Path | None = None) -> Iterator[None]:
+def own_arm(arm: str, folder: Path | None = None) -> Iterator[None]:
     """Own an arm within the block. Its locks end with the process, however that ends.
 
     Args:
@@ -77,7 +77,7 @@ def owned(arm: str, folder: Path | None = None) -> Iterator[None]:
     """
     with ExitStack() as stack:
         for name in addresses(arm):
-            stack.callback(os.close, _locked(name, folder or _folder()))
+            stack.callback(os.close, _lock(name, folder or _folder()))
         yield
 
 
@@ -92,12 +92,12 @@ def _folder() -> Path:
     raise DeviceError(f"no folder for the arms' locks: allowed: {' or '.join(map(str, FOLDERS))}. {do}")
 
 
-def _locked(name: str, folder: Path) -> int:
+def _lock(name: str, folder: Path) -> int:
     """Return an open, locked file that stands for a name and has the number of this process in it."""
     fcntl: Any = importlib.import_module("fcntl")
     path = folder / f"anther-{re.sub(r'[^A-Za-z0-9.-]+', '-', name)}.lock"
     for _ in range(TRIES):
-        handle = _opened(path)
+        handle = _open(path)
         try:
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -116,7 +116,7 @@ def _locked(name: str, folder: Path) -> int:
     raise DeviceError(GONE.format(path))
 
 
-def _opened(path: Path) -> int:
+def _open(path: Path) -> int:
     """Return a lock file, open; it is made where it is missing, for every user.
 
     An existing one is opened as such, for in /tmp Linux lets nobody open another user's file with O_CREAT
@@ -134,8 +134,8 @@ def _opened(path: Path) -> int:
             continue
         except OSError as error:
             raise DeviceError(f"the lock {path} cannot be opened ({error.strerror}). Remove it.") from error
-        told = os.fstat(handle)
-        if stat.S_ISREG(told.st_mode) and told.st_nlink <= 1:
+        status = os.fstat(handle)
+        if stat.S_ISREG(status.st_mode) and status.st_nlink <= 1:
             return handle
         os.close(handle)
         raise DeviceError(f"the lock {path} is no file of its own. Remove it.")

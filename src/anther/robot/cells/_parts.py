@@ -40,7 +40,7 @@ GRIPPER_NAME = "/anther_gripper"
 
 
 @contextmanager
-def _behind(node: Any) -> Iterator[Any]:
+def _close_on_error(node: Any) -> Iterator[Any]:
     """Yield a node, and close it where the machine behind it cannot be had."""
     try:
         yield node
@@ -53,7 +53,7 @@ def sawyer_ros1(
     master: str, *, host: str = "", mode: Mode = "position", rate: float = 100.0, speed_ratio: float = 0.1
 ) -> Sawyer:
     """Return a Sawyer behind a ROS master, such as "http://sawyer.local:11311"; host: this machine's own address."""
-    with _behind(Node(master, NAME, types(), host)) as node:
+    with _close_on_error(Node(master, NAME, types(), host)) as node:
         return Sawyer(node, mode=mode, rate=rate, speed_ratio=speed_ratio)
 
 
@@ -92,7 +92,7 @@ def ros2(
         wanted = f"{len(arm_model.joints)}, in the order of {', '.join(arm_model.joints)}"
         raise bad_input("joints", given=f"{len(names)} names", allowed=wanted, do="Correct it.")
     options: dict[str, Any] = {"controller": controller, "rate": rate, "states": states, "wrench": wrench}
-    with _behind(Ros2Node(NAME.strip("/"))) as node:
+    with _close_on_error(Ros2Node(NAME.strip("/"))) as node:
         return JointTrajectoryArm(node, names, arm_model.acceleration, **options)
 
 
@@ -100,7 +100,7 @@ def rethink(*, arm_master: str) -> RethinkGripper:
     """Return the electric gripper of a Sawyer, behind the same master."""
     if not arm_master:
         raise InputError("gripper 'rethink': it is reached through a Sawyer's ROS master; the arm has none.")
-    with _behind(Node(arm_master, GRIPPER_NAME, types())) as node:
+    with _close_on_error(Node(arm_master, GRIPPER_NAME, types())) as node:
         return RethinkGripper(node)
 
 
@@ -157,9 +157,9 @@ def arm_of_urdf(
 ) -> ArmModel:
     """Return an arm by its URDF file, see `anther.robot.arm.urdf.from_urdf`; name: by default the file's."""
     T = None if T_tip_flange is None else transform_from_pose7(np.array(T_tip_flange))
-    told = {"acceleration": acceleration, "ready": ready, "T_tip_flange": T, "packages": packages, "floor": floor}
+    options = {"acceleration": acceleration, "ready": ready, "T_tip_flange": T, "packages": packages, "floor": floor}
     with understood(urdf, "a URDF of an arm", "docs/arm.md says what it must hold."):
-        return from_urdf(name or urdf.stem, urdf, base=base, tip=tip, **told)
+        return from_urdf(name or urdf.stem, urdf, base=base, tip=tip, **options)
 
 
 def own_driver(name: str, where: str, folder: Path) -> Callable[..., Any]:

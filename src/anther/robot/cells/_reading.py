@@ -45,7 +45,7 @@ class TomlFile:
         return bad_input(self.where(keys), given=given, allowed=allowed, do=do)
 
     @contextmanager
-    def located(self, keys: Keys) -> Iterator[None]:
+    def locate_errors(self, keys: Keys) -> Iterator[None]:
         """Put file, line and key before what is wrong with a value."""
         try:
             yield
@@ -68,18 +68,18 @@ def read_toml(path: Path | str) -> TomlFile:
         raise bad_input(str(path), given=f"no TOML: {error}", allowed="a TOML file", do="See toml.io.") from error
 
 
-def built(source: TomlFile, keys: Keys, table: Any, target: Callable[..., T], **given: Any) -> T:
+def build(source: TomlFile, keys: Keys, table: Any, target: Callable[..., T], **given: Any) -> T:
     """Return what a dataclass or function makes of a table, its keys being the arguments' names, and of what else is
     `given`. The annotations say what is allowed; an error has file, line and key."""
-    arguments = fitted(source, keys, table, target, given)
-    with source.located(keys):
+    arguments = fit_arguments(source, keys, table, target, given)
+    with source.locate_errors(keys):
         return target(**arguments, **given)
 
 
-def fitted(
+def fit_arguments(
     source: TomlFile, keys: Keys, table: Any, target: Callable[..., Any], given: Collection[str] = ()
 ) -> dict[str, Any]:
-    """Return the arguments that `built` calls its target with."""
+    """Return the arguments that `build` calls its target with."""
     if not isinstance(table, dict):
         raise source.error(keys, given=_shown(table), allowed="a table", do=f"Write [{'.'.join(keys)}] above its keys.")
     wanted = {name: p for name, p in inspect.signature(target).parameters.items() if name not in given}
@@ -96,7 +96,7 @@ def fitted(
         if name not in table and parameter.default is parameter.empty and parameter.kind is not parameter.VAR_KEYWORD:
             kind = _name(hints.get(name, Any))
             raise source.error(keys, given=f"no '{name}'", allowed=f"{name} = {kind}", do="Add it: docs/cell_file.md.")
-    return {key: checked(source, (*keys, key), value, hints.get(key, Any)) for key, value in table.items()}
+    return {key: convert(source, (*keys, key), value, hints.get(key, Any)) for key, value in table.items()}
 
 
 def box(lower: Point, upper: Point) -> Box:
@@ -104,14 +104,14 @@ def box(lower: Point, upper: Point) -> Box:
     return Box(np.array(lower), np.array(upper))
 
 
-def checked(source: TomlFile, keys: Keys, value: Any, hint: Any) -> Any:
+def convert(source: TomlFile, keys: Keys, value: Any, hint: Any) -> Any:
     """Return a value as an annotation wants it: a path beside the file, a number as float, a list as tuple."""
     if get_origin(hint) is UnionType or NoneType in get_args(hint):
         hint = next(kind for kind in get_args(hint) if kind is not NoneType)
     if hint is Path and isinstance(value, str):
         return source.path.parent / value
     if hint is Box:
-        return built(source, keys, value, box)
+        return build(source, keys, value, box)
     if get_origin(hint) is Literal and value in get_args(hint):
         return value
     if get_origin(hint) is tuple:

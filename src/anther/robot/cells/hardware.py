@@ -23,14 +23,12 @@ from anther.robot.arm.sawyer import SAWYER
 from anther.robot.arm.views import Params as ViewParams
 from anther.robot.arm.views import Views, plan_views
 from anther.robot.cell import Cell
-from anther.robot.cells import CellFile, Part, kept_open
-from anther.robot.devices import Gripper, JointTrajectory, Robot, Tap, untapped
+from anther.robot.cells import CellFile, Part, own_cell
+from anther.robot.devices import Gripper, JointTrajectory, Robot, Tap, no_tap
 from anther.robot.safety import guard
 
 CALM = 0.5
 """The arm stands for so long before a picture is taken [s]: it swings a little when it stops. A guess."""
-OPENS = 1e-3
-"""A gripper may open so much less than plans are made for [m]: `devices.SafetyLimits.grip_tolerance` bears it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,13 +77,13 @@ def planner_around(file: CellFile, cloud: Cloud, home: Array) -> Planner:
 
 
 @contextmanager
-def connected(file: CellFile) -> Iterator[Robot]:
+def connect_cell(file: CellFile) -> Iterator[Robot]:
     """Own the cell's arm and connect all its machines, for the block; nothing moves. The arm is in its own process.
 
     Raises:
         AntherError: the first that cannot be had.
     """
-    with kept_open(file) as keep:
+    with own_cell(file) as keep:
         arm = keep(file.arm_apart())
 
         def part(entry: Part | None) -> Any:
@@ -110,25 +108,25 @@ def _check_stroke(file: CellFile, gripper: Gripper) -> None:
         InputError: it does not.
     """
     planned, has = file.model.tool.stroke, gripper.stroke
-    if planned > has + OPENS:
+    if planned > has + 1e-3:  # [m]: `devices.SafetyLimits.grip_tolerance` bears it
         allowed = f"at most {has:.4f} m, which the gripper says it opens"
         do = "Write what it opens as opening under [gripper.shape]."
         raise bad_input(file.source.where(("gripper", "shape")), given=f"{planned:.4f} m", allowed=allowed, do=do)
 
 
 @contextmanager
-def hardware_cell(file: CellFile, views: ViewParams, tap: Tap = untapped) -> Iterator[HardwareCell]:
-    """Connect a cell for one trial; see `connected`. `tap` listens to the bare machines."""
+def hardware_cell(file: CellFile, views: ViewParams, tap: Tap = no_tap) -> Iterator[HardwareCell]:
+    """Connect a cell for one trial; see `connect_cell`. `tap` listens to the bare machines."""
     limits, ratio, arm = file.safety_limits(), file.limits.speed_ratio, file.model
     boxes = file.keep_out
-    with connected(file) as bare:
+    with connect_cell(file) as bare:
         robot = guard(tap(bare, limits, file.T_flange_cam, time.monotonic), limits)
 
         def take_views(advance: Advance) -> Capture:
             begin, motion = robot.arm.joints(), motion_params(ratio)
             hand_eye = file.T_flange_cam
             planned = plan_views(file.region, boxes, views, start=begin, T_flange_cam=hand_eye, motion=motion, arm=arm)
-            return look_around(robot, planned, hand_eye, advance, arm)
+            return capture_views(robot, planned, hand_eye, advance, arm)
 
         def plan_around(cloud: Cloud) -> Planner:
             return planner_around(file, cloud, robot.arm.joints())
@@ -136,7 +134,9 @@ def hardware_cell(file: CellFile, views: ViewParams, tap: Tap = untapped) -> Ite
         yield HardwareCell(Cell(take_views, plan_around, robot, file.workspace, limits))
 
 
-def look_around(robot: Robot, views: Views, T_flange_cam: Array, advance: Advance, model: ArmModel = SAWYER) -> Capture:
+def capture_views(
+    robot: Robot, views: Views, T_flange_cam: Array, advance: Advance, model: ArmModel = SAWYER
+) -> Capture:
     """Go to each view, stand still, take a picture; return them with the poses that the arm read.
 
     Raises:

@@ -15,8 +15,7 @@ from anther.core.files import replacing
 from anther.robot.cells import read_cell
 from anther.robot.cells._reading import Keys
 
-TABLE, KEYS = "wrist_camera", ("calibration", "T_flange_cam")
-NEW = KEYS[0]
+TABLE, NEW, OLD = "wrist_camera", "calibration", "T_flange_cam"
 
 
 def point_to_calibration(path: Path | str, calibration: Path | str) -> Path:
@@ -34,12 +33,12 @@ def point_to_calibration(path: Path | str, calibration: Path | str) -> Path:
     where = Path(os.path.relpath(Path(calibration).resolve(), file.parent)).as_posix()
     text = file.read_bytes().decode()
     mark = text[: text.startswith("\ufeff")]
-    after = _replaced(text[len(mark) :], before.source.lines, where)
+    after = _replace(text[len(mark) :], before.source.lines, where)
     if after is None:
         raise bad_input(
             str(file),
             given="a pose of the wrist camera that is not on lines of its own",
-            allowed=f"{KEYS[1]} = [...] or {NEW} = ... below [{TABLE}]",
+            allowed=f"{OLD} = [...] or {NEW} = ... below [{TABLE}]",
             do=f"The file is unchanged. Write there: {NEW} = {json.dumps(where, ensure_ascii=False)}",
         )
     kept = _free_name(file)
@@ -53,15 +52,15 @@ def point_to_calibration(path: Path | str, calibration: Path | str) -> Path:
     return kept
 
 
-def _replaced(text: str, lines: Mapping[Keys, int], where: str) -> str | None:
+def _replace(text: str, lines: Mapping[Keys, int], where: str) -> str | None:
     """Return the text with the new line, or None where no change of whole lines does just that.
 
     Where the value ends is tried out: the text must say the same as before, but for the pose.
     """
     rows = text.splitlines(keepends=True)
     wanted = tomllib.loads(text)
-    wanted[TABLE] = {key: value for key, value in wanted[TABLE].items() if key not in KEYS} | {NEW: where}
-    first = next((lines[TABLE, key] - 1 for key in KEYS if (TABLE, key) in lines), None)
+    wanted[TABLE] = {key: value for key, value in wanted[TABLE].items() if key not in (NEW, OLD)} | {NEW: where}
+    first = next((lines[TABLE, key] - 1 for key in (NEW, OLD) if (TABLE, key) in lines), None)
     if first is None:
         return None
     for end in range(first + 1, len(rows) + 1):

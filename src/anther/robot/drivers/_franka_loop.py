@@ -26,6 +26,7 @@ import numpy as np
 
 from anther.core.geometry import Array
 from anther.robot.devices import LEAD, JointTrajectory
+from anther.robot.drivers._holding import NEAR
 from anther.robot.drivers._streamed import SETTLE, Reference, braking, prioritize_thread
 
 CYCLE = 1e-3
@@ -37,8 +38,6 @@ BRAKES = 0.8
 """Share of the acceleration with which the loop brakes: the robot refuses what is a little over it."""
 FADES = 0.5
 """The arm stands a little off its command; a motion begins at the command, and the gap is closed within this [s]."""
-NEAR = 0.05
-"""No motion begins further than this from the robot's own command [rad]."""
 SHOWN = 8
 """Every so many cycles a state is shown: 125 a second."""
 UNSEEN = 0.1
@@ -148,15 +147,15 @@ class Loop:
         lost = ""
         while not self._gone:
             try:
-                told = None if lost else self._read_state(self._robot.read_once())
+                state = None if lost else self._read_state(self._robot.read_once())
             except self._errors as error:
-                told, lost = None, words(error)
+                state, lost = None, words(error)
             while not self._gone and (lost or self._pipe.poll()):
-                match self._hear():
-                    case ("read" | "move" | "recover", *_) if told is None:
+                match self._receive():
+                    case ("read" | "move" | "recover", *_) if state is None:
                         self._say("failed", lost)
                     case ("read",):
-                        self._say("state", told)
+                        self._say("state", state)
                     case ("move", first, goes_on):
                         self._say(*self._move(first, goes_on))
                         break
@@ -204,7 +203,7 @@ class Loop:
                 path.brake(IDLE)
 
     def _take(self, path: Path) -> None:
-        match self._hear():
+        match self._receive():
             case ("seen",):
                 self._seen = self._clock()
             case ("next", following):
@@ -235,7 +234,7 @@ class Loop:
             received=state.control_command_success_rate,
         )
 
-    def _hear(self) -> tuple[Any, ...]:
+    def _receive(self) -> tuple[Any, ...]:
         try:
             return self._pipe.recv()
         except (EOFError, OSError):

@@ -17,8 +17,6 @@ from anther.robot.drivers._readings import Readings
 
 NEAR = 0.05
 """An arm further than this from where it was sent does not follow, and no motion begins there [rad]."""
-STANDS = 0.02
-"""An arm with no joint faster than this stands [rad/s]: 0.6 mrad between readings that are 30 ms apart."""
 
 
 class Late(DeviceError):
@@ -38,9 +36,11 @@ class LastCommand(NamedTuple):
         return self.time == float("inf")
 
 
-def find_rest_joints(heard: Readings, since: float) -> Array | None:
+def find_rest_joints(readings: Readings, since: float) -> Array | None:
     """Return the joints (J,) of an arm at rest, by a reading not older than `since` [s]; None: unknown, or moving."""
-    reading, speed = heard.last, heard.speed()
-    if reading is None or speed is None or reading.time < since or np.abs(speed).max() > STANDS:
+    reading, speed = readings.last, readings.speed()
+    if reading is None or speed is None or reading.time < since:
+        return None
+    if np.abs(speed).max() > 0.02:  # [rad/s]: 0.6 mrad between readings that are 30 ms apart
         return None
     return reading.joints

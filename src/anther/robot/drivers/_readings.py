@@ -12,12 +12,6 @@ from anther.robot.devices import DeviceError
 
 STALE = 0.05
 """Joints read longer ago than this are not believed [s]."""
-RECENT = 40
-"""Readings that are kept: a rate is measured between them, at up to 500 a second."""
-DRIFT = 1e-4
-"""Clocks drift apart by less than this [s/s]: an order more than quartz does."""
-SPANS = (0.02, 0.06)
-"""A rate is measured between readings so far apart [s]: two at 100 Hz and more, before the rate is another."""
 
 
 class Reading(NamedTuple):
@@ -30,7 +24,8 @@ class Reading(NamedTuple):
 def rate_of(readings: list[Reading]) -> Array | None:
     """Return the rates (J,) [rad/s] of readings in order, at the last; None where too few are close enough."""
     last = readings[-1]
-    before = next((r for r in readings if SPANS[0] <= last.time - r.time <= SPANS[1]), None)
+    # two readings at 100 Hz and more, before the rate is another
+    before = next((r for r in readings if 0.02 <= last.time - r.time <= 0.06), None)
     return None if before is None else (last.joints - before.joints) / (last.time - before.time)
 
 
@@ -56,13 +51,14 @@ class RobotClock:
     """
 
     def __init__(self) -> None:
-        self.offset = self._heard = float("nan")
+        self.offset = self._last_arrival = float("nan")
 
-    def hear(self, stamp: float, arrival: float) -> None:
+    def receive(self, stamp: float, arrival: float) -> None:
         """Take the stamp of a message [s], and when it arrived on this machine's clock [s]."""
-        lag, drifted = arrival - stamp, self.offset + DRIFT * (arrival - self._heard)
+        # clocks drift apart by less than 1e-4: an order more than quartz does
+        lag, drifted = arrival - stamp, self.offset + 1e-4 * (arrival - self._last_arrival)
         self.offset = lag if np.isnan(drifted) else min(lag, drifted)
-        self._heard = arrival
+        self._last_arrival = arrival
 
 
 class Readings:
@@ -83,7 +79,7 @@ class Readings:
         self._names, self._clock, self._arrivals = tuple(names), clock, list[float]()
         self.clock = RobotClock()
 
-    def hear(self, message: Any) -> None:
+    def receive(self, message: Any) -> None:
         """Take a sensor_msgs/JointState; one of other joints only is passed over."""
         arrival, stamp = self._clock(), message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
         places = {name: i for i, name in enumerate(message.name)}
@@ -92,14 +88,14 @@ class Readings:
             return
         missing = [name for name in self._names if name not in places]
         if missing or len(places) != len(message.name) or len(message.position) != len(message.name):
-            told = f"{', '.join(missing)} missing" if missing else f"{len(message.position)} angles, names twice"
-            self.trouble = f"joints: got {', '.join(message.name)}: {told}; allowed: {', '.join(self._names)}"
+            given = f"{', '.join(missing)} missing" if missing else f"{len(message.position)} angles, names twice"
+            self.trouble = f"joints: got {', '.join(message.name)}: {given}; allowed: {', '.join(self._names)}"
             return
         joints = np.array([message.position[places[name]] for name in self._names], dtype=float)
         if not np.isfinite(joints).all():
             self.trouble = f"joints: got {joints} rad"
             return
-        self.clock.hear(stamp, arrival)
+        self.clock.receive(stamp, arrival)
         self._arrivals = [*self._arrivals[-99:], arrival]
         if len(self._arrivals) > 1:
             self.rate = (len(self._arrivals) - 1) / max(arrival - self._arrivals[0], 1e-9)
@@ -114,7 +110,7 @@ class Readings:
     def take(self, reading: Reading) -> None:
         """Take a reading, unless a newer one is there."""
         if not self.recent or reading.time > self.recent[-1].time:
-            self.recent = [*self.recent[-RECENT:], reading]
+            self.recent = [*self.recent[-40:], reading]  # a rate is measured between them, at up to 500 a second
 
     def speed(self) -> Array | None:
         """Return rates (J,) [rad/s] at the newest reading, by those before; None: there are too few."""

@@ -167,8 +167,6 @@ SETTLE = 0.1
 """The end of a motion is commanded for so long before it counts as over [s]."""
 WAITING = 5.0
 """Something of a robot that is on is heard within this [s]."""
-COMES_TO_REST = 0.5
-"""An arm that its own time-out stops stands within this [s]; else nothing more is sent."""
 
 
 class StreamedArm(ABC):
@@ -233,9 +231,9 @@ class StreamedArm(ABC):
         """Command joints (J,) near which the arm stands."""
         self._rest(q)
 
-    def _extrapolate(self, told: LastCommand, now: float) -> LastCommand:
+    def _extrapolate(self, last: LastCommand, now: float) -> LastCommand:
         """Return the joints that the robot has reached now [s]: it goes on at the rate of the last command."""
-        return LastCommand(now, told.joints + told.rate * (now - told.time), told.rate)
+        return LastCommand(now, last.joints + last.rate * (now - last.time), last.rate)
 
     def hold(self) -> None:
         """Brake if it moves, and hold, by the rule of `_holding`. A robot that refuses commands is sent nothing."""
@@ -252,12 +250,12 @@ class StreamedArm(ABC):
         except Late:  # held up once more: the last command is void
             self.hold()
 
-    def _stop_from(self, told: LastCommand) -> tuple[Array, Array] | None:
+    def _stop_from(self, last: LastCommand) -> tuple[Array, Array] | None:
         """Return joints and rates (J,) from which to stop; None: nothing is to be sent."""
         now = self._clock()
-        if now - told.time <= self._timeout:
-            return self._extrapolate(told, now)[1:]
-        while self._clock() - now < COMES_TO_REST and not self.readings.trouble:
+        if now - last.time <= self._timeout:
+            return self._extrapolate(last, now)[1:]
+        while self._clock() - now < 0.5 and not self.readings.trouble:
             with suppress(DeviceError):  # too old yet
                 self.joints()
             here = find_rest_joints(self.readings, now)
@@ -316,7 +314,7 @@ class StreamedArm(ABC):
 
     def _stream(self, reference: Reference, watch: Watch | None, samples: list[ArmSample]) -> None:
         self._last = begin = due = self._clock()
-        seen = begin - self._stale if self.readings.last is None else self.readings.last.time
+        newest = begin - self._stale if self.readings.last is None else self.readings.last.time
         while True:
             now = self._clock()
             self._check_in_time()
@@ -324,10 +322,10 @@ class StreamedArm(ABC):
             reference.look_ahead(now - begin)
             self._aim(reference, now - begin)
             reading, over = self.readings.last, reference.whole and now - begin >= reference.ends + SETTLE
-            if reading is not None and reading.time > seen and (over or reading.time >= seen + self._shown):
-                seen = reading.time
-                wanted = reference.at(seen - begin)[0]
-                samples.append(ArmSample(seen, wanted, reading.joints, self._current_force(now)))
+            if reading is not None and reading.time > newest and (over or reading.time >= newest + self._shown):
+                newest = reading.time
+                wanted = reference.at(newest - begin)[0]
+                samples.append(ArmSample(newest, wanted, reading.joints, self._current_force(now)))
                 if watch:
                     watch(samples[-1])
             if over:
@@ -344,7 +342,7 @@ class StreamedArm(ABC):
         """Return the size of the measured force [N]; NaN where none is recent."""
         return self._force[1] if now - self._force[0] < 2 * self._stale else float("nan")
 
-    def _seen(self) -> str:
+    def _describe_readings(self) -> str:
         """Return in words what is heard of the joints."""
         r = self.readings
         return (

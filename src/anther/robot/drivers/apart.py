@@ -25,8 +25,8 @@ from anther.robot.safety import GuardedArm
 
 UNSEEN = 1.0
 """Readings that nobody looked at for so long end a motion [s]: who should watch hangs."""
-BEGIN, ANSWER = 120.0, 30.0
-"""The process begins within the first, on a busy machine too, and a question within the second, or is given up [s]."""
+ANSWER = 30.0
+"""The process answers a question within this, or is given up [s]."""
 LOST = "the arm's own process is gone; the arm stops by its own timeout. Look at it, and start anew."
 GONE = "who asked for it is gone"
 
@@ -51,7 +51,7 @@ class ArmApart:
         self._process = context.Process(target=_serve, args=(other, make, options, limits, os.getpid()), daemon=True)
         self._process.start()
         other.close()
-        self.has = frozenset(self._done(self._hear(BEGIN)))
+        self.has = frozenset(self._done(self._receive(120.0)))  # a busy machine begins late
 
     def joints(self) -> Array:
         """See `anther.robot.devices.Arm`."""
@@ -63,13 +63,13 @@ class ArmApart:
         with self._lock:
             self._say("follow", trajectory, more is not None)
             try:
-                heard = self._until_it_ends(watch, coming)
+                answer = self._until_it_ends(watch, coming)
             except BaseException:
                 self._stop()
                 raise
             finally:
                 coming.close()
-        return self._done(heard)
+        return self._done(answer)
 
     def hold(self) -> None:
         """See `anther.robot.devices.Arm`."""
@@ -79,7 +79,7 @@ class ArmApart:
         """Return what a method of the driver returns, such as `enable`."""
         with self._lock:
             self._say("call", name, words)
-            return self._done(self._hear(ANSWER))
+            return self._done(self._receive(ANSWER))
 
     def close(self) -> None:
         """End the process; a moving arm is braked."""
@@ -95,8 +95,8 @@ class ArmApart:
         while True:
             if coming.there:
                 self._say("next", coming.take())
-            heard = self._hear(0.005 if coming.asked else ANSWER)
-            match heard:
+            answer = self._receive(0.005 if coming.asked else ANSWER)
+            match answer:
                 case ("sample", sample):
                     self._say("seen", sample.time)
                     if watch:
@@ -106,7 +106,7 @@ class ArmApart:
                 case None if coming.asked:
                     pass
                 case _:
-                    return heard
+                    return answer
 
     def _stop(self) -> None:
         """Stop the motion under way and pass over what was said of it."""
@@ -114,8 +114,8 @@ class ArmApart:
             self._say("stop")
             until = time.monotonic() + ANSWER
             while time.monotonic() < until:
-                heard = self._hear(0.1)
-                if heard is not None and heard[0] in ("done", "failed"):
+                answer = self._receive(0.1)
+                if answer is not None and answer[0] in ("done", "failed"):
                     return
 
     def _say(self, *words: Any) -> None:
@@ -124,16 +124,16 @@ class ArmApart:
         except OSError as error:
             raise DeviceError(LOST) from error
 
-    def _hear(self, seconds: float) -> tuple[str, Any] | None:
+    def _receive(self, seconds: float) -> tuple[str, Any] | None:
         try:
             return self._pipe.recv() if self._pipe.poll(seconds) else None
         except (EOFError, OSError) as error:
             raise DeviceError(LOST) from error
 
-    def _done(self, heard: tuple[str, Any] | None) -> Any:
-        if heard is None:
+    def _done(self, answer: tuple[str, Any] | None) -> Any:
+        if answer is None:
             raise DeviceError(f"the arm's own process says nothing for {ANSWER:g} s. Look at the arm, and start anew.")
-        what, value = heard
+        what, value = answer
         if what == "failed":
             raise value
         return value
@@ -163,7 +163,7 @@ class _Server:
                     name, arguments = words
                     self._say("done", getattr(guarded if name == "joints" else arm, name)(*arguments))
             except Exception as error:
-                self._say("failed", _told(error))
+                self._say("failed", _portable(error))
 
     def _follow(self, arm: GuardedArm, trajectory: JointTrajectory, goes_on: bool) -> ArmRecord:
         self._why, self._unseen = self._why if self._why == GONE else "", None
@@ -183,12 +183,12 @@ class _Server:
             self._why = GONE
         if self._why:
             raise _Stopped(f"the motion was called off: {self._why}.")
-        now, unseen = time.monotonic(), self._unseen
-        if unseen is not None and now - unseen > UNSEEN:
+        now, unwatched = time.monotonic(), self._unseen
+        if unwatched is not None and now - unwatched > UNSEEN:
             raise _Stopped(
                 f"nobody looked at the arm's readings for {UNSEEN:g} s. Let nothing else run on this machine."
             )
-        self._unseen = now if unseen is None else unseen
+        self._unseen = now if unwatched is None else unwatched
         self._say("sample", sample)
 
     def _read(self) -> None:
@@ -223,7 +223,7 @@ def _serve(
         try:
             arm = make(**options)
         except Exception as error:
-            pipe.send(("failed", _told(error)))
+            pipe.send(("failed", _portable(error)))
             return
         pipe.send(("done", [name for name in dir(arm) if not name.startswith("_")]))
         try:
@@ -232,7 +232,7 @@ def _serve(
             getattr(arm, "close", lambda: None)()
 
 
-def _told(error: Exception) -> AntherError:
+def _portable(error: Exception) -> AntherError:
     """Return an error that every process can read: one of Anther's own kinds, whatever a driver derives from them."""
     said = str(error) or type(error).__name__
     if isinstance(error, StageFailure) and not isinstance(error, DeviceError):

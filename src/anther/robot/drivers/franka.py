@@ -30,13 +30,9 @@ from anther.robot.drivers._readings import STALE, RobotClock, check_finite_joint
 from anther.robot.drivers._streamed import Coming, prioritize_thread, shorten_thread_turns
 
 JOINTS = 7
+ANSWER = 2.0
+"""The loop answers within this [s]; libfranka gives a network up before."""
 BEGINS = "from anther.robot.drivers._franka_loop import main; main()"
-BEGIN, ANSWER = 60.0, 2.0
-"""The loop is connected within the first, and answers within the second [s]; libfranka gives a network up before."""
-RECOVERS = 5.0
-"""After `enable` the robot is ready within this [s]."""
-PATIENCE = 0.5
-"""At rest, joints that come too late are asked for again for so long [s]: nothing moves meanwhile."""
 GONE = "the loop that commands the arm is gone; the robot stops by itself. Look at it, and start anew"
 MODES = {
     "Idle": "",
@@ -116,35 +112,37 @@ class Franka:
             self._say("brake")
             until = self._clock() + ANSWER
             while self._moves and self._clock() < until:
-                heard = self._hear(ANSWER)
-                self._moves = heard is not None and heard[0] not in ("done", "failed")
+                answer = self._receive(ANSWER)
+                self._moves = answer is not None and answer[0] not in ("done", "failed")
         self._moves = False
 
     def cannot(self) -> str:
         """Return why the arm cannot be moved now; empty if it can."""
         return _reason(self._read())
 
-    def seen(self) -> list[str]:
+    def describe(self) -> list[str]:
         """Return in words what is heard of the robot."""
-        told = self._read_fresh()
-        why, off = _reason(told), 1e3 * float(np.abs(told.joints - told.aim).max())
+        state = self._read_fresh()
+        why, off = _reason(state), 1e3 * float(np.abs(state.joints - state.aim).max())
         return [
-            f"mode {told.mode}; the newest joints are {1e3 * self._age(told):.0f} ms old, {off:.1f} mrad off the order",
-            f"commands: 1000 a second; force {told.force:.1f} N",
+            f"mode {state.mode}; the newest joints are {1e3 * self._age(state):.0f} ms old, "
+            f"{off:.1f} mrad off the order",
+            f"commands: 1000 a second; force {state.force:.1f} N",
             f"cannot move: {why}" if why else "ready to move",
         ]
 
     def enable(self) -> None:
         """Recover from a reflex. The arm holds where it is. The user stop is released, and joints unlocked, by hand."""
-        told = self._read()
-        if told.mode == "Reflex" or (told.mode == "Idle" and told.errors):
+        state = self._read()
+        if state.mode == "Reflex" or (state.mode == "Idle" and state.errors):
             self._ask("recover")
-        elif told.mode != "Idle":
-            raise DeviceError(f"the arm cannot be enabled: {_reason(told)}.")
-        until = self._clock() + RECOVERS
+        elif state.mode != "Idle":
+            raise DeviceError(f"the arm cannot be enabled: {_reason(state)}.")
+        seconds = 5.0
+        until = self._clock() + seconds
         while why := self.cannot():
             if self._clock() > until:
-                raise DeviceError(f"the robot is not ready within {RECOVERS:g} s: {why}.")
+                raise DeviceError(f"the robot is not ready within {seconds:g} s: {why}.")
             self._sleep(0.01)
 
     def close(self) -> None:
@@ -156,8 +154,8 @@ class Franka:
             self._gone()
 
     def _check_start(self, trajectory: JointTrajectory) -> None:
-        told = self._read_fresh()
-        if why := _reason(told):
+        state = self._read_fresh()
+        if why := _reason(state):
             raise DeviceError(f"the arm cannot move: {why}.")
         if trajectory.positions.shape[1] != JOINTS:
             raise DeviceError(f"the motion is one of {trajectory.positions.shape[1]} joints; allowed: {JOINTS}.")
@@ -167,9 +165,9 @@ class Franka:
         while True:
             if coming.there:
                 self._say("next", coming.take())
-            match self._hear(STALE if samples else ANSWER):
-                case ("state", told):
-                    self._take(told, watch, samples)
+            match self._receive(STALE if samples else ANSWER):
+                case ("state", state):
+                    self._take(state, watch, samples)
                 case ("more", _):
                     coming.ask()
                 case ("done", why):
@@ -184,12 +182,12 @@ class Franka:
                     old = f"the newest joints are {1e3 * STALE:.0f} ms old, or older; allowed: {1e3 * STALE:.0f} ms"
                     raise DeviceError(f"{old}. Check network and robot; then start anew.")
 
-    def _take(self, told: RobotState, watch: Watch | None, samples: list[ArmSample]) -> None:
-        self._robot.hear(told.stamp, told.arrival)
-        when = told.stamp + self._robot.offset
-        self._believed(told)
+    def _take(self, state: RobotState, watch: Watch | None, samples: list[ArmSample]) -> None:
+        self._robot.receive(state.stamp, state.arrival)
+        when = state.stamp + self._robot.offset
+        self._check(state)
         if not samples or when > samples[-1].time:
-            samples.append(ArmSample(when, told.aim, told.joints, told.force))
+            samples.append(ArmSample(when, state.aim, state.joints, state.force))
             if watch:
                 watch(samples[-1])
         self._say("seen")
@@ -201,33 +199,33 @@ class Franka:
         return said
 
     def _read(self) -> RobotState:
-        told = self._ask("read")
-        self._robot.hear(told.stamp, told.arrival)
-        return told
+        state = self._ask("read")
+        self._robot.receive(state.stamp, state.arrival)
+        return state
 
     def _read_fresh(self) -> RobotState:
-        until = self._clock() + PATIENCE
-        while self._age(told := self._read()) > STALE and self._clock() < until:
+        until = self._clock() + 0.5  # at rest nothing moves meanwhile
+        while self._age(state := self._read()) > STALE and self._clock() < until:
             pass
-        return self._believed(told)
+        return self._check(state)
 
-    def _age(self, told: RobotState) -> float:
-        return self._clock() - told.stamp - self._robot.offset
+    def _age(self, state: RobotState) -> float:
+        return self._clock() - state.stamp - self._robot.offset
 
-    def _believed(self, told: RobotState) -> RobotState:
-        check_fresh(self._age(told))
-        check_finite_joints(told.joints)
-        return told
+    def _check(self, state: RobotState) -> RobotState:
+        check_fresh(self._age(state))
+        check_finite_joints(state.joints)
+        return state
 
     def _ask(self, *what: Any) -> Any:
         """Return what the loop answers."""
         self._say(*what)
-        heard = self._hear(ANSWER)
-        if heard is None:
+        answer = self._receive(ANSWER)
+        if answer is None:
             raise DeviceError(f"the robot says nothing for {ANSWER:g} s. Check network and robot; then start anew.")
-        if heard[0] == "failed":
-            raise DeviceError(f"the robot: {heard[1]}. Check network and robot; then start anew.")
-        return heard[1]
+        if answer[0] == "failed":
+            raise DeviceError(f"the robot: {answer[1]}. Check network and robot; then start anew.")
+        return answer[1]
 
     def _say(self, *what: Any) -> None:
         try:
@@ -235,7 +233,7 @@ class Franka:
         except OSError as error:
             raise DeviceError(f"{GONE}.") from error
 
-    def _hear(self, seconds: float) -> tuple[str, Any] | None:
+    def _receive(self, seconds: float) -> tuple[str, Any] | None:
         """Return what the loop says within so many seconds; None: nothing."""
         until = self._clock() + seconds
         try:
@@ -284,7 +282,7 @@ def open_franka(
     there.close()
     try:
         here.send((host, np.asarray(acceleration, dtype=float), realtime))
-        what, why = here.recv() if here.poll(BEGIN) else ("failed", f"the loop does not begin within {BEGIN:g} s")
+        what, why = here.recv() if here.poll(60.0) else ("failed", "the loop does not begin within 60 s")
     except (EOFError, OSError):
         what, why = "failed", GONE
     if what == "failed":
@@ -303,8 +301,8 @@ def _wait(loop: subprocess.Popen[bytes]) -> None:
         loop.wait()
 
 
-def _reason(told: RobotState) -> str:
-    why = MODES.get(told.mode, f"it is in the mode {told.mode}: look at Desk")
-    if not why and told.errors:
-        return MODES["Reflex"].format(errors=told.errors)
-    return why.format(errors=told.errors or "no error told")
+def _reason(state: RobotState) -> str:
+    why = MODES.get(state.mode, f"it is in the mode {state.mode}: look at Desk")
+    if not why and state.errors:
+        return MODES["Reflex"].format(errors=state.errors)
+    return why.format(errors=state.errors or "no error told")

@@ -29,7 +29,6 @@ MOST_BYTES = 1e9
 PARTS = (1, 2, 3, 4, 6)
 """A recording has every such frame."""
 _COLD = "camera: it is still warming up"
-_HEARD = 100  # frames that rate and longest gap are told from
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +118,7 @@ class FreeRunningCamera:
         self._fault = _COLD
         self._recording: deque[Frame] | None = None
         self._period = self._due = 0.0
-        self._times: deque[float] = deque(maxlen=_HEARD)
+        self._times: deque[float] = deque(maxlen=100)  # rate and longest gap
         self._received = self._lost = self._stops = 0
         self._ended = threading.Event()
         self._intrinsics = source.open()

@@ -89,9 +89,6 @@ DEFINITIONS = {
 }
 """Their check sums are the robot's own: the constants count too, in their order."""
 
-ACKNOWLEDGED, AGAIN = 2.0, 0.1
-"""A command to an I/O device is sent every `AGAIN` [s] until its status tells of it, for so long; as intera_sdk."""
-
 
 def types() -> Any:
     """Return rosbags' store with these messages in it."""
@@ -107,7 +104,7 @@ class IoDevice:
         self._signals: dict[str, tuple[str, Any]] = {}
         self._done: set[tuple[int, int]] = set()
         self._commands = node.publisher(f"/io/{name}/command", "intera_core_msgs/msg/IOComponentCommand")
-        node.subscribe(f"/io/{name}/state", "intera_core_msgs/msg/IODeviceStatus", self._hear)
+        node.subscribe(f"/io/{name}/state", "intera_core_msgs/msg/IODeviceStatus", self._receive)
 
     def names(self) -> tuple[str, ...]:
         """Return the names of its signals; none as long as nothing was heard of it."""
@@ -128,14 +125,14 @@ class IoDevice:
         command = make["intera_core_msgs/msg/IOComponentCommand"](
             make["builtin_interfaces/msg/Time"](*stamp), "set", json.dumps({"signals": {signal: setting}})
         )
-        for _ in range(round(ACKNOWLEDGED / AGAIN)):
+        for _ in range(20):  # for two seconds; as intera_sdk
             self._commands.publish(command)
-            self._sleep(AGAIN)
+            self._sleep(0.1)
             if stamp in self._done:
                 return
         raise DeviceError(f"I/O device {self._name} does not acknowledge {signal}. Is it attached, and its brake off?")
 
-    def _hear(self, message: Any) -> None:
+    def _receive(self, message: Any) -> None:
         self._done = {(t.sec, t.nanosec) for t in message.commands}
         for signal in message.signals:
             with suppress(ValueError, LookupError, TypeError):
@@ -144,9 +141,8 @@ class IoDevice:
 
 
 DEVICE = "end_effector/right_gripper"
-HEARD, MOVES = 3.0, 4.0
-"""The gripper is heard within the first [s], and has moved within the second."""
-POLL = 0.05
+MOVES = 4.0
+"""The gripper has moved within this [s]."""
 
 
 class RethinkGripper:
@@ -172,7 +168,7 @@ class RethinkGripper:
         """
         self._node = node
         self._io, self._clock, self._sleep = IoDevice(node, DEVICE, sleep=sleep), clock, sleep
-        self._wait(lambda: self._io.value("position_response_m") is not None, HEARD, "is not heard. Is it attached?")
+        self._wait(lambda: self._io.value("position_response_m") is not None, 3.0, "is not heard. Is it attached?")
 
     def move(self, opening: float) -> GripperState:
         """Move the pads to `opening` [m] apart, or until they meet resistance; return the state then.
@@ -221,9 +217,9 @@ class RethinkGripper:
             raise DeviceError("gripper: it is not calibrated. Then: anther cell enable.")
 
     def _wait(self, done: Callable[[], bool], seconds: float, what: str) -> None:
-        until = self._clock() + seconds
-        self._sleep(POLL)
+        until, poll = self._clock() + seconds, 0.05
+        self._sleep(poll)
         while not done():
             if self._clock() > until:
                 raise DeviceError(f"gripper: it {what}")
-            self._sleep(POLL)
+            self._sleep(poll)

@@ -27,8 +27,6 @@ from anther.robot.drivers.free_running import STALLED, FreeRunningCamera, Shot
 INSTALL = "pip install 'anther[realsense]'"
 SAME_CLOCK = 1.0
 """Stamps in the host's time are believed if they are no farther from it [s]; a recording's are."""
-_QUEUE = 8  # of 16 that the SDK keeps
-_WINDOW = 300  # frames whose quickest tells the clocks' offset
 
 Found = Callable[[], Sequence[Any]]
 """Gives the devices that are connected now."""
@@ -79,7 +77,7 @@ class RealSense:
 
     Args:
         serial, size, rate, preset, clock: see `open_realsense`; a size or rate of None takes what is offered first.
-        devices: gives what is connected; None: the SDK's own search. A recording: `played(path)`.
+        devices: gives what is connected; None: the SDK's own search. A recording: `open_recording(path)`.
 
     Attributes:
         unpaired: framesets so far that lacked depth or colour.
@@ -102,7 +100,7 @@ class RealSense:
         self._serial, self._size, self._rate, self._preset, self._clock = serial, size, rate, preset, clock
         self._devices: Found = devices or self._rs.context().query_devices
         self._open: list[Any] = []
-        self._offsets: deque[float] = deque(maxlen=_WINDOW)
+        self._offsets: deque[float] = deque(maxlen=300)  # the quickest tells the clocks' offset
         self.unpaired = 0
 
     def clock(self) -> float:
@@ -113,8 +111,8 @@ class RealSense:
         """Start both streams."""
         try:
             device = self._find()
-            self._name = _told(device, self._rs.camera_info.name) or "RealSense"
-            self._serial = _told(device, self._rs.camera_info.serial_number) or None  # no other one takes its place
+            self._name = _info(device, self._rs.camera_info.name) or "RealSense"
+            self._serial = _info(device, self._rs.camera_info.serial_number) or None  # no other one takes its place
             depth, color = self._streams(device)
             self._set_up(device, depth)
             self._start(depth, color)
@@ -153,7 +151,7 @@ class RealSense:
 
     def _find(self) -> Any:
         devices = list(self._devices())
-        serials = [_told(d, self._rs.camera_info.serial_number) for d in devices]
+        serials = [_info(d, self._rs.camera_info.serial_number) for d in devices]
         if not devices:
             raise DeviceError(
                 "RealSense: none is connected. Plug it in (USB 3); on Linux it needs the SDK's udev rules."
@@ -182,7 +180,7 @@ class RealSense:
             if not fitting:
                 asked = f"{self._size} px at {self._rate} Hz" if self._size else "any"
                 there = sorted({f"{_size(o[1])} at {o[1].fps()}" for o in offers})
-                usb = _told(device, rs.camera_info.usb_type_descriptor) or "?"
+                usb = _info(device, rs.camera_info.usb_type_descriptor) or "?"
                 raise DeviceError(
                     f"{self._name}: got {kind.name} {asked}; it has {', '.join(there) or 'none'} on USB {usb}. "
                     "USB 2 carries less: use a USB 3 cable and port."
@@ -210,7 +208,7 @@ class RealSense:
         depth[0].set_option(option.visual_preset, names[self._preset.lower()])
 
     def _start(self, depth: tuple[Any, Any], color: tuple[Any, Any]) -> None:
-        self._syncer = self._rs.syncer(_QUEUE)
+        self._syncer = self._rs.syncer(8)  # of 16 that the SDK keeps
         self._offsets.clear()
         if depth[0] is color[0]:
             wanted = [(depth[0], [depth[1], color[1]])]
@@ -284,7 +282,7 @@ class RealSense:
         )
 
 
-def played(path: str) -> Found:
+def open_recording(path: str) -> Found:
     """Return how a recording (.bag, .db3) is found as a camera: played in its own time, and anew after its end."""
     sdk = load_sdk()
     return lambda: [sdk.context().load_device(path)]
@@ -294,5 +292,5 @@ def _size(profile: Any) -> tuple[int, int]:
     return profile.width(), profile.height()
 
 
-def _told(device: Any, info: Any) -> str:
+def _info(device: Any, info: Any) -> str:
     return device.get_info(info) if device.supports(info) else ""

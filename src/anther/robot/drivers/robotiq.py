@@ -11,6 +11,7 @@ import importlib
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import IntEnum, IntFlag
 from typing import Any, Literal, NamedTuple
 from urllib.parse import urlparse
 
@@ -18,16 +19,10 @@ from anther.core.checks import check_range
 from anther.core.errors import MissingExtra
 from anther.robot.devices import DeviceError, GripperState
 
-COMMAND, STATUS = 0x03E8, 0x07D0
-ACTIVATE, GO = 0x01, 0x08
 ACTIVE = 3
 """Of gSTA: activation is complete."""
-MOVING, MET_OPENING, MET_CLOSING = 0, 1, 2
-"""Of gOBJ: on the way; stopped by something while opening, and while closing."""
 POLL = 0.02
 """Between two readings of a moving gripper [s]."""
-SLACK, ACTIVATION = 2.0, 15.0
-"""A motion takes no longer than its way and so much [s]; an activation no longer than this [s]."""
 FAULTS = {
     0x05: "it must be activated before it moves",
     0x07: "it is not activated",
@@ -39,6 +34,18 @@ FAULTS = {
     0x0E: "its motor took too much current",
     0x0F: "it was released automatically: activate it again",
 }
+
+
+class Action(IntFlag):
+    """What the gripper is asked to do."""
+
+    ACTIVATE, GO = 0x01, 0x08
+
+
+class Met(IntEnum):
+    """Of gOBJ: on the way; stopped by something while opening, and while closing."""
+
+    MOVING, OPENING, CLOSING = 0, 1, 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,15 +155,15 @@ class Robotiq2F:
         """Return the present state; the force is the one it was set to, where it met something while closing."""
         status, (opened, closed) = self._able(), self.counts
         share = (closed - status.position) / (closed - opened)
-        held = status.met == MET_CLOSING
+        held = status.met == Met.CLOSING
         return GripperState(self.stroke * min(max(share, 0.0), 1.0), self.force if held else 0.0, held)
 
     def enable(self) -> None:
         """Activate it: it opens and closes all the way, twice. Keep hands and plants out. Measures `counts`."""
         self._write(0, 0)
         self._sleep(POLL)
-        self._write(ACTIVATE, 0)
-        until = self._clock() + ACTIVATION
+        self._write(Action.ACTIVATE, 0)
+        until = self._clock() + 15.0
         while self.status().activation != ACTIVE:
             self._check_in_time(until, "activation")
         closed, opened = self._go(255), self._go(0)
@@ -168,7 +175,7 @@ class Robotiq2F:
 
     def status(self) -> Status:
         """Return what its registers say."""
-        answer = self._asked(lambda: self._line.read_input_registers(STATUS, count=3, device_id=self._device))
+        answer = self._request(lambda: self._line.read_input_registers(0x07D0, count=3, device_id=self._device))
         first, second, third = answer.registers
         bits = first >> 8
         return Status(bits >> 4 & 3, bits >> 6, second >> 8 & 0x0F, second & 0xFF, third >> 8)
@@ -187,13 +194,13 @@ class Robotiq2F:
     def _go(self, count: int) -> int:
         """Send the pads to a count; return the one at which they came to rest."""
         before = self._able()
-        self._write(ACTIVATE | GO, count)
+        self._write(Action.ACTIVATE | Action.GO, count)
         way = abs(count - before.position) / 255 * self.stroke
-        until = self._clock() + 2 * way / self._speed + SLACK
+        until = self._clock() + 2 * way / self._speed + 2.0
         while True:
             self._check_in_time(until, "motion")
             status = self._able()
-            if status.echo == count and status.met != MOVING and status.position == before.position:
+            if status.echo == count and status.met != Met.MOVING and status.position == before.position:
                 return status.position
             before = status
 
@@ -204,9 +211,9 @@ class Robotiq2F:
 
     def _write(self, action: int, count: int) -> None:
         words = [action << 8, count, self._bytes]
-        self._asked(lambda: self._line.write_registers(COMMAND, words, device_id=self._device))
+        self._request(lambda: self._line.write_registers(0x03E8, words, device_id=self._device))
 
-    def _asked(self, ask: Callable[[], Any]) -> Any:
+    def _request(self, ask: Callable[[], Any]) -> Any:
         errors: Any = importlib.import_module("pymodbus.exceptions")
         try:
             answer = ask()

@@ -26,15 +26,11 @@ from anther.robot.drivers._streamed import prioritize_thread
 
 PATIENCE = 3.0
 """The master and other nodes answer within this, or they are not there [s]."""
-WRITE = 0.02
-"""A reader that does not take a message within this is given up [s]."""
-LONGEST = 2**22
-"""Bytes of a message at most: robots' states and commands are shorter by far."""
 
 POLL = 0.05
 """A node that is closed has noticed it within this [s]."""
 
-Hear = Callable[[Any], None]
+Receive = Callable[[Any], None]
 
 
 def typestore(definitions: Mapping[str, str]) -> Any:
@@ -80,7 +76,7 @@ class Node:
             )
         self.types, self._name, self._at = types, name, master
         self._closed, self._lock = False, threading.Lock()
-        self._heard: dict[str, tuple[str, Hear, set[str]]] = {}
+        self._subscribed: dict[str, tuple[str, Receive, set[str]]] = {}
         self._said: dict[str, Publisher] = {}
         self._own = host or _own_address(where.hostname, where.port, master)
         self._listener = socket.create_server((self._own, 0))
@@ -91,9 +87,9 @@ class Node:
         threading.Thread(target=self._slave.serve_forever, args=(POLL,), daemon=True).start()
         threading.Thread(target=self._accept, daemon=True).start()
 
-    def subscribe(self, topic: str, kind: str, hear: Hear) -> None:
-        """Call `hear` with every message of a topic, from another thread."""
-        self._heard[topic] = (kind, hear, set())
+    def subscribe(self, topic: str, kind: str, receive: Receive) -> None:
+        """Call `receive` with every message of a topic, from another thread."""
+        self._subscribed[topic] = (kind, receive, set())
         self._connect(topic, self._ask("registerSubscriber", topic, _ros_name(kind), self.uri))
 
     def publisher(self, topic: str, kind: str, *, latch: bool = False) -> Publisher:
@@ -110,7 +106,7 @@ class Node:
     def close(self) -> None:
         """Sign off and close all connections."""
         self._closed = True
-        for topic in self._heard:
+        for topic in self._subscribed:
             with suppress(DeviceError):
                 self._ask("unregisterSubscriber", topic, self.uri)
         for topic, publisher in self._said.items():
@@ -138,7 +134,7 @@ class Node:
     def _connect(self, topic: str, publishers: list[str]) -> None:
         """Listen to the publishers of a topic that are not listened to yet."""
         with self._lock:
-            known = self._heard[topic][2]
+            known = self._subscribed[topic][2]
             fresh = [uri for uri in publishers if uri not in known]
             known.update(fresh)
         for uri in fresh:
@@ -146,7 +142,7 @@ class Node:
 
     def _listen(self, topic: str, uri: str) -> None:
         """Hear one publisher until it is gone; then it may be connected to anew."""
-        kind, hear, known = self._heard[topic]
+        kind, receive, known = self._subscribed[topic]
         try:
             ask = ServerProxy(uri, _Hasty(), allow_none=True)
             code, _, place = ask.requestTopic(self._name, topic, [["TCPROS"]])  # type: ignore[misc]
@@ -155,13 +151,14 @@ class Node:
             with socket.create_connection((place[1], place[2]), PATIENCE) as line, prioritize_thread():  # type: ignore[index]
                 line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 _write_header(
-                    line, {"callerid": self._name, "topic": topic, "tcp_nodelay": "1"} | _typed(self.types, kind)
+                    line,
+                    {"callerid": self._name, "topic": topic, "tcp_nodelay": "1"} | _describe_type(self.types, kind),
                 )
                 if "error" in _read_header(line):
                     return
                 line.settimeout(None)
                 while not self._closed:
-                    hear(self.types.deserialize_ros1(_read(line), kind))
+                    receive(self.types.deserialize_ros1(_read(line), kind))
         except (
             Exception
         ):  # rosbags raises whatever the bytes provoke; what is no longer heard is stale, and that is told
@@ -192,7 +189,7 @@ class Node:
     # the slave's interface, by the protocol's names
     def _publisherUpdate(self, caller: str, topic: str, publishers: list[str]) -> list[Any]:
         del caller
-        if topic in self._heard:
+        if topic in self._subscribed:
             self._connect(topic, publishers)
         return [1, "", 0]
 
@@ -225,7 +222,7 @@ class Publisher:
         return len(self._lines)
 
     def publish(self, message: Any) -> None:
-        """Send a message to all readers; one that does not take it within `WRITE` is given up."""
+        """Send a message to all readers; one that does not take it within 20 ms is given up."""
         self.send(self.packet(message))
 
     def packet(self, message: Any) -> bytes:
@@ -246,7 +243,7 @@ class Publisher:
         Raises:
             ValueError: it expects another message.
         """
-        own = _typed(self._types, self._kind)
+        own = _describe_type(self._types, self._kind)
         if asked.get("md5sum") not in ("*", own["md5sum"]):
             raise ValueError(f"{self._topic} is {own['type']} {own['md5sum']}, not {asked.get('md5sum')}")
         _write_header(line, own | {"callerid": self._name, "latching": str(int(self._latch)), "topic": self._topic})
@@ -271,7 +268,7 @@ class Publisher:
                 try:
                     sent += line.send(packet[sent:])
                 except BlockingIOError:
-                    if not select.select([], [line], [], WRITE)[1]:
+                    if not select.select([], [line], [], 0.02)[1]:
                         raise
         except OSError:
             self._lines.remove(line)
@@ -307,7 +304,7 @@ def _ros_name(kind: str) -> str:
     return kind.replace("/msg/", "/")
 
 
-def _typed(types: Any, kind: str) -> dict[str, str]:
+def _describe_type(types: Any, kind: str) -> dict[str, str]:
     definition, digest = types.generate_msgdef(kind, ros_version=1)
     return {"type": _ros_name(kind), "md5sum": digest, "message_definition": definition}
 
@@ -335,7 +332,7 @@ def _read(line: socket.socket) -> bytes:
         ValueError: too long.
     """
     (size,) = struct.unpack("<I", _exactly(line, 4))
-    if size > LONGEST:
+    if size > 2**22:  # bytes: states and commands of robots are shorter by far
         raise ValueError(f"a message of {size} bytes")
     return _exactly(line, size)
 

@@ -27,12 +27,6 @@ from anther.robot.drivers._streamed import Reference, StreamedArm, braking, prio
 
 AHEAD = 0.03
 """A message holds so much of the motion before it brakes [s]; commands further apart than this end the motion."""
-STEP = 0.01
-"""Between the samples of a message [s]: the controller joins them by polynomials."""
-TINY, RESTS = 1e-4, 1e-6
-"""Samples are further apart than the first [s]; a joint slower than the second stands [rad/s]."""
-GENTLE = 0.5
-"""An arm that is to hold is given so long to come to where it holds [s]."""
 INSTALL = "Source your ROS 2, or run: pip install 'anther[ros2]'"
 TRAJECTORY, POINT = "trajectory_msgs/msg/JointTrajectory", "trajectory_msgs/msg/JointTrajectoryPoint"
 
@@ -68,10 +62,10 @@ class Node:
         self._thread = threading.Thread(target=self._spin, daemon=True)
         self._thread.start()
 
-    def subscribe(self, topic: str, kind: str, hear: Callable[[Any], None]) -> None:
-        """Call `hear` with every message of a topic, from another thread. Publishers of every reliability are heard."""
-        with self._named():
-            self._node.create_subscription(_kind(kind), topic, hear, _module("rclpy.qos").qos_profile_sensor_data)
+    def subscribe(self, topic: str, kind: str, receive: Callable[[Any], None]) -> None:
+        """Call `receive` with every message of a topic, from another thread. Publishers of every reliability count."""
+        with self._check_topic():
+            self._node.create_subscription(_kind(kind), topic, receive, _module("rclpy.qos").qos_profile_sensor_data)
 
     def publisher(self, topic: str, kind: str, *, latched: bool = False) -> Any:
         """Return what publishes a topic.
@@ -82,7 +76,7 @@ class Node:
         Raises:
             InputError: no name of a topic.
         """
-        with self._named():
+        with self._check_topic():
             if not latched:
                 return self._node.create_publisher(_kind(kind), topic, 1)
             qos = _module("rclpy.qos")
@@ -92,7 +86,7 @@ class Node:
     def service(self, name: str, kind: str, answer: Callable[[Any], Any]) -> None:
         """Let `answer` fill in the response of every request to a service, from another thread, one after the other."""
         group = _module("rclpy.callback_groups").MutuallyExclusiveCallbackGroup()
-        with self._named():
+        with self._check_topic():
             self._node.create_service(_kind(kind), name, lambda _, filled: answer(filled), callback_group=group)
 
     def now(self) -> Any:
@@ -114,13 +108,13 @@ class Node:
         self._node.destroy_node()
 
     @contextmanager
-    def _named(self) -> Iterator[None]:
+    def _check_topic(self) -> Iterator[None]:
         """Say of a topic that cannot be one that it is so."""
         try:
             yield
         except _module("rclpy.exceptions").NameValidationException as error:
-            told = " ".join(str(error).split())
-            raise bad_input("topic", given=told, allowed="such as /joint_states", do="Correct it.") from error
+            reason = " ".join(str(error).split())
+            raise bad_input("topic", given=reason, allowed="such as /joint_states", do="Correct it.") from error
 
     def _spin(self) -> None:
         with prioritize_thread(), suppress(_module("rclpy.executors").ExternalShutdownException):
@@ -154,7 +148,7 @@ def still(q: Array, after: float) -> Plan:
     return Plan(np.array([after]), q[None], none, none)
 
 
-def braked(q: Array, rate: Array, acceleration: Array) -> Plan:
+def brake(q: Array, rate: Array, acceleration: Array) -> Plan:
     """Return the straight way to rest from joints q (J,) at `rate`, with no more than `acceleration` of any joint."""
     way = braking(q, rate, acceleration)
     slowing = np.tile(-rate / way.duration, (len(way.times), 1))
@@ -162,16 +156,17 @@ def braked(q: Array, rate: Array, acceleration: Array) -> Plan:
     return Plan(way.times, way.positions, way.velocities, slowing)
 
 
-def planned(reference: Reference, t: float, acceleration: Array) -> Plan:
+def plan(reference: Reference, t: float, acceleration: Array) -> Plan:
     """Return what a message says at time t [s]: the next `AHEAD` of a motion, as far as it is known, then to rest."""
     left = min(AHEAD, reference.ends - t)
     if left <= 0:
         return still(reference.at(t)[0], 0.0)
-    times = np.linspace(0.0, left, max(round(left / STEP), 1) + 1) if left > TINY else np.zeros(1)
+    # samples are 0.01 s apart, which the controller joins by polynomials, and no less than 0.1 ms
+    times = np.linspace(0.0, left, max(round(left / 0.01), 1) + 1) if left > 1e-4 else np.zeros(1)
     inside = np.minimum(t + times, np.nextafter(reference.ends, 0.0))  # at the end itself it stands
     motion = Plan(times, *(np.array(rows) for rows in zip(*map(reference.at, inside), strict=True)))
-    tail = braked(motion.q[-1], motion.rate[-1], acceleration)
-    if np.abs(motion.rate[-1]).max() < RESTS:
+    tail = brake(motion.q[-1], motion.rate[-1], acceleration)
+    if np.abs(motion.rate[-1]).max() < 1e-6:  # it stands
         motion.rate[-1] = motion.acceleration[-1] = 0.0
         return motion
     return Plan(
@@ -228,9 +223,9 @@ class JointTrajectoryArm(StreamedArm):
         self.node, self._controller, self._wrench = node, controller.rstrip("/"), wrench
         self._topic = f"{self._controller}/joint_trajectory"
         self._plan = still(np.zeros(len(names)), 0.0)
-        node.subscribe(states, "sensor_msgs/msg/JointState", self.readings.hear)
+        node.subscribe(states, "sensor_msgs/msg/JointState", self.readings.receive)
         if wrench:
-            node.subscribe(wrench, "geometry_msgs/msg/WrenchStamped", self._hear_wrench)
+            node.subscribe(wrench, "geometry_msgs/msg/WrenchStamped", self._on_wrench)
         self._commands = node.publisher(self._topic, TRAJECTORY)
         self._wait_for(lambda: self.readings.last is not None, f"does not tell its joints on {states}")
         self._wait_for(self._listens, f"has nobody who listens to {self._topic}")
@@ -246,15 +241,15 @@ class JointTrajectoryArm(StreamedArm):
             return f"the force on {self._wrench} is {2e3 * self._stale:.0f} ms old, or no number: is the sensor on?"
         return ""
 
-    def seen(self) -> list[str]:
+    def describe(self) -> list[str]:
         """Return in words what is heard of the robot."""
         why, others = self.cannot(), self.node.publishers(self._topic) - 1
-        felt = (
+        force = (
             f"force {self._current_force(self._clock()):.1f} N"
             if self._wrench
             else "no force is told: contact is not felt"
         )
-        said = [self._seen(), f"commands: {1 / self._period:g} a second to {self._topic}; {felt}"]
+        said = [self._describe_readings(), f"commands: {1 / self._period:g} a second to {self._topic}; {force}"]
         if others > 0:
             said.append(f"{others} others can command it too: end them")
         return [*said, f"cannot move: {why}" if why else "ready to move, as far as ROS 2 tells"]
@@ -264,10 +259,10 @@ class JointTrajectoryArm(StreamedArm):
         self.node.close()
 
     def _aim(self, reference: Reference, t: float) -> None:
-        self._say(planned(reference, t, self._acceleration))
+        self._say(plan(reference, t, self._acceleration))
 
     def _brake(self, q: Array, rate: Array) -> Array:
-        way = braked(q, rate, self._acceleration)
+        way = brake(q, rate, self._acceleration)
         self._say(way)
         self._sleep(float(way.times[-1]))
         return way.q[-1]
@@ -280,14 +275,14 @@ class JointTrajectoryArm(StreamedArm):
         here = find_rest_joints(self.readings, self._clock() - self._stale)
         if here is not None and np.abs(here - q).max() > NEAR:  # it met something: it shall not press on
             q = here
-        self._commands.publish(self._message(still(q, GENTLE)))
+        self._commands.publish(self._message(still(q, 0.5)))
         self._rests(q)
 
     def _refuses_commands(self) -> bool:
         return not self._listens()
 
-    def _extrapolate(self, told: LastCommand, now: float) -> LastCommand:
-        return LastCommand(now, *self._plan.at(now - told.time))
+    def _extrapolate(self, last: LastCommand, now: float) -> LastCommand:
+        return LastCommand(now, *self._plan.at(now - last.time))
 
     def _say(self, plan: Plan) -> None:
         message = self._message(plan)
@@ -314,7 +309,7 @@ class JointTrajectoryArm(StreamedArm):
     def _listens(self) -> bool:
         return self._commands.get_subscription_count() > 0
 
-    def _hear_wrench(self, message: Any) -> None:
+    def _on_wrench(self, message: Any) -> None:
         force = message.wrench.force
         self._take_force(force.x, force.y, force.z)
 
@@ -326,8 +321,8 @@ class JointTrajectoryArm(StreamedArm):
             self._wait(done, what)
         except DeviceError as error:
             others = self.readings.others
-            told = f" It tells other joints: {', '.join(others)}; wanted: {', '.join(self._names)}." if others else ""
-            raise DeviceError(f"{error}{told}") from error
+            listed = f" It tells other joints: {', '.join(others)}; wanted: {', '.join(self._names)}." if others else ""
+            raise DeviceError(f"{error}{listed}") from error
 
 
 def _module(name: str) -> Any:

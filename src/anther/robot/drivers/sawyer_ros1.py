@@ -68,11 +68,11 @@ class Sawyer(StreamedArm):
         self.node, self._acceleration, self._mode = node, acceleration, mode
         self._state: Any = None
         self._collided = False
-        node.subscribe("/robot/joint_states", "sensor_msgs/msg/JointState", self.readings.hear)
-        node.subscribe("/robot/state", "intera_core_msgs/msg/RobotAssemblyState", self._hear_state)
-        node.subscribe(LIMB + "endpoint_state", "intera_core_msgs/msg/EndpointState", self._hear_force)
+        node.subscribe("/robot/joint_states", "sensor_msgs/msg/JointState", self.readings.receive)
+        node.subscribe("/robot/state", "intera_core_msgs/msg/RobotAssemblyState", self._on_state)
+        node.subscribe(LIMB + "endpoint_state", "intera_core_msgs/msg/EndpointState", self._on_force)
         kind = "intera_core_msgs/msg/CollisionDetectionState"
-        node.subscribe(LIMB + "collision_detection_state", kind, self._hear_collision)
+        node.subscribe(LIMB + "collision_detection_state", kind, self._on_collision)
         self._cuff = IoDevice(node, "robot/cuff", sleep=sleep)
         self._commands = node.publisher(LIMB + "joint_command", "intera_core_msgs/msg/JointCommand")
         self._enable = node.publisher("/robot/set_super_enable", "std_msgs/msg/Bool")
@@ -114,11 +114,11 @@ class Sawyer(StreamedArm):
             old = f"the force on {LIMB}endpoint_state is {2e3 * self._stale:.0f} ms old, or no number"
             raise DeviceError(f"{old}. Check the robot; then start anew.")
 
-    def seen(self) -> list[str]:
+    def describe(self) -> list[str]:
         """Return in words what is heard of the robot."""
         why = self.cannot()
         return [
-            self._seen(),
+            self._describe_readings(),
             f"commands: {self._mode}, {1 / self._period:g} a second; force {self._current_force(self._clock()):.1f} N",
             f"cannot move: {why}" if why else "ready to move",
         ]
@@ -184,18 +184,18 @@ class Sawyer(StreamedArm):
     def _make(self, kind: str, *values: Any) -> Any:
         return self.node.types.types[kind](*values)
 
-    def _hear_state(self, message: Any) -> None:
+    def _on_state(self, message: Any) -> None:
         self._state = message
 
-    def _hear_collision(self, message: Any) -> None:
+    def _on_collision(self, message: Any) -> None:
         self._collided = bool(message.collision_state)
 
-    def _hear_force(self, message: Any) -> None:
+    def _on_force(self, message: Any) -> None:
         force = message.wrench.force
         self._take_force(force.x, force.y, force.z)
 
     def _check_names(self) -> None:
-        told = self.node.parameter("/robot_config/right_config/joint_names")
-        if told is not None and set(told) != set(self._names):
-            given = f"joints: the robot has {', '.join(map(str, told))}; allowed: {', '.join(self._names)}"
+        names = self.node.parameter("/robot_config/right_config/joint_names")
+        if names is not None and set(names) != set(self._names):
+            given = f"joints: the robot has {', '.join(map(str, names))}; allowed: {', '.join(self._names)}"
             raise DeviceError(f"{given}. This is not the arm that Anther's model describes.")

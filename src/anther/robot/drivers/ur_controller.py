@@ -10,6 +10,7 @@ import re
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from enum import IntEnum
 from typing import Any
 
 import numpy as np
@@ -18,20 +19,26 @@ from anther.core.errors import MissingExtra
 from anther.robot.devices import DeviceError
 from anther.robot.drivers._readings import Reading, RobotClock, check_finite_joints, check_fresh
 
-WAITING, POWERING = 5.0, 60.0
-"""The controller answers within the first; motors are on and brakes released within the second [s]."""
 FULL = 0.99
 """Speed slider and speed scaling below this are slower than what was planned."""
 
-NORMAL, REDUCED = 1, 2
 SAFETY = ("?", "normal", "reduced", "protective stop", "recovery", "safeguard stop", "system emergency stop",
           "robot emergency stop", "violation", "fault")  # fmt: skip
-POWER_OFF, IDLE, RUNNING = 3, 5, 7
 MODES = ("disconnected", "confirm safety", "booting", "power off", "power on", "idle", "backdrive", "running",
          "updating firmware")  # fmt: skip
-STOPPED, PLAYING, PAUSING = 1, 2, 3
-"""Runtime states of a program; PAUSING and more: it is held up, and may go on."""
 REMOTE = "it is not in remote control: switch it from Local to Remote on the pendant, at the top right"
+
+
+class Mode(IntEnum):
+    """Places in `MODES`."""
+
+    POWER_OFF, IDLE, RUNNING = 3, 5, 7
+
+
+class Program(IntEnum):
+    """Runtime states of a program; PAUSING and more: it is held up, and may go on."""
+
+    STOPPED, PLAYING, PAUSING = 1, 2, 3
 
 
 class Controller:
@@ -66,7 +73,7 @@ class Controller:
         self.receive, self.program, self._dashboard, self._clock = receive, program, dashboard, clock
         self._robot, self._stamp = RobotClock(), float("nan")
         try:
-            self.wait(self._is_heard, "is not heard")
+            self.wait(self._responds, "is not heard")
             said = re.search(r"(\d+)\.(\d+)", str(self.ask("polyscopeVersion")))
             self.version: tuple[int, int] = (int(said[1]), int(said[2])) if said else (5, 0)
             self.model = str(self.ask("getRobotModel")).strip()
@@ -85,22 +92,22 @@ class Controller:
         check_fresh(self._set_clocks(stamp) - stamp - self._robot.offset)
         return Reading(stamp + self._robot.offset, check_finite_joints(np.array(joints, dtype=float))), force[:3]
 
-    def stopped(self) -> str:
+    def why_stopped(self) -> str:
         """Return what keeps the arm from moving at all; empty if nothing does."""
         says = self.receive
         safety, mode = says.getSafetyMode(), says.getRobotMode()
-        told = SAFETY[safety] if 0 <= safety < len(SAFETY) else f"safety mode {safety}"
+        status = SAFETY[safety] if 0 <= safety < len(SAFETY) else f"safety mode {safety}"
         power = MODES[mode] if 0 <= mode < len(MODES) else f"robot mode {mode}"
         reasons = {
             "the connection is lost: check network and controller, then start anew": not says.isConnected(),
             "its emergency stop is pressed: look why, release it, then anther cell enable": says.isEmergencyStopped(),
             "it made a protective stop: look what it touched, then anther cell enable": says.isProtectiveStopped(),
-            f"its safety system says {told}: look at its pendant": safety not in (NORMAL, REDUCED),
-            f"its motors are not on ({power}): anther cell enable does that": mode != RUNNING,
+            f"its safety system says {status}: look at its pendant": status not in ("normal", "reduced"),
+            f"its motors are not on ({power}): anther cell enable does that": mode != Mode.RUNNING,
         }
         return next((why for why, holds in reasons.items() if holds), "")
 
-    def slowed(self) -> str:
+    def why_slow(self) -> str:
         """Return why a running program moves the arm more slowly than it is told; empty if it does not."""
         slider, scaling = self.receive.getTargetSpeedFraction(), self.receive.getSpeedScaling()
         if slider < FULL:
@@ -109,7 +116,7 @@ class Controller:
             return f"it goes at {scaling:.0%} of the speed it is told; plans need 100 %: look at its pendant"
         return ""
 
-    def not_remote(self) -> str:
+    def why_not_remote(self) -> str:
         """Return what to do if commands are not taken from outside; PolyScope tells it since 5.6."""
         return REMOTE if self.version >= (5, 6) and not self.ask("isInRemoteControl") else ""
 
@@ -121,25 +128,25 @@ class Controller:
         says = self.receive
         if says.isEmergencyStopped():
             raise DeviceError("the emergency stop is pressed. Look why; turn it until it comes out; then enable again.")
-        if why := self.not_remote():
+        if why := self.why_not_remote():
             raise DeviceError(f"the arm cannot be enabled: {why}.")
-        if says.getRuntimeState() != STOPPED:
+        if says.getRuntimeState() != Program.STOPPED:
             self.ask("stop")
-            self.wait(lambda: says.getRuntimeState() == STOPPED, "does not stop its program")
+            self.wait(lambda: says.getRuntimeState() == Program.STOPPED, "does not stop its program")
         if says.isProtectiveStopped():
             self.ask("closeSafetyPopup")
             self.ask("unlockProtectiveStop")
             self.wait(lambda: not says.isProtectiveStopped(), "stays in its protective stop")
-        if says.getRobotMode() != RUNNING:
+        if says.getRobotMode() != Mode.RUNNING:
             self.ask("powerOn")
-            self.wait(lambda: says.getRobotMode() in (IDLE, RUNNING), "does not switch its motors on", POWERING)
+            self.wait(lambda: says.getRobotMode() in (Mode.IDLE, Mode.RUNNING), "does not switch its motors on", 60.0)
             self.ask("brakeRelease")
-            self.wait(lambda: says.getRobotMode() == RUNNING, "does not release its brakes", POWERING)
+            self.wait(lambda: says.getRobotMode() == Mode.RUNNING, "does not release its brakes", 60.0)
 
     def disable(self) -> None:
         """Switch the motors off: the brakes hold the arm."""
         self.ask("powerOff")
-        self.wait(lambda: self.receive.getRobotMode() <= POWER_OFF, "does not switch its motors off")
+        self.wait(lambda: self.receive.getRobotMode() <= Mode.POWER_OFF, "does not switch its motors off")
 
     def ask(self, name: str) -> Any:
         """Return what the dashboard server answers. It is connected each time: an idle line may be dropped."""
@@ -151,7 +158,7 @@ class Controller:
         finally:
             self._dashboard.disconnect()
 
-    def wait(self, done: Callable[[], bool], what: str, seconds: float = WAITING) -> None:
+    def wait(self, done: Callable[[], bool], what: str, seconds: float = 5.0) -> None:
         """Wait until something is so."""
         until = time.monotonic() + seconds
         while not done():
@@ -171,10 +178,10 @@ class Controller:
         """Return the time on this machine's clock [s]; a new stamp sets the controller's behind it."""
         now, before, self._stamp = self._clock(), self._stamp, stamp
         if stamp != before and not np.isnan(before):  # the first stamp that is found may be old
-            self._robot.hear(stamp, now)
+            self._robot.receive(stamp, now)
         return now
 
-    def _is_heard(self) -> bool:
+    def _responds(self) -> bool:
         with suppress(RuntimeError):
             self._set_clocks(self.receive.getTimestamp())
         return not np.isnan(self._robot.offset)

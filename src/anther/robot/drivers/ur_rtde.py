@@ -21,17 +21,13 @@ from anther.robot.devices import ArmRecord, DeviceError, JointTrajectory, More, 
 from anther.robot.drivers._holding import NEAR
 from anther.robot.drivers._readings import STALE, Reading
 from anther.robot.drivers._streamed import SETTLE, Reference, StreamedArm, braking
-from anther.robot.drivers.ur_controller import PAUSING, PLAYING, STOPPED, Controller
+from anther.robot.drivers.ur_controller import Controller, Program
 
 SILENCE = 0.03
 """The driver brakes when it could not give a command for so long [s]."""
 WATCHDOG = 20.0
 """The controller ends the program when commands come less often than this [1/s]: after 50 ms, so that a driver that
 lives brakes first."""
-SHOWN = 0.008
-"""Readings go to the watcher this far apart [s]: 125 a second, whatever the controller's rate."""
-UNUSED = 0.5
-"""servoJ takes a speed and an acceleration and uses neither."""
 ENDED = "Anther's program on it was stopped, on the pendant or by the watchdog: look why, then start anew"
 PAUSED = "its program was paused on the pendant: stop it there, then start anew"
 
@@ -90,7 +86,7 @@ class UniversalRobot(StreamedArm):
                 silence=SILENCE,
                 clock=clock,
                 sleep=sleep,
-                shown=SHOWN - 0.5 / commands,
+                shown=0.008 - 0.5 / commands,  # 125 readings a second, whatever the controller's rate
                 timeout=1 / WATCHDOG,
             )
             self.joints()
@@ -112,7 +108,7 @@ class UniversalRobot(StreamedArm):
     def check_able(self) -> None:
         """Take the newest reading, and check that nothing stops or slows the arm."""
         self._read()
-        if why := ENDED if self._control is None else self._halted() or self._at.slowed():
+        if why := ENDED if self._control is None else self._why_halted() or self._at.why_slow():
             raise DeviceError(f"the arm was stopped: {why}.")
 
     def hold(self) -> None:
@@ -130,9 +126,13 @@ class UniversalRobot(StreamedArm):
     def cannot(self) -> str:
         """Return why the arm cannot be moved now; empty if it can."""
         running = self._control is not None
-        return self._at.stopped() or self._at.not_remote() or (self._halted() or self._at.slowed() if running else "")
+        return (
+            self._at.why_stopped()
+            or self._at.why_not_remote()
+            or (self._why_halted() or self._at.why_slow() if running else "")
+        )
 
-    def seen(self) -> list[str]:
+    def describe(self) -> list[str]:
         """Return in words what is heard of the controller."""
         reading, force = self._read(), self._current_force(self._clock())
         why, version = self.cannot(), self._at.version
@@ -199,47 +199,48 @@ class UniversalRobot(StreamedArm):
 
     def _servo(self, q: Array) -> None:
         self._control.kickWatchdog()  # before servoJ: of two messages in one cycle the controller takes the later
-        if not self._control.servoJ(q.tolist(), UNUSED, UNUSED, self._period, self._lookahead, self._gain):
-            raise DeviceError(f"the arm was stopped: {self._halted() or 'the controller takes no commands'}.")
+        # servoJ takes a speed and an acceleration, here 0.5, and uses neither
+        if not self._control.servoJ(q.tolist(), 0.5, 0.5, self._period, self._lookahead, self._gain):
+            raise DeviceError(f"the arm was stopped: {self._why_halted() or 'the controller takes no commands'}.")
 
     def _brake(self, q: Array, rate: Array) -> Array:
         way, begin = Reference(braking(q, rate, self._acceleration)), self._clock()
-        while (t := self._clock() - begin) < way.ends + SETTLE and not self._halted():
+        while (t := self._clock() - begin) < way.ends + SETTLE and not self._why_halted():
             self._command(*way.at(t)[:2])
             self._sleep(self._period)
         return way.at(way.ends)[0]
 
     def _refuses_commands(self) -> bool:
-        return self._control is None or bool(self._halted())
+        return self._control is None or bool(self._why_halted())
 
-    def _halted(self) -> str:
+    def _why_halted(self) -> str:
         """Return why the arm, with a program, does not follow what it is told; empty if it does."""
-        if why := self._at.stopped():
+        if why := self._at.why_stopped():
             return why
         state = self._at.receive.getRuntimeState()
-        if state <= STOPPED or not self._control.isConnected():
+        if state <= Program.STOPPED or not self._control.isConnected():
             return ENDED
-        return PAUSED if state >= PAUSING else ""
+        return PAUSED if state >= Program.PAUSING else ""
 
     def _renew(self) -> None:
         """Start the next motion's program where the arm can be moved; one that somebody else ended stays ended."""
-        if self._control is not None or self._at.stopped() or self._at.not_remote():
+        if self._control is not None or self._at.why_stopped() or self._at.why_not_remote():
             return
         try:
             self._control = self._at.program()
         except RuntimeError as error:
             given = f"Anther's program does not start on the controller: {error}"
             raise DeviceError(f"{given}. Look at its pendant.") from error
-        self._at.wait(lambda: not self._halted(), "does not run Anther's program")
+        self._at.wait(lambda: not self._why_halted(), "does not run Anther's program")
 
     def _end(self) -> None:
         """End the motion's program, and its watchdog with it. One that is held up must not go on later."""
         self._last_command = None
         state = self._at.receive.getRuntimeState()
-        if state == PLAYING and self._control.isConnected():
+        if state == Program.PLAYING and self._control.isConnected():
             self._control.servoStop()
             self._forget()
-        elif state >= PAUSING:
+        elif state >= Program.PAUSING:
             with suppress(DeviceError):
                 self._at.ask("stop")
 
@@ -247,13 +248,15 @@ class UniversalRobot(StreamedArm):
         """Leave the program, stopped."""
         control, self._control = self._control, None
         if control is not None:
-            if self._at.receive.getRuntimeState() == PLAYING and control.isConnected():
+            if self._at.receive.getRuntimeState() == Program.PLAYING and control.isConnected():
                 control.stopScript()
             control.disconnect()
 
     def _check_model(self, model: str) -> None:
         """Check the arm against "ur5e" and the like; the controller names no series: that is in its version."""
-        told, old = self._at.model.lower(), self._at.version[0] < 5
-        if model.startswith("ur") and (model.removesuffix("e") != told.removesuffix("e") or (old and model[-1] == "e")):
+        actual, old = self._at.model.lower(), self._at.version[0] < 5
+        if model.startswith("ur") and (
+            model.removesuffix("e") != actual.removesuffix("e") or (old and model[-1] == "e")
+        ):
             given = f"arm: the controller says {self._at.model}, PolyScope {self._at.version[0]}"
             raise DeviceError(f"{given}; the cell's model is {model}. This is not the arm that the model describes.")

@@ -18,9 +18,6 @@ from anther.core.geometry import Intrinsics
 from anther.robot.devices import DeviceError
 from anther.robot.drivers.free_running import FreeRunningCamera, Shot
 
-FRESH = 1.0
-"""A driver's own stamp is believed if it is no older than this [s]."""
-
 
 def open_uvc(
     source: int | str,
@@ -102,8 +99,8 @@ class Uvc:
             raise DeviceError(
                 f"{self._name}: got images of {got} px; its intrinsics are of {wanted}. Calibrate at its size."
             )
-        told = self._capture.get(cv2.CAP_PROP_FPS)
-        self._period = 1 / told if told > 0 else 0.0
+        rate = self._capture.get(cv2.CAP_PROP_FPS)
+        self._period = 1 / rate if rate > 0 else 0.0
         self._begun, self._number, self._last = self._clock(), 0, -np.inf
         return self._intrinsics
 
@@ -129,7 +126,8 @@ class Uvc:
             time.sleep(max(self._begun + position - self._clock(), 0))
             return self._begun + position
         arrival, age = self._clock(), time.monotonic() - position
-        return arrival - (age if 0 <= age < FRESH else self._latency)  # V4L2 stamps with the monotonic clock
+        # V4L2 stamps with the monotonic clock; an older stamp than a second is not believed
+        return arrival - (age if 0 <= age < 1 else self._latency)
 
     def _images(self) -> tuple[NDArray[Any], NDArray[Any]]:
         there, image = self._capture.retrieve()

@@ -23,10 +23,6 @@ BEAT = 0.02
 """Between two heartbeats [s]: the motor stops itself when five of them are missing."""
 REPLY = 0.03
 """An answer comes within this [s]; then the line is sent again."""
-TRIES = 3
-"""So often a line is sent."""
-STALLED = 0.5
-"""A motor that moves less than this share of what it is asked is stalled."""
 
 
 T = TypeVar("T")
@@ -157,7 +153,7 @@ class VoiceCoil:
         """Raise where a steady tone is not followed."""
         settled = now.seconds > piece.begin + piece.ramp + 0.15
         asked = float(piece.amplitudes.sum())
-        if len(piece.frequencies) == 1 and settled and now.amplitude < STALLED * asked:
+        if len(piece.frequencies) == 1 and settled and now.amplitude < asked / 2:
             moves = f"{1e3 * now.amplitude:.2g} of {1e3 * asked:.2g} mm"
             raise DeviceError(f"the motor does not follow: it moves {moves}. Is the stem too stiff, or is it jammed?")
 
@@ -203,14 +199,14 @@ class VoiceCoil:
             DeviceError: no answer, or no port any more.
         """
         self._number += 1
-        heard = b""
+        line = b""
         try:
-            for _ in range(TRIES):
-                self._port.write(sealed(f"{self._number} {text}"))
+            for _ in range(3):
+                self._port.write(seal(f"{self._number} {text}"))
                 until = self._clock() + REPLY
                 while self._clock() < until:
-                    heard = self._port.readline() or heard
-                    words = unsealed(heard)
+                    line = self._port.readline() or line
+                    words = unseal(line)
                     if len(words) > 1 and words[0] == str(self._number):
                         with suppress(ValueError):
                             answer = read(words[1:])
@@ -220,16 +216,16 @@ class VoiceCoil:
             raise DeviceError(
                 f"motor: the port is gone ({error}). Check the cable; the motor stops by itself."
             ) from error
-        told = f"the last it said: {heard[:40]!r}" if heard else "it says nothing"
-        raise DeviceError(f"motor: no answer to {text.split(maxsplit=1)[0]}; {told}. Check power, cable and port.")
+        reply = f"the last it said: {line[:40]!r}" if line else "it says nothing"
+        raise DeviceError(f"motor: no answer to {text.split(maxsplit=1)[0]}; {reply}. Check power, cable and port.")
 
 
-def sealed(text: str) -> bytes:
+def seal(text: str) -> bytes:
     """Return a line with its check sum, two hexadecimal digits of all its bytes' exclusive or, as in NMEA 0183."""
     return f"{text}*{_sum(text.encode()):02X}\n".encode()
 
 
-def unsealed(line: bytes) -> list[str]:
+def unseal(line: bytes) -> list[str]:
     """Return the words of a line whose check sum is right; none otherwise."""
     body, star, seal = line.strip().rpartition(b"*")
     with suppress(ValueError):

@@ -31,6 +31,7 @@ from anther.robot.devices import (
     Robot,
     SafetyLimits,
     Watch,
+    wrap,
 )
 from anther.robot.safety._grip import IDLE, check_closing, check_idle, check_let_go, check_readable
 from anther.robot.safety._motion import (
@@ -64,15 +65,8 @@ __all__ = [
     "stem_stress",
 ]
 
-MOTOR_TOO_FAR = 1.3
-"""The pads may move so much more than they were asked to: what a motor that is 15 % off does, and as much again."""
 MOTOR_AT_REST = 0.1e-3
 """What a motor at rest may read [m]."""
-TRIES = 3
-"""So often a lost frame is asked for."""
-ALIVE = 1e-3
-"""Share of the pixels that changes at least between two frames of a camera that sees: noise alone changes nearly all
-(0.999 of those of a simulated D455)."""
 
 
 def guard(robot: Robot, limits: SafetyLimits) -> Robot:
@@ -82,20 +76,19 @@ def guard(robot: Robot, limits: SafetyLimits) -> Robot:
     loosened.
     """
 
-    def behind(machine: Any, kind: Callable[[Any, SafetyLimits], Any]) -> Any:
-        there = isinstance(machine, GuardedArm | GuardedGripper | GuardedMotor) and machine._limits is limits
-        return machine if machine is None or there else kind(machine, limits)
+    def behind_guard(kind: Any) -> Callable[[Any], Any]:
+        return lambda old: old if isinstance(old, kind) and old._limits is limits else kind(old, limits)
 
-    def seen(camera: Any) -> Any:
-        return camera if camera is None or isinstance(camera, GuardedCamera) else GuardedCamera(camera)
+    def watch_camera(camera: Camera) -> GuardedCamera:
+        return camera if isinstance(camera, GuardedCamera) else GuardedCamera(camera)
 
-    return replace(
+    return wrap(
         robot,
-        arm=behind(robot.arm, GuardedArm),
-        gripper=behind(robot.gripper, GuardedGripper),
-        wrist_camera=seen(robot.wrist_camera),
-        side_camera=seen(robot.side_camera),
-        motor=behind(robot.motor, GuardedMotor),
+        arm=behind_guard(GuardedArm),
+        gripper=behind_guard(GuardedGripper),
+        wrist_camera=watch_camera,
+        side_camera=watch_camera,
+        motor=behind_guard(GuardedMotor),
     )
 
 
@@ -148,7 +141,7 @@ class GuardedArm:
         try:
             if self._lost:
                 raise DeviceError(self._lost)
-            checked = _copied(trajectory)
+            checked = _copy(trajectory)
             check_trajectory(checked, self.joints(), self._limits, goes_on=more is not None)
             self._expected = None
             motions = [checked]
@@ -173,7 +166,7 @@ class GuardedArm:
             ends = float(np.abs(last.velocities[-1]).max())
             demand("speed at the ends", ends, AT_REST, "rad/s", "Let the last motion end at rest.")
             return None
-        checked = _copied(following)
+        checked = _copy(following)
         seconds = sum(motion.duration for motion in [*motions, checked])
         demand("length of the motion", seconds, LONGEST, "s", "Plan shorter motions.")
         jump = float(np.abs(checked.velocities[0] - last.velocities[-1]).max())
@@ -207,7 +200,7 @@ class GuardedMotor:
         """
         pieces: list[Swing] = []
 
-        def following() -> Swing | None:
+        def next_piece() -> Swing | None:
             piece = more() if more else None
             if piece is not None:
                 pieces.append(check_swing(piece, pieces[-1], self._limits))
@@ -215,18 +208,19 @@ class GuardedMotor:
                 raise StageFailure("limits_exceeded", "the swing would end in motion. End it with amplitudes of 0.")
             return None if piece is None else pieces[-1]
 
-        def within(sample: ArmSample) -> None:
+        def check_amplitude(sample: ArmSample) -> None:
             asked = max(piece.reach for piece in pieces)
-            if not (amplitude := self._motor.amplitude()) <= MOTOR_TOO_FAR * asked + MOTOR_AT_REST:
-                told = f"the motor moves the pads by {1e3 * amplitude:.2g} mm; asked were {1e3 * asked:.2g} mm."
-                raise DeviceError(f"{told} Check its sensor.")
+            # 1.3: what a motor that is 15 % off does, and as much again
+            if not (amplitude := self._motor.amplitude()) <= 1.3 * asked + MOTOR_AT_REST:
+                given = f"the motor moves the pads by {1e3 * amplitude:.2g} mm; asked were {1e3 * asked:.2g} mm."
+                raise DeviceError(f"{given} Check its sensor.")
             if watch:
                 watch(sample)
 
         still = replace(self._limits, tracking=self._limits.start_tolerance)
         try:
             pieces.append(check_swing(first, None, self._limits))
-            record = self._motor.swing(pieces[0], Watchdog(still, within, self._force), following)
+            record = self._motor.swing(pieces[0], Watchdog(still, check_amplitude, self._force), next_piece)
             if not (left := self._motor.amplitude()) <= MOTOR_AT_REST:
                 raise DeviceError(f"the motor does not come to rest: it still moves by {1e3 * left:.2g} mm.")
             if not pieces[-1].stops:
@@ -340,10 +334,10 @@ class GuardedCamera:
         """Return one frame taken now.
 
         Raises:
-            DeviceError: it was lost, `TRIES` times in a row.
+            DeviceError: it was lost, three times in a row.
         """
         reasons = []
-        for _ in range(TRIES):
+        for _ in range(3):
             try:
                 frame = self._camera.read()
             except DeviceError as error:
@@ -355,7 +349,7 @@ class GuardedCamera:
                     reasons.append("the last picture of the recording again")
                 else:
                     return frame
-        raise DeviceError(f"camera: no frame in {TRIES} tries ({reasons[-1]}). Check its cable.")
+        raise DeviceError(f"camera: no frame in 3 tries ({reasons[-1]}). Check its cable.")
 
     def start(self, rate: float) -> None:
         """Begin to record at `rate` frames per second."""
@@ -391,8 +385,8 @@ class GuardedCamera:
             else:
                 frames.append(frame)
         if again and len(frames) == 1:
-            told = f"camera: got {again + 1} frames with the same picture; allowed: 1."
-            raise DeviceError(f"{told} Restart it, or uncover it.")
+            given = f"camera: got {again + 1} frames with the same picture; allowed: 1."
+            raise DeviceError(f"{given} Restart it, or uncover it.")
         return frames
 
     def _whole(self, frame: Frame) -> bool:
@@ -401,12 +395,15 @@ class GuardedCamera:
 
 
 def _same(one: Frame, other: Frame) -> bool:
-    """Return whether two frames show the same picture, by every 16th pixel."""
+    """Return whether two frames show the same picture, by every 16th pixel.
+
+    Noise alone changes nearly all of them (0.999 of those of a simulated D455).
+    """
     apart = np.any(one.rgb[::4, ::4] != other.rgb[::4, ::4], axis=2)
-    return float(apart.mean()) < ALIVE
+    return float(apart.mean()) < 1e-3
 
 
-def _copied(trajectory: JointTrajectory) -> JointTrajectory:
+def _copy(trajectory: JointTrajectory) -> JointTrajectory:
     """Return a copy nobody else can change, its times and numbers checked again."""
     try:
         arrays = (trajectory.times, trajectory.positions, trajectory.velocities)

@@ -14,14 +14,10 @@ from anther.robot.devices import DeviceError, GripperState
 
 IDLE = 1.0
 """What a gripper may read with nothing between its pads, either way [N]: its sensor's noise and friction. A guess."""
-SURE = 5.0
-"""Whoever presses with this says that something is held [N]: half of what a Sawyer's gripper gives."""
 SOFTEST = 500.0
 """The least stiffness between the pads of what is held [N/m]. A guess; simulated stems have 6000."""
 SEVERAL = 1.5e-3
 """Over so much of the pads' way a force must change [m]: three steps of a closing."""
-NEAR = 1e-5
-"""By which the steps of the pads may fall short of that [m]."""
 DO = "Check the gripper's force signal before it closes on a plant."
 
 
@@ -65,27 +61,29 @@ def check_closing(closing: Sequence[GripperState], sent: float) -> None:
             press with nothing.
     """
     last = closing[-1]
-    told = f"gripper force: got {last.force:.1f} N with the pads {1e3 * last.opening:.1f} mm apart"
+    given = f"gripper force: got {last.force:.1f} N with the pads {1e3 * last.opening:.1f} mm apart"
     if last.force < -IDLE:
-        raise DeviceError(f"{told}; allowed: >= 0, pads do not pull. {DO}")
-    if len(closing) > 1 and all(s.force > SURE and not s.is_gripping for s in closing[-2:]):
-        raise DeviceError(f"{told}, and yet the gripper says that it holds nothing. {DO}")
-    if last.is_gripping and last.force < IDLE and last.opening - sent >= SEVERAL - NEAR:
-        raise DeviceError(f"{told}, held off by something {1e3 * (last.opening - sent):.1f} mm before the goal. {DO}")
+        raise DeviceError(f"{given}; allowed: >= 0, pads do not pull. {DO}")
+    # half of what a Sawyer's gripper gives [N]
+    if len(closing) > 1 and all(s.force > 5 and not s.is_gripping for s in closing[-2:]):
+        raise DeviceError(f"{given}, and yet the gripper says that it holds nothing. {DO}")
+    several = SEVERAL - 1e-5  # the steps of the pads may fall short of it
+    if last.is_gripping and last.force < IDLE and last.opening - sent >= several:
+        raise DeviceError(f"{given}, held off by something {1e3 * (last.opening - sent):.1f} mm before the goal. {DO}")
     pressing = list[GripperState]()
     for state in reversed(closing):
         if not touches(state):
             return
         pressing.append(state)
         way = state.opening - last.opening
-        if way >= SEVERAL - NEAR:
+        if way >= several:
             break
     else:
         return
     change = float(np.ptp([s.force for s in pressing]))
     if change < SOFTEST * way:
         raise DeviceError(
-            f"{told}: it changed by {change:.1f} N while the pads came {1e3 * way:.1f} mm nearer; allowed: at least "
+            f"{given}: it changed by {change:.1f} N while the pads came {1e3 * way:.1f} mm nearer; allowed: at least "
             f"{SOFTEST * way:.1f} N. {DO}"
         )
 

@@ -14,16 +14,12 @@ from anther.core.geometry import Array
 from anther.robot.devices import ArmSample, DeviceError, JointTrajectory, SafetyLimits, Watch
 from anther.robot.swing import Swing
 
-CHECK_STEP = 0.005
-"""A trajectory is checked at its own samples and, in between, this often [s]: 7.5 mm of the flange at its top speed."""
 AT_REST = 0.05
 """A trajectory begins and ends no faster than this [rad/s]."""
 LONGEST = 120.0
 """No trajectory lasts longer [s]."""
 SOON = 1e-4
 """The flange's speed is the way it goes in this time [s]."""
-SAME = 1e-3
-"""Joints that differ by less [rad] are held against the keep-out boxes once: 1.3 mm of an arm stretched out."""
 SWING_STEP = 2.5e-4
 """A piece is checked so often [s]: 80 times a period of 50 Hz."""
 JUMP = 1e-3
@@ -41,8 +37,8 @@ def check_trajectory(
     """Check all that is known of a motion before it begins.
 
     What is checked is the curve that the arm follows, cubic between the samples: at every sample and every
-    `CHECK_STEP`. Start at the present joints, rest at both ends, joint range less the margin, joint speed and
-    acceleration; of the flange workspace and speed; of all of arm and tool the keep-out boxes.
+    5 ms, 7.5 mm of the flange at its top speed. Start at the present joints, rest at both ends, joint range less the
+    margin, joint speed and acceleration; of the flange workspace and speed; of all of arm and tool the keep-out boxes.
 
     Args:
         trajectory: about to be commanded.
@@ -66,7 +62,7 @@ def check_trajectory(
     resting = trajectory.velocities[[end for end, moves in ((0, joined), (-1, goes_on)) if not moves]]
     ends = float(np.abs(resting).max(initial=0.0))
     demand("speed at the ends", ends, AT_REST, "rad/s", "Begin and end at rest.")
-    times = np.union1d(trajectory.times, np.arange(0, trajectory.duration, CHECK_STEP))
+    times = np.union1d(trajectory.times, np.arange(0, trajectory.duration, 0.005))
     q, rates = _check_joints(trajectory, times, limits)
     position = limits.forward(q)[:, :3, 3]
     outside = float(np.maximum(limits.workspace.lower - position, position - limits.workspace.upper).max())
@@ -96,7 +92,8 @@ def _check_joints(trajectory: JointTrajectory, times: Array, limits: SafetyLimit
 def _check_keep_out(q: Array, limits: SafetyLimits) -> None:
     if not limits.keep_out:
         return
-    distinct = q[np.unique(np.round(q / SAME), axis=0, return_index=True)[1]]  # few of a shake, whose next piece waits
+    # to 1 mrad, 1.3 mm of an arm stretched out: few of a shake, whose next piece waits
+    distinct = q[np.unique(np.round(q / 1e-3), axis=0, return_index=True)[1]]
     for some in np.array_split(distinct, len(distinct) // 1000 + 1):
         balls = limits.outline(some)
         least, most = ((balls[..., :3] + sign * balls[..., 3:]) for sign in (-1, 1))
@@ -129,18 +126,15 @@ def check_shake(amplitude: float, frequency: float, duration: float, limits: Saf
     demand("shake duration", duration, limits.shake_duration, "s", "Shake shorter.")
 
 
-RAMPS = 0.92
-"""Share of the acceleration allowed that a steady shake may have: to rise and fall takes up to 1.1 % more, to turn from
-one mixture to another within half a second up to 8.7 % (1 to 40 Hz, up to 20 mm)."""
-
-
 def shake_amplitude(frequencies: Array, limits: SafetyLimits) -> Array:
     """Return the largest amplitudes (Q,) [m] of shakes of one tone each (Q,) [Hz] that pass, with their ramps.
 
-    A mixture passes if its shares of these amount to no more than 1.
+    A mixture passes if its shares of these amount to no more than 1. A steady shake may have 92 % of the acceleration:
+    to rise and fall takes up to 1.1 % more, to turn from one mixture to another within half a second up to 8.7 % (1 to
+    40 Hz, up to 20 mm).
     """
     omega = 2 * np.pi * np.asarray(frequencies, dtype=np.float64)
-    return np.minimum(limits.shake_speed / omega, RAMPS * limits.shake_acceleration / omega**2)
+    return np.minimum(limits.shake_speed / omega, 0.92 * limits.shake_acceleration / omega**2)
 
 
 def check_pieces(parts: Sequence[tuple[Array, Swing]], limits: SafetyLimits) -> None:
@@ -184,8 +178,6 @@ SPANS = (0.5, 2.0)
 SWINGS, TURNS = 1e-4, 4
 """Fast swings, with `TURNS` zero crossings or more in the longer span, must show from this travel on [rad]: 16 bits do.
 Asked of joints that travel at least half as far as the one that travels furthest."""
-FORCE_STANDS = 1.0
-"""A measured force is never the same to the last bit for so long while the arm moves [s]: it has noise."""
 
 
 class ForceCheck:
@@ -195,7 +187,7 @@ class ForceCheck:
     """
 
     def __init__(self) -> None:
-        self._told = False
+        self._had_force = False
         self._last: ArmSample | None = None
         self._same = 0.0
 
@@ -203,35 +195,34 @@ class ForceCheck:
         """Raise a DeviceError where the force is lost, negative, or stuck."""
         last, self._last = self._last, sample
         if np.isnan(sample.force):
-            if self._told:
+            if self._had_force:
                 raise DeviceError("arm force: got none after it was told before. Check the sensor, then start anew.")
             return
-        self._told = True
+        self._had_force = True
         if sample.force < 0:
             raise DeviceError(f"arm force: got {sample.force:.3g} N; allowed: >= 0, a size. Check the sensor.")
         if last is None or sample.force != last.force:
             self._same = 0.0
         elif not np.array_equal(sample.commanded, last.commanded):
             self._same += min(sample.time - last.time, 0.1)  # longer between two motions
-        if self._same > FORCE_STANDS:
-            told = f"arm force: got {sample.force:.3g} N, the same to the last bit for {self._same:.1f} s of motion"
-            raise DeviceError(f"{told}; allowed: {FORCE_STANDS:g} s. The sensor is stuck: check it, then start anew.")
+        if self._same > 1:  # [s]: a measured force has noise
+            given = f"arm force: got {sample.force:.3g} N, the same to the last bit for {self._same:.1f} s of motion"
+            raise DeviceError(f"{given}; allowed: 1 s. The sensor is stuck: check it, then start anew.")
 
 
-def hidden_swing(times: Array, told: Array, read: Array, travel: Array) -> NDArray[np.bool_]:
+def find_hidden_swings(times: Array, commanded: Array, measured: Array, travel: Array) -> NDArray[np.bool_]:
     """Return (J,) which joints show nothing of a fast swing that is commanded.
 
-    What is read is fitted by the command and its rate, so that size and phase are free: a soft arm is late and swings
-    less. A swing is hidden where the fitted one, and three standard errors more, is below `SHOWS` of it. All beside the
-    straight line that fits the motion best.
+    The measured joints are fitted by the command and its rate, so that size and phase are free: a soft arm is late and
+    swings less. A swing is hidden where the fitted one, and three standard errors more, is below `SHOWS` of it, all
+    without the straight line that fits the motion best.
 
     Args:
         times: (T,) of the last readings [s].
-        told: (T, J) commanded joints then [rad].
-        read: (T, J) measured ones [rad].
+        commanded, measured: (T, J) joints then [rad].
         travel: (J,) of the command, the least within the lag that is healthy [rad].
     """
-    swing, rate, found = (_beside_line(times, x) for x in (told, np.gradient(told, times, axis=0), read))
+    swing, rate, found = (_detrend(times, x) for x in (commanded, np.gradient(commanded, times, axis=0), measured))
     size, turns = np.minimum(np.ptp(swing, axis=0), travel), np.count_nonzero(np.diff(np.sign(swing), axis=0), axis=0)
     hidden = np.zeros(len(size), dtype=bool)
     for j in np.flatnonzero((turns >= TURNS) & (size >= max(SWINGS, 0.5 * float(size.max())))):
@@ -243,7 +234,7 @@ def hidden_swing(times: Array, told: Array, read: Array, travel: Array) -> NDArr
     return hidden
 
 
-def _beside_line(times: Array, path: Array) -> Array:
+def _detrend(times: Array, path: Array) -> Array:
     """Return (T, J) less the straight line over times (T,) that fits it best."""
     line = np.linalg.qr(np.stack([np.ones(len(times)), times - times[0]], axis=1))[0]
     return np.asarray(path - line @ (line.T @ path))
@@ -270,8 +261,8 @@ class Watchdog:
             raise DeviceError(f"the arm does not follow: {gap:.3g} rad behind; allowed: <= {limits.tracking:g}.")
         self._force(sample)
         if sample.force > limits.contact_force:
-            felt = f"contact force: got {sample.force:.3g} N; allowed: <= {limits.contact_force:g}"
-            raise StageFailure("collision", f"{felt}. The arm presses on something: look what it is.")
+            given = f"contact force: got {sample.force:.3g} N; allowed: <= {limits.contact_force:g}"
+            raise StageFailure("collision", f"{given}. The arm presses on something: look what it is.")
         if self._watch:
             self._watch(sample)
 
@@ -281,7 +272,7 @@ class Watchdog:
         With `stale_after` = 0.1 s: a joint that freezes, to the bit or with noise below `SHOWS` of its travel, is
         noticed within 0.2 s where its command goes faster than 0.04 rad/s all the while, else within 0.35 s where it
         travels 2 mrad in any 0.2 s of them: a swing of 3 mrad at 2 Hz, of 1.3 mrad at 4 Hz. From 10 Hz on a swing of
-        `SWINGS` is enough (`hidden_swing`). What lags by up to 0.15 s is not.
+        `SWINGS` is enough (`find_hidden_swings`). What lags by up to 0.15 s is not.
         """
         past, after = self._past, self._limits.stale_after
         if past and not sample.time > past[-1].time:
@@ -289,23 +280,25 @@ class Watchdog:
         past.append(sample)
         while len(past) > 1 and past[1].time <= sample.time - (LAG + SPANS[-1]) * after:
             past.popleft()
-        times, told, read = (np.array(x) for x in zip(*((p.time, p.commanded, p.measured) for p in past), strict=True))
+        times, commanded, measured = (
+            np.array(x) for x in zip(*((p.time, p.commanded, p.measured) for p in past), strict=True)
+        )
         for span in (share * after for share in SPANS):
             begin = int(np.searchsorted(times, sample.time - span, side="right")) - 1
             if begin < 0:
                 return
             swings = span == SPANS[-1] * after and sample.time >= self._next
-            shown, doubted = np.ptp(read[begin:], axis=0), np.ptp(told, axis=0)
+            shown, doubted = np.ptp(measured[begin:], axis=0), np.ptp(commanded, axis=0)
             for lag in np.linspace(0, LAG * after, num=7):
                 if not (swings or np.any((doubted > STILL) & (shown < SHOWS * doubted))):
                     break
                 inside = (times >= sample.time - lag - span) & (times <= sample.time - lag)
-                doubted = np.minimum(doubted, np.ptp(told[inside], axis=0) if inside.any() else 0.0)
+                doubted = np.minimum(doubted, np.ptp(commanded[inside], axis=0) if inside.any() else 0.0)
             else:
                 hidden = (doubted > STILL) & (shown < SHOWS * doubted)
                 if swings:
                     self._next = sample.time + after / 2  # it takes a quarter of a millisecond
-                    hidden |= hidden_swing(times[begin:], told[begin:], read[begin:], doubted)
+                    hidden |= find_hidden_swings(times[begin:], commanded[begin:], measured[begin:], doubted)
                 if hidden.any():
                     self._distrust(f"joint {np.flatnonzero(hidden)[0]} reads the same for {span:.2f} s of motion")
 

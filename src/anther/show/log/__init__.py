@@ -16,7 +16,7 @@ from typing import Any
 
 from anther.core.geometry import Array
 from anther.robot.devices import Robot, SafetyLimits
-from anther.show.log._machines import heard
+from anther.show.log._machines import log_machines
 from anther.show.log._messages import LogFile, Scribe
 
 __all__ = ["Kept", "Log"]
@@ -86,7 +86,7 @@ class Log:
         self._clock, self._epoch = clock, time.time() - clock()
         self._scribe.meet(robot, limits, T_flange_cam)
         self.say("cell", self._epoch)
-        return heard(robot, self.say, self._look)
+        return log_machines(robot, self.say, self._look)
 
     def say(self, what: str, value: Any, when: float | None = None) -> None:
         """Keep something; returns at once, whatever the disk does.

@@ -1,10 +1,9 @@
-"""The devices of a robot, which tell a log what they are asked and what they read; `robot.devices` on both sides."""
+"""Device proxies that record every command and reading; `robot.devices` on both sides."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from typing import Any, Protocol
 
 from anther.robot.devices import (
@@ -15,8 +14,10 @@ from anther.robot.devices import (
     JointTrajectory,
     More,
     MoreSwing,
+    Proxy,
     Robot,
     Watch,
+    wrap,
 )
 from anther.robot.swing import Swing
 
@@ -30,7 +31,7 @@ class Say(Protocol):
     def __call__(self, what: str, value: Any, when: float | None = None) -> None: ...
 
 
-def heard(robot: Robot, say: Say, look: Callable[[], None]) -> Robot:
+def log_machines(robot: Robot, say: Say, look: Callable[[], None]) -> Robot:
     """Return the machines, each of which says what it does.
 
     Args:
@@ -38,19 +39,18 @@ def heard(robot: Robot, say: Say, look: Callable[[], None]) -> Robot:
         say: keeps it, and never waits.
         look: called whenever a shake under way was decided on.
     """
-    side, motor = robot.side_camera, robot.motor
-    machines: dict[str, Any] = {
-        "arm": _HeardArm(robot.arm, say, look),
-        "gripper": _HeardGripper(robot.gripper, say),
-        "wrist_camera": _HeardCamera(robot.wrist_camera, say, "wrist_camera"),
-        "side_camera": None if side is None else _HeardCamera(side, say, "side_camera"),
-        "motor": None if motor is None else _HeardMotor(motor, say, look),
-    }
-    return replace(robot, **machines)
+    return wrap(
+        robot,
+        arm=lambda arm: _LoggedArm(arm, say, look),
+        gripper=lambda gripper: _LoggedGripper(gripper, say),
+        wrist_camera=lambda camera: _LoggedCamera(camera, say, "wrist_camera"),
+        side_camera=lambda camera: _LoggedCamera(camera, say, "side_camera"),
+        motor=lambda motor: _LoggedMotor(motor, say, look),
+    )
 
 
 @contextmanager
-def _told(say: Say) -> Iterator[None]:
+def _log_failure(say: Say) -> Iterator[None]:
     """Say why a machine stopped."""
     try:
         yield
@@ -59,64 +59,62 @@ def _told(say: Say) -> Iterator[None]:
         raise
 
 
-class _Heard:
-    """A machine that does all that the one within does, and says some of it."""
+class _Logged(Proxy):
+    """A machine that says what it does."""
 
     def __init__(self, machine: Any, say: Say, look: Callable[[], None] = lambda: None) -> None:
-        self._machine, self._say, self._look = machine, say, look
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._machine, name)
+        super().__init__(machine)
+        self._say, self._look = say, look
 
     def _watching(self, watch: Watch | None) -> Watch:
         """Return a watcher that keeps every reading before the given one sees it."""
 
-        def seen(sample: ArmSample) -> None:
+        def record(sample: ArmSample) -> None:
             self._say("arm", sample, sample.time)
             if watch is not None:
                 watch(sample)
 
-        return seen
+        return record
 
-    def _onward(self, more: Callable[[], Any] | None, named: str = "") -> Callable[[], Any] | None:
+    def _log_next(self, more: Callable[[], Any] | None, named: str = "") -> Callable[[], Any] | None:
         """Return what asks what comes next, and keeps it under a name."""
         if more is None:
             return None
 
-        def onward() -> Any:
+        def next_piece() -> Any:
             piece = more()
             self._look()
             if named and piece is not None:
                 self._say(named, piece)
             return piece
 
-        return onward
+        return next_piece
 
 
-class _HeardArm(_Heard):
+class _LoggedArm(_Logged):
     def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:
         self._say("motion", trajectory)
-        with _told(self._say):
-            return self._machine.follow(trajectory, self._watching(watch), self._onward(more, "motion"))
+        with _log_failure(self._say):
+            return self._machine.follow(trajectory, self._watching(watch), self._log_next(more, "motion"))
 
     def hold(self) -> None:
         self._say("stopped", "the arm is asked to hold")
         self._machine.hold()
 
 
-class _HeardMotor(_Heard):
+class _LoggedMotor(_Logged):
     def swing(self, first: Swing, watch: Watch | None = None, more: MoreSwing | None = None) -> ArmRecord:
-        with _told(self._say):
-            return self._machine.swing(first, self._watching(watch), self._onward(more))
+        with _log_failure(self._say):
+            return self._machine.swing(first, self._watching(watch), self._log_next(more))
 
     def stop(self) -> None:
         self._say("stopped", "the motor is asked to stop")
         self._machine.stop()
 
 
-class _HeardGripper(_Heard):
+class _LoggedGripper(_Logged):
     def move(self, opening: float) -> GripperState:
-        with _told(self._say):
+        with _log_failure(self._say):
             state = self._machine.move(opening)
         self._say("gripper", (opening, state))
         return state
@@ -127,7 +125,7 @@ class _HeardGripper(_Heard):
         return state
 
 
-class _HeardCamera(_Heard):
+class _LoggedCamera(_Logged):
     """At most `RATE` frames a second are kept."""
 
     def __init__(self, camera: Any, say: Say, name: str) -> None:
