@@ -19,7 +19,7 @@ from anther.pollination.shake.observables import semi_major
 from anther.pollination.shake.pads import grip_rows, pad_nodes
 from anther.pollination.shake.search import Version, flower_motion, gains
 from anther.rods import Array
-from evaluation.prediction.expectation import expect, flowers_at, loads_at
+from evaluation.prediction.expectation import FLOWER_SPREAD, expect, flowers_at, loads_at
 
 HELD, WAY, PITCH, SIZE = 8, np.array([0.8, 0.6, 0.0]), 4.0, 2e-3
 MEASURED, ERROR = np.array([3e-3, 5e-3, 1e-3]), 0.1
