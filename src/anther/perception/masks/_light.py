@@ -72,7 +72,7 @@ class Light:
         """
         sample = rgb[:, ::16, ::16].reshape(-1, 3).astype(np.float64)
         lit = sample[_of_channels(np.add, sample) >= _DARK]
-        gains, lamp, grey = np.ones(3), np.ones(3), lit
+        gains, lamp, grey, balanced = np.ones(3), np.ones(3), lit, lit
         for _ in range(4):
             if len(grey):
                 lamp = np.power(np.mean(grey**6, axis=0), 1 / 6) + 1e-9
