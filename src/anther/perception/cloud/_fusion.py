@@ -209,7 +209,7 @@ def fuse_voxels(pixels: list[SurfacePoints], poses: Array, box: Box, voxel: floa
     groups = _groups(np.concatenate(keys))
     columns = [
         *((lambda view, T, a=axis: view.points[:, a]) for axis in range(3)),
-        *((lambda view, T, a=axis: view.normals @ T[a, :3]) for axis in range(3)),
+        *((lambda view, T, a=axis: (view.normals @ T[:3, :3].T)[:, a]) for axis in range(3)),
         lambda view, T: view.labels == FLOWER,
         *((lambda view, T, c=channel: view.colors[:, c]) for channel in range(3)),
     ]  # one after the other: all at once would double the memory

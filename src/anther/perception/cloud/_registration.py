@@ -223,11 +223,11 @@ def _step(
     """
     world, normals = sample.world(at)
     points, along = sample.unbiased(at.reach), sample.points * sample.slant[:, None]
-    halves = np.array_split(pairs, 2)
-    sums = in_threads(
-        lambda t: _accumulated(halves[t], points, along, sample.view, world, normals, at.poses, scale), range(2)
+    halves = in_threads(
+        lambda t: _accumulated(pairs[t::2], points, along, sample.view, world, normals, at.poses, scale), range(2)
     )
-    hessian, gradient = (one + other for one, other in zip(*sums, strict=True))
+    hessian, gradient = (one + other for one, other in zip(*halves, strict=True))
+    hessian += hessian.T - np.diag(np.diag(hessian))
     error = inverse(given) @ at.poses
     turned = Rotation.from_matrix(error[:, :3, :3].copy()).as_rotvec()
     moved = np.append(np.concatenate([turned, error[:, :3, 3]], axis=1).ravel(), at.reach)
@@ -245,14 +245,14 @@ def _step(
 
 @numba.njit(nogil=True, cache=True)
 def _accumulated(pairs, points, along, view, world, normals, poses, scale):
-    """Return the Hessian (6V + 1, 6V + 1) and the gradient of the pairs' squared distances.
+    """Return the upper entries of the Hessian (6V + 1, 6V + 1) and the gradient of the pairs' squared distances.
 
-    They are weighted by exp(-(r / scale)^2), Welsch (Holland 1977). What pairs of the same two views add is summed in a
-    small block first: six rows for each pose, one for the reach; the distance is a fourteenth column, zeros fill up.
+    They are weighted by exp(-(r / scale)^2), Welsch (Holland 1977).
     """
     last = 6 * len(poses)
     hessian, gradient = np.zeros((last + 1, last + 1)), np.zeros(last + 1)
-    row, block, index = np.zeros(16), np.zeros((13, 16)), np.empty(13, dtype=np.int64)
+    row, index = np.empty(13), np.empty(13, dtype=np.int64)
+    index[12] = last
     for p in range(pairs.shape[0]):
         a, b = pairs[p, 0], pairs[p, 1]
         n0, n1, n2 = normals[a, 0] + normals[b, 0], normals[a, 1] + normals[b, 1], normals[a, 2] + normals[b, 2]
@@ -260,7 +260,7 @@ def _accumulated(pairs, points, along, view, world, normals, poses, scale):
         n0, n1, n2 = n0 / length, n1 / length, n2 / length
         r = n0 * (world[a, 0] - world[b, 0]) + n1 * (world[a, 1] - world[b, 1]) + n2 * (world[a, 2] - world[b, 2])
         w = np.exp(-(r * r) / (scale * scale))
-        row[12], row[13] = 0.0, r
+        row[12] = 0.0
         for side in range(2):
             i = pairs[p, side]
             sign, T = 1.0 - 2.0 * side, poses[view[i]]
@@ -273,17 +273,11 @@ def _accumulated(pairs, points, along, view, world, normals, poses, scale):
             row[base + 2] = points[i, 0] * m1 - points[i, 1] * m0
             row[base + 3], row[base + 4], row[base + 5] = m0, m1, m2
             row[12] += along[i, 0] * m0 + along[i, 1] * m1 + along[i, 2] * m2
-        for k in range(13):
-            weighted = w * row[k]
-            for q in range(16):
-                block[k, q] += weighted * row[q]
-        if p + 1 == pairs.shape[0] or view[pairs[p + 1, 0]] != view[a] or view[pairs[p + 1, 1]] != view[b]:
             for k in range(6):
-                index[k], index[6 + k] = 6 * view[a] + k, 6 * view[b] + k
-            index[12] = last
-            for k in range(13):
-                gradient[index[k]] += block[k, 13]
-                for q in range(13):
-                    hessian[index[k], index[q]] += block[k, q]
-            block[:] = 0.0
+                index[base + k] = 6 * view[i] + k
+        for k in range(13):
+            weighted, to = w * row[k], index[k]
+            gradient[to] += weighted * r
+            for q in range(k, 13):
+                hessian[to, index[q]] += weighted * row[q]
     return hessian, gradient

@@ -91,10 +91,7 @@ class Sample:
 
 
 def match(sample: Sample, at: Estimate, use: NDArray[np.bool_], distance: float) -> NDArray[np.int64]:
-    """Return (P, 2) pairs of points of different views within `distance` [m], alike in normal, the first in `use`.
-
-    Pairs of the same two views follow one another.
-    """
+    """Return (P, 2) pairs of points of different views within `distance` [m], alike in normal, the first in `use`."""
     points, normals = sample.world(at)
     first = np.flatnonzero(use)
     if len(first) == 0:
@@ -105,9 +102,7 @@ def match(sample: Sample, at: Estimate, use: NDArray[np.bool_], distance: float)
     pair = np.flatnonzero((squared < distance**2) & (views[near] != views[first][:, None]))
     first, near = first[pair // NEIGHBOURS], near.ravel()[pair]
     alike = np.einsum("pi,pi->p", normals[first], normals[near]) > np.cos(np.deg2rad(25))  # one side of a stem
-    first, near = first[alike], near[alike]
-    order = np.argsort(views[first] * len(at.poses) + views[near], kind="stable")
-    return np.stack([first[order], near[order]], axis=1)
+    return np.stack([first[alike], near[alike]], axis=1)
 
 
 def plane_distances(sample: Sample, at: Estimate, pairs: NDArray[Any]) -> Array:
