@@ -17,7 +17,14 @@ from anther.core.errors import InputError, StageFailure
 from anther.core.geometry import Box, Intrinsics, look_at, transform_points
 from anther.perception.capture import Capture
 from anther.perception.cloud import Cloud, Params, fuse
-from anther.perception.cloud._fusion import attached_points, clusters, occupied_cells, pixel_normals, supported_pixels
+from anther.perception.cloud._fusion import (
+    attached_points,
+    clusters,
+    occupied_cells,
+    pixel_normals,
+    supported_pixels,
+    voxel_groups,
+)
 from anther.perception.cloud.ply import read_ply, write_ply
 from anther.perception.formats.kinect import read_kinect
 from anther.perception.masks import FLOWER, PLANT, Masks, segment
@@ -313,3 +320,25 @@ def test_one_view_is_enough() -> None:
     )
     np.testing.assert_allclose(cloud.points[:, 0], 0, atol=1e-6)
     assert "fewer than two views" in cloud.notes[0]
+
+
+def test_voxels_are_numbered_as_they_first_appear_and_hold_what_shares_their_cube() -> None:
+    points = np.random.default_rng(0).uniform(-0.1, 0.1, (3000, 3))
+    group, count = voxel_groups(points, 0.02)
+    _, first = np.unique(group, return_index=True)
+    assert (np.diff(first) > 0).all()
+    assert np.array_equal(count, np.bincount(group))
+    cubes = np.floor(points / 0.02)
+    assert np.array_equal(cubes, cubes[first][group])
+    assert len(count) == len(np.unique(cubes, axis=0))
+
+
+def test_normals_at_the_edge_of_an_image_and_of_a_mask_are_those_of_the_whole_image() -> None:
+    camera = Intrinsics(40, 30, 50.0, 50.0, 19.5, 14.5)
+    depth = (0.5 + 0.002 * np.arange(40) + np.zeros((30, 1))).astype(np.float32)
+    every, some = np.ones(depth.shape, dtype=bool), np.zeros(depth.shape, dtype=bool)
+    some[:5, 33:] = True
+    whole = pixel_normals(depth, every, camera).reshape(30, 40, 3)
+    np.testing.assert_array_equal(pixel_normals(depth, some, camera), whole[some])
+    np.testing.assert_array_equal(supported_pixels(depth, some), some & supported_pixels(depth, every))
+    assert not supported_pixels(depth, np.zeros_like(some)).any()
