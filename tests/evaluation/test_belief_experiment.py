@@ -1,0 +1,81 @@
+"""The experiment on what is believed of a shake: its numbers from values that were drawn from a known belief."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pytest
+
+from anther.plant.limits import PEDICEL_STRAIN
+from anther.pollination.decision import believed
+from evaluation.prediction import belief  # pyright: ignore[reportMissingImports]
+
+COUNT = 2000
+
+
+def drawn(kind: str, when: str, tone: float, *, wide: float = 1.0, shift: float = 0.0) -> list[Any]:
+    """Return values of which the truth is drawn from what is believed, so many times as wide, and so much higher."""
+    rng = np.random.default_rng(0)
+    members = rng.normal(np.log((2 * np.pi * tone) ** 2), 1.0, (COUNT, 1)) + rng.normal(0.0, 0.2, (COUNT, 8))
+    logs, spread = believed(kind.replace("pedicels", "flowers"), np.exp(members.T), tone, belief.WHEN[when])
+    if kind == "pedicels":
+        logs, spread = logs + np.log(PEDICEL_STRAIN.median), np.hypot(spread, PEDICEL_STRAIN.spread)
+    one = logs[rng.integers(8, size=COUNT), np.arange(COUNT)]
+    truth = one + shift + wide * spread * rng.normal(size=COUNT)
+    return [[kind, when, tone, [*row, true]] for row, true in zip(members.tolist(), truth.tolist(), strict=True)]
+
+
+@pytest.mark.parametrize("tone", [6.4, 16.9, 34.0, 80.0])
+@pytest.mark.parametrize(("kind", "when"), list(product(belief.WORDS, belief.WHEN)))
+def test_truths_that_come_from_what_is_believed_are_found_calibrated_each_in_its_band(
+    kind: str, when: str, tone: float
+) -> None:
+    found = belief.metrics(drawn(kind, when, tone), 3)
+    (band,) = (name for name, (low, high) in belief.BANDS.items() if low < tone <= high)
+    assert found.keys() == {
+        "plants", f"pit_error_{kind}_{when}_{band}", f"passed_95_{kind}_{when}_{band}", "pit_error_max", "passed_95"
+    }  # fmt: skip
+    assert found["pit_error_max"] < 0.04
+    assert found["passed_95"] == pytest.approx(0.05, abs=0.015)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "least", "most"), [({"wide": 0.3}, 0.0, 0.01), ({"wide": 3.0}, 0.1, 0.5), ({"shift": 1.0}, 0.1, 0.9)]
+)
+def test_a_belief_that_is_too_wide_or_too_narrow_or_too_low_is_found_so(
+    wrong: dict[str, float], least: float, most: float
+) -> None:
+    """Where 5 % should pass: hardly any, or more than twice as many."""
+    found = belief.metrics(drawn("flowers", "before", 6.4, **wrong), 3)
+    assert found["pit_error_max"] > 0.1
+    assert least <= found["passed_95"] <= most
+
+
+def test_of_few_values_no_distribution_is_told() -> None:
+    few = drawn("flowers", "before", 6.4)[: belief.FEWEST - 1]
+    assert np.isnan(belief.metrics(few, 3)["pit_error_max"])
+    assert np.isnan(belief.metrics([], 0)["passed_95"])
+
+
+def test_what_a_motor_moves_is_told_apart_by_crop_and_tone() -> None:
+    motor = [[belief.MOTOR, "tomato", 34.0, [felt]] for felt in (1.0, 7.0, 9.0)]
+    motor += [[belief.MOTOR, "pepper", 34.0, [2.0]]]
+    values = drawn("flowers", "before", 6.4)
+    found = belief.metrics([*motor, *values], 3)
+    assert (found["motor_tomato_34_ms2"], found["motor_pepper_34_ms2"]) == (7.0, 2.0)
+    assert belief.metrics(values, 3) == {key: value for key, value in found.items() if not key.startswith("motor")}
+
+
+def test_a_fit_finds_the_regression_that_values_were_drawn_with() -> None:
+    rng, tone = np.random.default_rng(1), 8.5
+    inertia = 2 * np.log(2 * np.pi * tone)
+    members = rng.normal(-1.0, 1.0, (COUNT, 1)) + rng.normal(0.0, 0.2, (COUNT, 8))
+    truth = -0.4 + 0.7 * members[:, 0] + 0.5 * rng.normal(size=COUNT)
+    values = [
+        ["flowers", "after", tone, (np.append(m, t) + inertia).tolist()] for m, t in zip(members, truth, strict=True)
+    ]
+    told = [float(part) for part in belief._likeliest(values).split(",")]
+    assert told == pytest.approx([-0.4, 0.7, 0.5], abs=0.05)
+    assert belief._likeliest(values[:1]) == "–"
