@@ -60,9 +60,9 @@ def plan_shake(
     every organ to a shake of one metre at every grip, direction and frequency, for the plant as believed and for
     `DRAWS` scenarios drawn from the spread of its material. Each shake is as large as it is worth most
     (`anther.pollination.decision`: the fruit it should add, less what it should cost). The best is checked by the
-    nonlinear solver, whose amplitudes are the prediction, and made smaller where that finds an organ loaded further
-    than it was weighed with and may be; the interval is that of the scenarios, widened by how far one flower differs
-    from its plant.
+    nonlinear solver, and made smaller where that finds an organ loaded further than it was weighed with and may be. The
+    prediction is what the solver says of the plant as believed, times what is expected over that: by the scenarios,
+    the model's errors and what the actuator delivers, whose spread is the interval.
 
     Args:
         plant: from `build_plant`.
