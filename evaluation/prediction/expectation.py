@@ -18,7 +18,7 @@ from anther.pollination import ObservedShake, Refinement
 from anther.pollination.decision import COSTS, believed
 from anther.pollination.shake.observables import semi_major
 from anther.pollination.shake.pads import grip_rows, pad_nodes
-from anther.pollination.shake.search import flower_motion, gains
+from anther.pollination.shake.search import answer, gains
 from anther.rods import Array, unit_direction
 
 NINETY = 1.645
@@ -106,7 +106,7 @@ def flowers_at(learned: Refinement, points: Array, direction: Array, frequencies
 def _flower_logs(learned: Refinement, points: Array, direction: Array, frequencies: Array) -> Array:
     """Return (M, Q, G, F) the logarithm of every member's flower amplitudes per metre."""
     held = grips(learned, points)
-    return np.array([_log(semi_major(flower_motion(m, held, direction, frequencies))) for m in learned.members])
+    return np.array([_log(semi_major(answer(m, held, direction, frequencies).flowers)) for m in learned.members])
 
 
 def loads_at(learned: Refinement, points: Array, direction: Array, frequencies: Array) -> dict[str, Array]:
@@ -116,9 +116,9 @@ def loads_at(learned: Refinement, points: Array, direction: Array, frequencies: 
     """
     held = grips(learned, points)
     ways = np.broadcast_to(direction, (len(held), 1, 3))
-    answer = gains(learned.members, held, np.ascontiguousarray(ways), frequencies).answer(frequencies)
-    loads = {kind: getattr(answer, kind) for kind in COSTS}
-    loads["joint_strain"] = answer.flowers.max(axis=-1)
+    moved = gains(learned.members, held, np.ascontiguousarray(ways), frequencies).answer(frequencies)
+    loads = {kind: getattr(moved, kind) for kind in COSTS}
+    loads["joint_strain"] = moved.flowers.max(axis=-1)
     found = {}
     for kind, values in loads.items():
         pedicels = kind == "joint_strain"

@@ -19,7 +19,7 @@ from anther.pollination.learning import Felt
 from anther.pollination.response import stem_near
 from anther.pollination.shake.observables import semi_major
 from anther.pollination.shake.pads import PADS, grip_rows, pad_nodes
-from anther.pollination.shake.search import Version, flower_motion
+from anther.pollination.shake.search import Version, answer
 from anther.robot import Frame
 from anther.sim import NOMINAL, Organ, Truth, camera_errors
 from anther.sim.sway import swaying
@@ -125,7 +125,7 @@ def _probe(
     held = float(arc[np.argmin(np.linalg.norm(nodes - grip.point, axis=1))])
     beside = stem_near(nodes, arc, seen.skeleton.radius[ids], held)
     where = pad_nodes(model, grip_rows(model, grip.point[None]))
-    linear = semi_major(flower_motion(Version(model), where, DIRECTION, np.array([frequency]))[0, 0])
+    linear = semi_major(answer(Version(model), where, DIRECTION, np.array([frequency])).flowers[0, 0])
     shake = shake_of(grip.point, frequency, amplitude, amplitude * linear, PADS)
     return observed(shake, frames, seen, _felt(grip, amplitude, frequency, grip.plant.seed), stem=beside)[0]
 

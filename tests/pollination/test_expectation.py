@@ -17,7 +17,7 @@ from anther.pollination.learning import Felt, ObservedShake, Params, Refinement,
 from anther.pollination.shake import PADS, Pads, ShakePlan
 from anther.pollination.shake.observables import semi_major
 from anther.pollination.shake.pads import grip_rows, pad_nodes
-from anther.pollination.shake.search import Version, flower_motion, gains
+from anther.pollination.shake.search import Version, answer, gains
 from anther.rods import Array
 from evaluation.prediction.expectation import FLOWER_SPREAD, expect, flowers_at, loads_at
 
@@ -142,7 +142,7 @@ def test_where_nothing_was_measured_the_interval_has_the_members_spread_and_the_
     assert np.log(own.interval[:, 1] / own.interval[:, 0]) == pytest.approx(np.full(3, 2 * NINETY * FLOWER_SPREAD))
     assert np.all(np.log(doubtful.interval[:, 1] / doubtful.interval[:, 0]) > 2 * NINETY * FLOWER_SPREAD)
     pads = pad_nodes(plant, grip_rows(plant, point[None]))
-    alone = semi_major(flower_motion(Version(plant, FIRM), pads, WAY, np.array([PITCH]))[0, 0])
+    alone = semi_major(answer(Version(plant, FIRM), pads, WAY, np.array([PITCH])).flowers[0, 0])
     assert own.amplitude == pytest.approx(SIZE * alone, rel=1e-4)
 
 

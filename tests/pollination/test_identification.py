@@ -20,7 +20,7 @@ from anther.pollination.shake import Params as ShakeParams
 from anther.pollination.shake import ShakePlan, plan_shake
 from anther.pollination.shake.observables import branch_of, semi_major
 from anther.pollination.shake.pads import PADS, Pads, grip_rows, pad_nodes
-from anther.pollination.shake.search import Version, deviates, drawn_version, flower_motion, gains
+from anther.pollination.shake.search import Version, answer, deviates, drawn_version, gains
 from evaluation.prediction.expectation import amplitude_at
 
 
@@ -178,14 +178,14 @@ def test_flowers_that_moved_too_little_to_be_measured_lower_the_gain(known: Plan
 def swing(truth: PlantModel, plan: ShakePlan, frequency: float) -> tuple[ShakePlan, np.ndarray]:
     """A shake of the plan's grasp and size at another frequency, and the phasors (F, 3) of what a plant does in it."""
     pads = pad_nodes(truth, grip_rows(truth, plan.grasp.point[None]))
-    motion = plan.amplitude * flower_motion(Version(truth), pads, plan.direction, np.array([frequency]))[0, 0]
+    motion = plan.amplitude * answer(Version(truth), pads, plan.direction, np.array([frequency])).flowers[0, 0]
     return replace(plan, frequency=frequency, predicted_amplitude=semi_major(motion)), motion
 
 
 def test_a_phase_tells_on_which_side_of_a_resonance_the_shake_is(plant: PlantModel, plan: ShakePlan) -> None:
     frequencies = np.linspace(2, 40, 200)
     pads = pad_nodes(plant, grip_rows(plant, plan.grasp.point[None]))
-    size = semi_major(flower_motion(Version(plant), pads, plan.direction, frequencies)[:, 0]).mean(axis=1)
+    size = semi_major(answer(Version(plant), pads, plan.direction, frequencies).flowers[:, 0]).mean(axis=1)
     shake, motion = swing(plant, plan, 1.15 * float(frequencies[size.argmax()]))
     expected, error = shake.predicted_amplitude, 0.05 * shake.predicted_amplitude
     along = np.tile(plan.direction, (len(expected), 1))
@@ -278,7 +278,7 @@ def test_the_members_of_a_belief_predict_other_shakes(plant: PlantModel, plan: S
     sure_pads = replace(PADS, stiffness_spread=0.0, turning_spread=0.0)
     alike = refine(known, [], Params(members=8, branch_spread=0), pads=sure_pads)
     pads = pad_nodes(plant, grip_rows(plant, points))
-    own = semi_major(flower_motion(Version(plant), pads, plan.direction, frequencies))
+    own = semi_major(answer(Version(plant), pads, plan.direction, frequencies).flowers)
     assert np.allclose(amplitude_at(alike, points, plan.direction, frequencies), np.swapaxes(own, 0, 1), rtol=1e-4)
 
 
@@ -286,7 +286,7 @@ def test_a_gain_does_nothing_where_the_flowers_move_as_the_grip_does(plant: Plan
     pads, frequencies = pad_nodes(plant, np.array([8])), np.array([0.01, 4.0])
     half = replace(plant, material=replace(plant.material, response_gain=0.5))
     firm = [Version(p, FIRM) for p in (plant, half)]
-    one, other = (flower_motion(version, pads, plan.direction, frequencies)[:, 0] for version in firm)
+    one, other = (answer(version, pads, plan.direction, frequencies).flowers[:, 0] for version in firm)
     assert np.allclose(other - plan.direction, 0.5 * (one - plan.direction), atol=1e-6)
     sizes = [gains([v], pads, plan.direction[None, None], frequencies).flower[0, :, 0, 0] for v in firm]
     assert np.allclose(sizes[1], semi_major(other))
@@ -296,7 +296,7 @@ def test_a_gain_does_nothing_where_the_flowers_move_as_the_grip_does(plant: Plan
 def test_pads_that_turn_carry_a_slowly_shaken_plant_along_as_one_body(plant: PlantModel, plan: ShakePlan) -> None:
     held, slow = pad_nodes(plant, np.array([8])), np.array([0.01, 4.0])
     half = replace(plant, material=replace(plant.material, response_gain=0.5))
-    one, other = (flower_motion(Version(p), held, plan.direction, slow)[:, 0] for p in (plant, half))
+    one, other = (answer(Version(p), held, plan.direction, slow).flowers[:, 0] for p in (plant, half))
     assert abs(one[0]).max() > 1.5  # turned by the stem below the grip, which resists
     assert np.allclose(other[0], one[0], rtol=0.03, atol=0.03)  # its own weight bends what is turned
     assert not np.allclose(other[1], one[1], rtol=0.1)

@@ -198,32 +198,23 @@ class Generous(FakeGripper):
         return GripperState(self.opening, 0.0, False)
 
 
+def unfaulted(arm: type, fault: str) -> ArmRig:
+    """Return the rig of an arm on which a fault has no effect."""
+    return ArmRig(arm, time.time, lambda s: None, sawyer.ACCELERATION, commands=lambda: 0, faults={fault: lambda: None})
+
+
 @pytest.mark.parametrize(
     ("check", "rig", "message"),
     [
         (check_motion, ArmRig(Dishonest, time.time, lambda s: None, sawyer.ACCELERATION), "joints at the end"),
         (
             check_stale_readings,
-            ArmRig(
-                Stale,
-                time.time,
-                lambda s: None,
-                sawyer.ACCELERATION,
-                commands=lambda: 0,
-                faults={"silence": lambda: None},
-            ),
+            unfaulted(Stale, "silence"),
             "got no error; allowed: DeviceError",
         ),
         (
             check_refusal,
-            ArmRig(
-                FakeArm,
-                time.time,
-                lambda s: None,
-                sawyer.ACCELERATION,
-                commands=lambda: 0,
-                faults={"stop": lambda: None},
-            ),
+            unfaulted(FakeArm, "stop"),
             "follow, where the machine stops: got no error; allowed: DeviceError",
         ),
         (check_impossible_opening, GripperRig(Generous), "got no error"),

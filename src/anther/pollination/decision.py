@@ -51,8 +51,9 @@ beside what members explain: the three in each of the `BANDS`. Where a model err
 says to be large is less so, and what it says to be small is more: the slope is below 1. Of the grip's force without
 omega.
 
-Fitted by likelihood to 40 simulated plants whose truth no stage believes, four grips each, and checked on plants that
-were kept back: `python -m evaluation.prediction.belief`. Of the grip's force: 20 plants, 1-15 Hz."""
+Fitted by likelihood to 20 simulated plants whose truth no stage believes, four grips each (`python -m
+evaluation.prediction.belief --development`); without that option it checks them on others. Of the grip's force: 20
+plants, 1-15 Hz."""
 OBSERVED_ERRORS: Errors = {
     "flowers": ((0.09, 0.0, -0.15, -0.32), (1.08, 0.90, 0.83, 0.97), (0.41, 0.76, 0.58, 0.77)),
     "base_strain": ((-3.10, -3.30, -2.89, 2.32), (0.56, 0.54, 0.61, 1.24), (0.59, 0.45, 0.43, 0.40)),
@@ -92,18 +93,15 @@ class Worth(NamedTuple):
         gain: expected share of pollen freed.
         lost: expected share of flowers whose pedicels stay bent (`LOST_AT`).
         bent: kind of `COSTS` -> probability that the organ that is loaded most stays bent; of the grip, that it slips.
+        others: what organs that stay bent and slip cost, in flowers lost for each flower.
         net: what the shake is worth.
     """
 
     gain: Array
     lost: Array
     bent: Mapping[str, Array]
+    others: Array
     net: Array
-
-    @property
-    def others(self) -> Array:
-        """What organs that stay bent and slip cost, in flowers lost for each flower."""
-        return np.sum([cost * self.bent[kind] for kind, cost in COSTS.items()], axis=0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,6 +150,11 @@ def expected(kind: str, values: Array, hertz: ArrayLike, measured: bool | None =
     return np.asarray(np.exp(believed(kind, values, hertz, measured)[0].mean(axis=0)))
 
 
+def interval(logs: Array, doubt: ArrayLike) -> Array:
+    """Return (..., 2) what 5 % lie below and above, over the median, of what is `believed`."""
+    return np.exp(1.645 * np.sqrt(logs.var(axis=0) + np.square(doubt))[..., None] * [-1, 1])
+
+
 def worth(
     answer: Answer,
     amplitude: Array,
@@ -176,26 +179,26 @@ def worth(
     hertz, size = np.asarray(hertz, dtype=np.float64), np.log(np.maximum(amplitude, 1e-12))
     observed = None if measured is None else False
 
-    def mean(values: Array, kind: str, curve: Curve, known: bool | None = observed) -> Array:
-        """Return (A, ...) the mean over members of a curve of ln of a load at the amplitudes, and of its spread."""
+    def means(values: Array, kind: str, *curves: Curve, known: bool | None = observed) -> list[Array]:
+        """Return (A, ...) each, means over members of curves of ln of a load at the amplitudes and its spread."""
         logs, spread = believed(kind, values, hertz, known)
-        spread = np.hypot(spread, delivered[1])
-        return np.asarray(sum(curve(member + size + delivered[0], spread) for member in logs) / len(logs))
+        spread, sizes = np.hypot(spread, delivered[1]), [member + size + delivered[0] for member in logs]
+        return [np.asarray(sum(curve(one, spread) for one in sizes) / len(sizes)) for curve in curves]
 
     gain, lost = np.zeros(size.shape), np.zeros(size.shape)
     count = answer.flowers.shape[-1]
     for f in range(count):
         known = None if measured is None else bool(measured[f])
-        gain += mean(answer.flowers[..., f], "flowers", _freed, known) / count
-        lost += mean(answer.flowers[..., f], "flowers", _passed(LOST_AT), known) / count
+        freed, passed = means(answer.flowers[..., f], "flowers", _freed, _passed(LOST_AT), known=known)
+        gain, lost = gain + freed / count, lost + passed / count
     bent = {
-        kind: mean(getattr(answer, kind), kind, _passed(TOLERANCE[organ]))
+        kind: means(getattr(answer, kind), kind, _passed(TOLERANCE[organ]))[0]
         for kind, organ in (("base_strain", "base"), ("stem_strain", "stem"), ("leaf_load", "leaf"))
     }
     bent["leaf_load"] = np.where(hertz > GUSTS, 0.0, bent["leaf_load"])
-    bent["grip_force"] = mean(answer.grip_force / np.asarray(held), "grip_force", _passed(GRIP))
-    costs = lost + sum(cost * bent[kind] for kind, cost in COSTS.items())
-    return Worth(gain, lost, bent, (1 - bent["grip_force"]) * gain - price * costs)
+    (bent["grip_force"],) = means(answer.grip_force / np.asarray(held), "grip_force", _passed(GRIP))
+    others = np.sum([cost * bent[kind] for kind, cost in COSTS.items()], axis=0)
+    return Worth(gain, lost, bent, others, (1 - bent["grip_force"]) * gain - price * (lost + others))
 
 
 def _freed(logs: Array, spread: Array) -> Array:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.core.geometry import Array, Intrinsics
-from anther.pollination.decision import Weighed, believed
+from anther.pollination.decision import Weighed, believed, interval
 from anther.pollination.escalation._foresight import Foresight, foresee, watch_points
 from anther.pollination.escalation._knowledge import (
     Answer,
@@ -187,9 +187,8 @@ class Escalation:
         else:
             self._options[active[0]].looked_at(told[0])
             follows = self._decided(active[0])
-        felt = np.sqrt(
-            sum((a * one.answer.flowers[0]) ** 2 for a, _, one in shaken)
-        )  # of one measured all say the same
+        measured = [a * one.answer.flowers[0] for a, _, one in shaken]  # of a flower that was, all members say the same
+        felt = np.sqrt(np.sum(np.square(measured), axis=0))
         step = Step(
             steady[0].time,
             steady[-1].time,
@@ -218,7 +217,7 @@ class Escalation:
             "flowers", self._foresight.answer(self._foresight.of(tone, direction), hertz).flowers, hertz
         )
         middle = amplitude * np.exp(logs.mean(axis=0))
-        wide = middle[:, None] * np.exp(1.645 * np.sqrt(logs.var(axis=0) + doubt**2)[:, None] * [-1, 1])
+        wide = middle[:, None] * interval(logs, doubt)
         omega2 = (2 * np.pi * hertz) ** 2
         return replace(
             self.plan,

@@ -89,7 +89,7 @@ class Option:
     def _allowed(self) -> Allowed:
         """Return how far it is worth to be raised by what is known of it now."""
         told = self.told
-        tried = self.reach * np.geomspace(DOWN, 1.0, SIZES)
+        tried = self._tried
         found = self._worth(tried)
         best = int(found.net.argmax())
         costs = {"joint_strain": found.lost} | {kind: cost * found.bent[kind] for kind, cost in COSTS.items()}
@@ -112,6 +112,11 @@ class Option:
         """Return what it is worth at an amplitude [m], by what is known of it now."""
         return float(self._worth(np.array([amplitude])).net[0])
 
+    @property
+    def _tried(self) -> Array:
+        """The amplitudes that are weighed [m]."""
+        return self.reach * np.geomspace(DOWN, 1.0, SIZES)
+
     def _worth(self, amplitudes: Array) -> Worth:
         told = self.told
         return worth(told.answer, amplitudes, self.hertz, self.held, self.price, told.seen)
@@ -119,8 +124,7 @@ class Option:
     @property
     def weighed(self) -> Weighed:
         """What it is worth by its amplitude, by what is known of it now."""
-        tried = self.reach * np.geomspace(DOWN, 1.0, SIZES)
-        return weighed(self.told.answer, tried, self.hertz, self.held, self.price, self.told.seen)
+        return weighed(self.told.answer, self._tried, self.hertz, self.held, self.price, self.told.seen)
 
     def looked_at(self, told: Known) -> None:
         """Learn from a look at it alone. A flower that only the look before measured still does about as much."""

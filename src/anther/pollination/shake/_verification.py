@@ -14,7 +14,7 @@ import numpy as np
 from anther.core.errors import StageFailure
 from anther.plant.limits import PEAKS
 from anther.plant.model import PlantModel
-from anther.pollination.decision import believed
+from anther.pollination.decision import believed, interval
 from anther.pollination.shake._plan import LimitRow
 from anther.pollination.shake.choice import Place, Search, best, closest, limit_rows
 from anther.pollination.shake.observables import Observables, observables, semi_major
@@ -112,8 +112,7 @@ def check(plant: PlantModel, found: Search, at: Place, params: Params) -> Checke
     omega2 = (2 * np.pi * shake.frequency) ** 2
     logs, doubt = believed("flowers", omega2 * gain, shake.frequency)
     over = np.exp(shift + logs.mean(axis=0)) / np.maximum(omega2 * gain[0], 1e-12)
-    doubt = np.sqrt(logs.var(axis=0) + doubt**2 + wrong**2)
-    spread = np.exp(1.645 * doubt[:, None] * [-1, 1])
+    spread = interval(logs, np.hypot(doubt, wrong))
     limits = _limits(found, at, shake, done, params.lasts(shake.frequency))
     nonlinear = done.amplitude / np.maximum(expected, 1e-12)
     return Checked(shake, over * done.amplitude, nonlinear, spread, limits, notes)

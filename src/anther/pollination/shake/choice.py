@@ -145,8 +145,7 @@ def search(
             bounds[name] = felt._replace(value=PEDICEL_STRAIN.median * felt.value, believed=of_rods[0])
         else:
             bounds[name] = load(of_rods, limit, kind)
-    machine = list(bounds.values())[:OF_THE_MACHINE]
-    reach = np.min([one.limit / np.maximum(one.value, 1e-12) for one in machine], axis=0)
+    reach = _reach(bounds)
     least = actuator.least_amplitude if params.least_amplitude is None else params.least_amplitude
     price = params.price if params.keeps_limits else 0.0
     steps = np.linspace(0, 1, SIZES)[:, None, None, None] if params.keeps_limits else np.ones(1)[:, None, None, None]
@@ -190,8 +189,7 @@ def tones_at(found: Search, at: Place, most: int, earlier: EarlierShake | None) 
     the lines, the shake's own is the only one.
     """
     q, g, d = at
-    machine = _machine(found)
-    reach = np.min([(one.limit / np.maximum(one.value, 1e-12))[:, g] for one in machine], axis=0)
+    reach = _reach(found.bounds)[:, g]
     lines = np.roll(np.arange(reach.shape[1]), -d) if reach.min() >= ROOM else np.array([d])
     reach = reach[:, lines]
     directions, size = found.grips.directions[g, lines], found.amplitude[:, g, lines]
@@ -214,7 +212,7 @@ SAME_PLACE = 0.02
 def weighed_at(found: Search, at: Place, params: Params) -> Weighed:
     """Return what a shake is worth by its amplitude, up to what the machine manages."""
     q, g, _ = at
-    reach = min(float(np.broadcast_to(one.limit, one.value.shape)[at] / one.value[at]) for one in _machine(found))
+    reach = float(_reach(found.bounds)[at])
     tried = np.geomspace(found.least, max(reach, 1.01 * found.least), SHOWN)
     alone = Answer(*(part[(slice(None), *at)] for part in found.answer))
     held, delivered = (
@@ -236,8 +234,10 @@ def as_earlier(found: Search, earlier: EarlierShake) -> Search | None:
     return found._replace(score=score) if np.any(score >= 0) else None
 
 
-def _machine(found: Search) -> list[Bound]:
-    return list(found.bounds.values())[:OF_THE_MACHINE]
+def _reach(bounds: dict[str, Bound]) -> Array:
+    """Return the largest amplitude that the machine manages of every shake (Q, G, D) [m]."""
+    machine = list(bounds.values())[:OF_THE_MACHINE]
+    return np.asarray(np.min([one.limit / np.maximum(one.value, 1e-12) for one in machine], axis=0))
 
 
 def limit_rows(found: Search, at: Place) -> list[LimitRow]:

@@ -228,13 +228,6 @@ def answer(
     return Phasors(flowers @ direction, response.vectors[:, :, count:] @ direction, response.force @ direction)
 
 
-def flower_motion(
-    version: Version, grips: Sequence[NDArray[Any]], direction: Array, frequencies: Array
-) -> ComplexArray:
-    """Return (Q, G, F, 3) the motion of the flowers alone of what `answer` returns; its arguments are the same."""
-    return answer(version, grips, direction, frequencies).flowers
-
-
 def _observed(version: Version, grips: Sequence[NDArray[Any]], operator: Any, frequencies: Array) -> Observed:
     """Return what an operator sees of one scenario. The damping ratio is the same at every frequency (hysteretic)."""
     plant, loss = version.plant, 2 * version.plant.material.damping_ratio
