@@ -656,6 +656,25 @@ def test_a_camera_that_shows_the_look_before_raises_a_soft_plant_no_further_than
     )
     assert max(behind) <= max(seeing)
     assert behind[-1] <= seeing[-1]
+    turns = np.diff(np.sign(np.diff([a for a, b in zip(behind, behind[1:], strict=False) if a != b])))
+    assert np.count_nonzero(turns) <= 2, "it does not swing between amplitudes until time ends"
+
+
+def test_a_flower_that_vanishes_while_it_is_raised_counts_as_it_was_measured_however_long(shaken: Shaken) -> None:
+    believed = made_foresight(0)
+    watched = shaken(World(believed, believed.vectors[0], limits=HEEDLESS))
+    option = watched._options[int(np.abs(TONES - watched.steps[-1].frequencies[0]).argmin())]
+    far, told = 1e5, option.told
+    flowers = told.answer.flowers.copy()
+    flowers[:, 0] = far
+    option.looked_at(
+        told._replace(seen=told.seen | (np.arange(FLOWERS) == 0), answer=told.answer._replace(flowers=flowers))
+    )
+    missed = told._replace(seen=told.seen & (np.arange(FLOWERS) > 0))
+    for _ in range(3):
+        option.looked_at(missed)
+        assert np.all(option.told.answer.flowers[:, 0] >= far)
+        assert np.array_equal(option.told.answer.flowers[:, 1:], told.answer.flowers[:, 1:])
 
 
 def test_a_camera_that_sees_again_raises_the_shake_as_if_it_had_seen_the_probe(shaken: Shaken) -> None:

@@ -342,7 +342,6 @@ class Escalation:
         if not self._fits(shake):
             higher, why = min(now, higher), NO_TIME
         if higher > ENOUGH * now:
-            self._doubted = False
             return self._only(shake, higher, self._watch(shake), f"Raised to {1e3 * higher:.2g} mm.")
         if doubt and not self._doubted and why != NO_TIME:
             return self._again(shake, higher, why)

@@ -82,8 +82,10 @@ class Option:
     told: Known
     may: Allowed = field(init=False)
     tried: float = 0.0
+    _measured: Array = field(init=False)  # (F,) last acceleration of each flower that a camera measured, NaN: none
 
     def __post_init__(self) -> None:
+        self._measured = np.where(self.told.seen, self.told.answer.flowers[0], np.nan)
         self.may = self._allowed()
 
     def _allowed(self) -> Allowed:
@@ -127,8 +129,12 @@ class Option:
         return weighed(self.told.answer, self._tried, self.hertz, self.held, self.price, self.told.seen)
 
     def looked_at(self, told: Known) -> None:
-        """Learn from a look at it alone. A flower that only the look before measured still does about as much."""
-        missed = self.told.seen & ~told.seen
-        flowers = np.where(missed, self.told.answer.flowers, told.answer.flowers)
+        """Learn from a look at it alone.
+
+        A flower that was measured before, but not now, may be hidden, or swing too fast to be followed: it does what it
+        did, or what the members say where that is more.
+        """
+        self._measured = np.where(told.seen, told.answer.flowers[0], self._measured)
+        flowers = np.where(told.seen, told.answer.flowers, np.fmax(told.answer.flowers, self._measured))
         self.told = told._replace(answer=told.answer._replace(flowers=flowers))
         self.may = self._allowed()
