@@ -230,7 +230,6 @@ class Escalation:
             predicted_acceleration=middle,
             predicted_acceleration_interval=wide,
             weighed=self._weighed(tone, direction),
-            nonlinear=None,
             reason=f"{self.plan.reason} Watched on the way: {' '.join(step.decided for step in steps)}",
         )
 
