@@ -20,7 +20,7 @@ from scipy.special import ndtr
 from anther.core.choices import Preset
 from anther.core.geometry import Array
 from anther.core.records import Range, Record, Shape
-from anther.plant.limits import GUSTS, HALF_DOSE, LOST_AT, TOLERANCE, Believed
+from anther.plant.limits import DOSE_MEASURES, GUSTS, HALF_DOSE, LOST_AT, SAME_DOSE, TOLERANCE, Believed
 
 PRICES: dict[Preset, float] = {"gentle": 15.0, "default": 5.0, "bold": 2.0}
 """By preset: so many fruit a person would forgo rather than lose one flower. A judgement; the dial is theirs."""
@@ -189,7 +189,7 @@ def worth(
     count = answer.flowers.shape[-1]
     for f in range(count):
         known = None if measured is None else bool(measured[f])
-        freed, passed = means(answer.flowers[..., f], "flowers", _freed, _passed(LOST_AT), known=known)
+        freed, passed = means(answer.flowers[..., f], "flowers", _freed(hertz), _passed(LOST_AT), known=known)
         gain, lost = gain + freed / count, lost + passed / count
     bent = {
         kind: means(getattr(answer, kind), kind, _passed(TOLERANCE[organ]))[0]
@@ -201,10 +201,15 @@ def worth(
     return Worth(gain, lost, bent, others, (1 - bent["grip_force"]) * gain - price * (lost + others))
 
 
-def _freed(logs: Array, spread: Array) -> Array:
-    """Return the share of pollen that is freed at accelerations of which ln has this mean and spread."""
-    width = np.sqrt((PROBIT / EXPONENT) ** 2 + HALF_DOSE.spread**2 + spread**2)
-    return ndtr((logs - np.log(HALF_DOSE.median)) / width)
+def _freed(hertz: Array) -> Curve:
+    """Return the curve of the share of pollen that a shake frees, whatever the measure of motion that frees it."""
+
+    def freed(logs: Array, spread: Array) -> Array:
+        width = np.sqrt((PROBIT / EXPONENT) ** 2 + HALF_DOSE.spread**2 + spread**2)
+        dose, ratio = logs - np.log(HALF_DOSE.median), np.log(hertz / SAME_DOSE)
+        return np.asarray(sum(share * ndtr((dose + power * ratio) / width) for power, share in DOSE_MEASURES.values()))
+
+    return freed
 
 
 def _passed(borne: Believed) -> Curve:
