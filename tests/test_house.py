@@ -33,7 +33,6 @@ BEHIND = {
     "evaluation/prediction/belief.py",
     "evaluation/prediction/shaken_plant.py",
     "evaluation/prediction/vibration_models.py",
-    "evaluation/prediction/vibration_plant.py",
     "evaluation/robustness/capture_path.py",
     "evaluation/robustness/frozen_camera.py",
     "evaluation/robustness/path_judge.py",

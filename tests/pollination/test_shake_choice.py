@@ -14,9 +14,9 @@ from anther.core.errors import InputError, StageFailure
 from anther.core.geometry import Array
 from anther.perception.flowers import Flowers
 from anther.plant.belief import EarlierShake
-from anther.plant.limits import GUSTS, LOADED, PEAKS, PEDICEL_STRAIN
+from anther.plant.limits import DOSE_MEASURES, GUSTS, LOADED, PEAKS, PEDICEL_STRAIN
 from anther.plant.model import TOMATO, PlantModel, build_plant
-from anther.pollination import shake
+from anther.pollination import decision, shake
 from anther.pollination.decision import PRICES, believed, expected, worth
 from anther.pollination.escalation._option import limits_of
 from anther.pollination.grasp import Grasp
@@ -132,6 +132,23 @@ def test_every_shake_is_as_large_as_it_is_worth_most(grasps: list[Grasp]) -> Non
         assert np.all(net(other) <= found.score * (1 + 1e-9))
     finest = np.max([net(np.full_like(amplitude, size)) for size in np.geomspace(found.least, reach, 300)], axis=0)
     assert np.all(finest - found.score < 0.01), "between those that are weighed less than 1 % of the pollen is lost"
+
+
+def test_a_shake_is_chosen_for_the_measure_of_motion_that_is_believed(
+    plant: PlantModel, grasps: list[Grasp], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Velocity asks for slow and far shakes, jerk for fast ones; what a plan is best for is not regretted."""
+    plans = {}
+    for sure in DOSE_MEASURES:
+        certain = {m: (power, float(m == sure)) for m, (power, _) in DOSE_MEASURES.items()}
+        monkeypatch.setattr(decision, "DOSE_MEASURES", certain)
+        plans[sure] = plan_shake(plant, grasps, params=QUICK)
+        regret = dict(plans[sure].regret)
+        assert regret[sure] == pytest.approx(0.0, abs=1e-9)
+        assert min(regret.values()) >= -1e-9
+        assert [f"If {m} alone" in plans[sure].reason for m in regret] == [r > shake.TOLD for r in regret.values()]
+    assert plans["velocity"].frequency < plans["jerk"].frequency
+    assert dict(plans["velocity"].regret)["jerk"] > 0
 
 
 def test_a_shake_that_costs_more_than_it_adds_is_none(grasps: list[Grasp]) -> None:
@@ -346,10 +363,10 @@ def test_tones_are_those_that_are_worth_most_each_apart_from_the_others(most: in
 @pytest.mark.parametrize("tightest", ["motor", "grip amplitude", "grip speed"])
 def test_a_tone_reaches_as_far_as_the_machine_allows_in_every_way_and_the_plant_has_no_part(tightest: str) -> None:
     hertz = np.array([3.0, 9.0])
-    machine = {name: Bound(*np.ones((3, 2, 1, 1))) for name in ("motor", "grip amplitude", "grip speed")}
+    machine = {name: Bound(*np.ones((2, 2, 1, 1))) for name in ("motor", "grip amplitude", "grip speed")}
     assert len(machine) == OF_THE_MACHINE
-    machine[tightest] = Bound(100 * hertz[:, None, None], np.ones((1, 1)), np.ones((2, 1, 1)))
-    plant = {"stem strain": Bound(np.full((2, 1, 1), 1e9), np.ones((1, 1)), np.ones((2, 1, 1)))}
+    machine[tightest] = Bound(100 * hertz[:, None, None], np.ones((1, 1)))
+    plant = {"stem strain": Bound(np.full((2, 1, 1), 1e9), np.ones((1, 1)))}
     grips = Grips([], np.zeros(1), np.zeros(1, dtype=int), np.array([[[1.0, 0, 0]]]), np.ones((1, 1)))
     found = Search(
         grips,
@@ -358,6 +375,7 @@ def test_a_tone_reaches_as_far_as_the_machine_allows_in_every_way_and_the_plant_
         hertz,
         np.full((2, 1, 1), 1e-3),
         np.ones((2, 1, 1)),
+        {},
         {**machine, **plant},
         EXACT,
         1e-4,
@@ -371,7 +389,9 @@ def test_an_earlier_shake_is_done_again_only_where_the_same_pads_would_hold() ->
     arc, hertz = np.array([0.15, 0.179, 0.181, 0.2, 0.219, 0.221, 0.3]), np.array([5.0, 9.0])
     grips = Grips([], arc, np.arange(7), np.tile(np.eye(3)[:2], (7, 1, 1)), np.ones((7, 1)))
     shape = (2, 7, 2)
-    found = Search(grips, np.ones((1, *shape, 1)), NO_ANSWER, hertz, np.ones(shape), np.ones(shape), {}, EXACT, 1e-4)
+    found = Search(
+        grips, np.ones((1, *shape, 1)), NO_ANSWER, hertz, np.ones(shape), np.ones(shape), {}, {}, EXACT, 1e-4
+    )
     again = as_earlier(found, EarlierShake(0.2, np.array([0, -1.0, 0]), 9.1, 1e-3))
     assert again is not None
     assert np.argwhere(again.score >= 0).tolist() == [[1, g, 1] for g in (2, 3, 4)]
@@ -446,7 +466,9 @@ def test_what_is_predicted_of_flowers_is_the_median_that_is_expected() -> None:
     hertz, size, gain = 5.0, np.full((1, 1, 1), 4e-3), np.array([[0.5, 0.75], [0.9, 0.2], [2.0, 0.75]])
     delivered = np.full((1, 1, 1), 0.3), np.full((1, 1, 1), 0.4)
     nothing: Any = None
-    found = Search(nothing, gain[:, None, None, None], NO_ANSWER, np.array([hertz]), size, size, {}, delivered, 1e-4)
+    found = Search(
+        nothing, gain[:, None, None, None], NO_ANSWER, np.array([hertz]), size, size, {}, {}, delivered, 1e-4
+    )
     middle, spread = predicted_at(found, (0, 0, 0))
     omega2 = (2 * np.pi * hertz) ** 2
     logs, doubt = believed("flowers", omega2 * gain, hertz)

@@ -65,9 +65,9 @@ HALF_DOSE = Believed.between(4.0, 80.0)
 """Peak acceleration of a flower that frees half of its pollen [m/s2]; no dose-response was ever measured (facts:
 pollination 6)."""
 DOSE_MEASURES = {"acceleration": (0, 0.6), "jerk": (1, 0.25), "velocity": (-1, 0.15)}
-"""Measure of a flower's motion that may be what frees pollen -> its power of the frequency over that of acceleration, and
-how probable it is. A judgement: 5 m/s2 at 100 Hz raised yield, which speaks for jerk and against velocity (facts: limits
-7)."""
+"""Measure of a flower's motion that may be what frees pollen -> its power of the frequency over that of acceleration,
+and how probable it is. A judgement: 5 m/s2 at 100 Hz raised yield, which speaks for jerk and against velocity (facts:
+limits 7)."""
 SAME_DOSE = 10.0
 """Where all of them free as much as `HALF_DOSE` [Hz], in the middle of what arms and motors do: a judgement."""
 LOADED = dict(zip(PEAKS, TOLERANCE.values(), strict=True))

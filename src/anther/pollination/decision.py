@@ -91,6 +91,7 @@ class Worth(NamedTuple):
 
     Attributes:
         gain: expected share of pollen freed.
+        freed: measure of motion (`DOSE_MEASURES`) -> the same if that is what frees pollen.
         lost: expected share of flowers whose pedicels stay bent (`LOST_AT`).
         bent: kind of `COSTS` -> probability that the organ that is loaded most stays bent; of the grip, that it slips.
         others: what organs that stay bent and slip cost, in flowers lost for each flower.
@@ -98,10 +99,15 @@ class Worth(NamedTuple):
     """
 
     gain: Array
+    freed: Mapping[str, Array]
     lost: Array
     bent: Mapping[str, Array]
     others: Array
     net: Array
+
+    def by(self, measure: str) -> Array:
+        """Return what the shake is worth if that measure of motion is what frees pollen."""
+        return self.net + (1 - self.bent["grip_force"]) * (self.freed[measure] - self.gain)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -185,12 +191,13 @@ def worth(
         spread, sizes = np.hypot(spread, delivered[1]), [member + size + delivered[0] for member in logs]
         return [np.asarray(sum(curve(one, spread) for one in sizes) / len(sizes)) for curve in curves]
 
-    gain, lost = np.zeros(size.shape), np.zeros(size.shape)
-    count = answer.flowers.shape[-1]
+    curves = [_freed(hertz, power) for power, _ in DOSE_MEASURES.values()]
+    parts, count = np.zeros((len(curves) + 1, *size.shape)), answer.flowers.shape[-1]
     for f in range(count):
         known = None if measured is None else bool(measured[f])
-        freed, passed = means(answer.flowers[..., f], "flowers", _freed(hertz), _passed(LOST_AT), known=known)
-        gain, lost = gain + freed / count, lost + passed / count
+        parts += np.array(means(answer.flowers[..., f], "flowers", *curves, _passed(LOST_AT), known=known)) / count
+    freed, lost = dict(zip(DOSE_MEASURES, parts, strict=False)), parts[-1]
+    gain = np.sum([share * freed[measure] for measure, (_, share) in DOSE_MEASURES.items()], axis=0)
     bent = {
         kind: means(getattr(answer, kind), kind, _passed(TOLERANCE[organ]))[0]
         for kind, organ in (("base_strain", "base"), ("stem_strain", "stem"), ("leaf_load", "leaf"))
@@ -198,16 +205,15 @@ def worth(
     bent["leaf_load"] = np.where(hertz > GUSTS, 0.0, bent["leaf_load"])
     (bent["grip_force"],) = means(answer.grip_force / np.asarray(held), "grip_force", _passed(GRIP))
     others = np.sum([cost * bent[kind] for kind, cost in COSTS.items()], axis=0)
-    return Worth(gain, lost, bent, others, (1 - bent["grip_force"]) * gain - price * (lost + others))
+    return Worth(gain, freed, lost, bent, others, (1 - bent["grip_force"]) * gain - price * (lost + others))
 
 
-def _freed(hertz: Array) -> Curve:
-    """Return the curve of the share of pollen that a shake frees, whatever the measure of motion that frees it."""
+def _freed(hertz: Array, power: int) -> Curve:
+    """Return the curve of the share of pollen freed by a measure of motion, see `DOSE_MEASURES`."""
 
     def freed(logs: Array, spread: Array) -> Array:
         width = np.sqrt((PROBIT / EXPONENT) ** 2 + HALF_DOSE.spread**2 + spread**2)
-        dose, ratio = logs - np.log(HALF_DOSE.median), np.log(hertz / SAME_DOSE)
-        return np.asarray(sum(share * ndtr((dose + power * ratio) / width) for power, share in DOSE_MEASURES.values()))
+        return ndtr((logs + power * np.log(hertz / SAME_DOSE) - np.log(HALF_DOSE.median)) / width)
 
     return freed
 

@@ -47,6 +47,10 @@ DRAWS = 6
 """Scenarios drawn from the material's spread, beside the best guess: quasi-random ones, few of which cover it."""
 
 
+TOLD = 0.05
+"""A plan says which measure of motion it is not made for when another shake would be worth so much more."""
+
+
 def plan_shake(
     plant: PlantModel,
     grasps: Sequence[Grasp],
@@ -111,6 +115,7 @@ def plan_shake(
         score=float(found.score[at]),
         limits=(*limit_rows(found, at), ("duration [s]", duration, MOST_DURATION, duration / MOST_DURATION)),
         runner_up=_runner_up(found, at),
+        regret=tuple((measure, float(values[at])) for measure, values in found.regret.items()),
         reason="",
         response_map=_map(found, len(grasps)),
         tones=tones_at(found, at, actuator.tones, earlier),
@@ -161,6 +166,9 @@ def _reason(plan: ShakePlan, *, kept: bool) -> str:
         f" and frequencies compared this is worth most: {plan.score:.2g} of all flowers' pollen, less what may be lost,"
         f" over {DRAWS} further drawings of the plant's stiffness and damping. {closest(plan.limits[:-1], kept=kept)}"
     )
+    for measure, regret in plan.regret:
+        if regret > TOLD:
+            text += f" If {measure} alone frees pollen, another shake would be worth {regret:.2g} more."
     other = plan.runner_up
     if other is None:
         return text

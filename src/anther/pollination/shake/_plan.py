@@ -107,6 +107,7 @@ class ShakePlan(Stored):
         limits: (name, value, limit, share used) each; of the plant what is expected beside what nineteen organs of
             twenty bear.
         runner_up: the next best, or None.
+        regret: measure of motion -> how much more another shake would be worth if that is what frees pollen.
         reason: why this one, for people.
         response_map, weighed: for the pictures.
         tones: other frequencies worth trying, for a shake that is watched.
@@ -129,6 +130,7 @@ class ShakePlan(Stored):
     score: float
     limits: tuple[LimitRow, ...]
     runner_up: RunnerUp | None
+    regret: tuple[tuple[str, float], ...]
     reason: str
     response_map: ResponseMap
     tones: Tones

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from anther.core.geometry import Array
 from anther.plant.belief import EarlierShake
-from anther.plant.limits import GUSTS, LOADED, PEAKS, PEDICEL_STRAIN
+from anther.plant.limits import DOSE_MEASURES, GUSTS, LOADED, PEAKS, PEDICEL_STRAIN
 from anther.plant.model import PlantModel
 from anther.pollination.decision import Answer, Weighed, believed, expected, interval, weighed, worth
 from anther.pollination.grasp import Grasp
@@ -69,6 +69,7 @@ class Search(NamedTuple):
     frequencies: Array  # (Q,) [Hz]
     amplitude: Array  # (Q, G, D) that is worth most, or the largest where limits are not kept [m]
     score: Array  # (Q, G, D) what it is worth (`decision.Worth.net`); -1 where it is nothing, or for the map alone
+    regret: dict[str, Array]  # (Q, G, D) how much more the best is worth if that measure of motion frees pollen
     bounds: dict[str, Bound]  # by name; in the first `OF_THE_MACHINE` the plant has no part
     delivered: tuple[Array, Array]  # (Q, 1, 1) each, see `Actuator.delivers`
     least: float  # a shake of less amplitude is none [m]
@@ -145,13 +146,17 @@ def search(
     steps = np.linspace(0, 1, SIZES)[:, None, None, None] if params.keeps_limits else np.ones(1)[:, None, None, None]
     tried = least * np.maximum(reach / least, 1.0) ** steps
     held = params.held(1.0) * grips.press
-    net = worth(answer, tried, hertz, held, price, delivered=delivered).net
-    best = net.argmax(axis=0)[None]
-    amplitude = np.minimum(np.take_along_axis(tried, best, axis=0)[0], reach)
-    score = np.take_along_axis(net, best, axis=0)[0]
+    found = worth(answer, tried, hertz, held, price, delivered=delivered)
+    best = found.net.argmax(axis=0)[None]
+    amplitude, score = (np.take_along_axis(values, best, axis=0)[0] for values in (tried, found.net))
+    amplitude = np.minimum(amplitude, reach)
+    own, regret = (slice(None), slice(None), slice(len(grasps))), dict[str, Array]()
+    for measure in DOSE_MEASURES:
+        net = np.where(tried <= 1.001 * reach, found.by(measure), -1.0)
+        regret[measure] = net[own].max() - np.take_along_axis(net, best, axis=0)[0]
     score = np.where((amplitude < least) | (score <= 0), -1.0, score)
     score[:, len(grasps) :] = -1.0
-    return Search(grips, response.flower, answer, frequencies, amplitude, score, bounds, delivered, least)
+    return Search(grips, response.flower, answer, frequencies, amplitude, score, regret, bounds, delivered, least)
 
 
 def _sure(value: Array, limit: float) -> Bound:
