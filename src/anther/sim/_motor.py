@@ -49,8 +49,8 @@ def contact_vector(cell: Cell) -> Array:
 
 
 PARTS = 4
-"""Of the cell's timestep while the motor runs. Tomato 10 at 27 Hz: in steps of 1, 0.5, 0.25 ms its flowers swing 34, 12
-and 3 % less than in steps of 0.125 ms (hinges' least damping, and pads that yield more than they should)."""
+"""Of the cell's timestep while a plant is held. Tomato 10 at 27 Hz: in steps of 1, 0.5, 0.25 ms its flowers swing 34,
+12 and 3 % less than in steps of 0.125 ms (hinges' least damping, and pads that yield more than they should)."""
 STOP = 0.02
 """In which the motor comes to rest [s]."""
 BEHIND = 0.5e-3

@@ -173,6 +173,11 @@ class Cell:
         return float(self.data.qpos[self._fingers].sum())
 
     @property
+    def held(self) -> bool:
+        """Whether something keeps the pads apart."""
+        return self.opening > self.grip_command + 2e-4
+
+    @property
     def grip_command(self) -> float:
         """Commanded distance between the pads [m]."""
         return 2 * float(self.data.ctrl[self._grip])

@@ -26,7 +26,7 @@ from anther.robot.devices import (
     Robot,
     Watch,
 )
-from anther.sim._motor import CYCLE, SimMotor, sensed_force
+from anther.sim._motor import CYCLE, PARTS, SimMotor, sensed_force
 from anther.sim.capture import CameraErrors, sensed
 from anther.sim.cell import Cell, CellLog
 from anther.sim.render import Scene, Still, d455
@@ -54,7 +54,11 @@ class SimArm:
         return self.cell.joints
 
     def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:
-        """Follow a trajectory, cubic between its samples; return when it has ended and settled for 0.1 s."""
+        """Follow a trajectory, cubic between its samples; return when it has ended and settled for 0.1 s.
+
+        A plant that is held is stepped `PARTS` times as finely.
+        """
+        parts = PARTS if self.cell.held else 1
         dt, start, told, ends = self.cell.params.timestep, self.cell.time, more is None, trajectory.duration
         q, v = _references(trajectory, 0.0, dt, last=told)
         measured = np.empty((0, self.cell.arm.count))
@@ -72,7 +76,9 @@ class SimArm:
                 ahead = np.concatenate([v[1:], v[-1:]])[rows]
                 a = (ahead - v[rows]) / dt
                 openings = np.full(len(q[rows]), self.cell.grip_command)
-                measured = np.concatenate([measured, self.cell.run(q[rows], v[rows], openings, a)])
+                steps = (np.repeat(values, parts, axis=0) for values in (q[rows], v[rows], openings, a))
+                with self.cell.finer(parts):
+                    measured = np.concatenate([measured, self.cell.run(*steps)[parts - 1 :: parts]])
                 if watch:
                     force = float(np.linalg.norm(sensed_force(self.cell)))
                     watch(ArmSample(self.cell.time, q[rows][-1], measured[-1], force))
@@ -126,7 +132,7 @@ class SimGripper:
     def state(self) -> GripperState:
         """Return the present state; something is held when the pads press with > 1 N short of their command."""
         opening, force = self.cell.opening, self.cell.grip_force
-        return GripperState(opening, force, force > 1.0 and opening > self.cell.grip_command + 2e-4)
+        return GripperState(opening, force, force > 1.0 and self.cell.held)
 
 
 RATES = (15.0, 30.0, 60.0, 90.0)  # 1/s; a D455 at 848 x 480 px
