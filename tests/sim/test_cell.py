@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,11 +14,14 @@ from straight_plant import BASE, chain, plant_of, straight_plant, with_blade
 
 from anther.core.errors import StageFailure
 from anther.robot.arm import sawyer
+from anther.robot.devices import JointTrajectory
 from anther.sim import _growth, _plant_mechanics
+from anther.sim._motor import PARTS
 from anther.sim._plant_mechanics import leaf_boxes
 from anther.sim.cell import LOG_EVERY, Cell, Params, mujoco
 from anther.sim.pepper import grow_pepper
 from anther.sim.plant import Organ, SimPlant
+from anther.sim.robot import SimArm
 from anther.sim.tomato import grow_tomato
 
 LENGTH, RADIUS, YOUNGS, DENSITY = 0.5, 0.004, 1e9, 1000.0
@@ -239,3 +243,26 @@ def test_a_leaf_pushed_too_far_stops_short_of_a_right_angle() -> None:
     idle(cell, 0.4)
     angles = cell.log().qpos[:, cell.model.jnt_qposadr[cell.mechanics.joints]]
     assert 1.0 < np.abs(angles).max() < np.pi / 2
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_a_plant_that_is_held_is_stepped_finely_and_is_damped_less_for_it(
+    monkeypatch: pytest.MonkeyPatch, held: bool
+) -> None:
+    """The least damping of a hinge goes with the step: what swings fast swings too little in long ones."""
+    cell = Cell(cantilever(damping_ratio=1e-4))
+    monkeypatch.setattr(Cell, "held", property(lambda _: held))
+    steps, damping, before = list[float](), list[float](), cell.time
+    real = Cell._step
+
+    def spied(self: Cell, *given: Any) -> None:
+        steps.append(self.timestep)
+        damping.append(self.model.dof_damping[self.mechanics.dofs].sum())
+        real(self, *given)
+
+    monkeypatch.setattr(Cell, "_step", spied)
+    record = SimArm(cell).follow(JointTrajectory.standstill(cell.joints, 0.05))
+    assert set(steps) == {cell.params.timestep / (PARTS if held else 1)}
+    assert len(record.times) == pytest.approx((cell.time - before) / cell.params.timestep), "a row for each outer step"
+    whole = cell.model.dof_damping[cell.mechanics.dofs].sum()
+    assert (damping[0] < 0.9 * whole) == held
