@@ -16,8 +16,8 @@ from anther.core.checks import check_range
 from anther.core.errors import bad_input
 from anther.core.files import write_json, write_text
 from anther.plant.source import SourcePlant
+from anther.pollination.grip_map import COLUMNS, GripMap, map_grips, natural_modes, neutral_amplitude
 from anther.pollination.shake import VIBRATING_GRIPPER, arm_shaker
-from anther.pollination.shake.grip_map import COLUMNS, GripMap, map_grips, natural_modes, neutral_amplitude
 from anther.show.pictures import save_figure
 from anther.show.pictures.rods import draw_grip_response
 

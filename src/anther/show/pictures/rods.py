@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from anther.core.geometry import Array
-from anther.pollination.shake.grip_map import GripMap
+from anther.pollination.grip_map import GripMap
 from anther.rods import Rods, Trajectory
 
 GRIP, FLOWER, REST = "tab:blue", "tab:red", "#23402b"
