@@ -198,7 +198,6 @@ class PlantMechanics:
     Attributes:
         dofs: (D,) its degrees of freedom in the model.
         frequencies: (D,) natural frequencies about the rest shape [Hz], lowest first.
-        mass_damping: the Rayleigh coefficient alpha [1/s].
     """
 
     def __init__(self, model: Any, plant: SimPlant, pieces: Pieces) -> None:
@@ -212,8 +211,9 @@ class PlantMechanics:
         self._ratio = np.repeat(plant.damping_ratio[pieces.first], model.body_jntnum[self.bodies])
         data = mujoco.MjData(model)
         self._hang(data)
-        self.frequencies, self._first = self._modes(data)
-        self.mass_damping = self._air_damping(*self._first)
+        self._modes = self._free_modes(data)
+        self.frequencies = np.sqrt(self._modes[0]) / (2 * np.pi)
+        self._undamped = self.underdamped(*self._modes)
         self._rest_origin = plant.start[pieces.first]
 
     def _hang(self, data: Any) -> None:
@@ -225,21 +225,44 @@ class PlantMechanics:
     def damp(self, timestep: float) -> None:
         """Damp hinges and plant anew as a finer `timestep` [s] allows: by what is true of more of them."""
         self.model.dof_damping[self.dofs] = _beta(self._ratio, timestep) * self.model.jnt_stiffness[self.joints]
-        self.mass_damping = self._air_damping(*self._first)
+        self._undamped = self.underdamped(*self._modes)
 
-    def _modes(self, data: Any) -> tuple[Array, tuple[float, Array]]:
-        """Return all natural frequencies [Hz], and the first mode in bending: [rad/s] and shape."""
+    def underdamped(self, values: Array, modes: Array) -> tuple[Array, Array]:
+        """Return the modes (D, K) that the hinges damp too little, and the rates that they lack: 2 z w - c [1/s].
+
+        A mode is to have the damping ratio of its segments, the mean by the energy in their springs. Modes faster than
+        `FLUTTER` are damped enough by the hinges.
+
+        Args:
+            values: (M,) squared natural frequencies [1/s2].
+            modes: (D, M) of unit modal mass.
+        """
+        energy = self.model.jnt_stiffness[self.joints][:, None] * modes**2
+        ratio = self._ratio @ energy / energy.sum(axis=0)
+        lacking = 2 * ratio * np.sqrt(values) - self.model.dof_damping[self.dofs] @ modes**2
+        return modes[:, lacking > 0], lacking[lacking > 0]
+
+    def drag(self, data: Any) -> Array:
+        """Return (D,) the torques that damp what the hinges do not, with the inertia of the plant as it is now bent."""
+        modes, lacking = self._undamped
+        moving, momentum = np.zeros(self.model.nv), np.empty(self.model.nv)
+        moving[self.dofs] = data.qvel[self.dofs]
+        mujoco.mj_mulM(self.model, data, momentum, moving)
+        moving[self.dofs] = modes @ (lacking * (momentum[self.dofs] @ modes))
+        mujoco.mj_mulM(self.model, data, momentum, moving)
+        return -momentum[self.dofs]
+
+    def _free_modes(self, data: Any) -> tuple[Array, Array]:
+        """Return squared frequencies and modes of the plant in its pot, as `underdamped` takes them."""
         m, d = self.model, self.dofs
         mass = np.zeros((m.nv, m.nv))
         mujoco.mj_fullM(m, data, mass)
-        mass, stiffness, bends = mass[np.ix_(d, d)], self.stiffness(data), np.ix_(self._bends, self._bends)
-        values = eigh(stiffness, mass, eigvals_only=True)
+        values, modes = eigh(self.stiffness(data), mass[np.ix_(d, d)])
         if values[0] <= 0:
             raise StageFailure(
                 "no_convergence", "the simulated plant cannot carry its own weight (it buckles): its stem is too soft."
             )
-        first, shape = eigh(stiffness[bends], mass[bends], subset_by_index=[0, 0])
-        return np.sqrt(values) / (2 * np.pi), (float(np.sqrt(first[0])), shape[:, 0])
+        return values, modes
 
     def stiffness(self, data: Any, step: float = 1e-5) -> Array:
         """Return (D, D) the springs and the change of the gravity torques with the hinge angles, at `data`'s place.
@@ -271,14 +294,6 @@ class PlantMechanics:
         mujoco.mj_jacSite(self.model, data, place, None, self.model.site("tied").id)
         sideways = place[:2, self.dofs]
         return self.plant.tie[1] * sideways.T @ sideways
-
-    def _air_damping(self, omega: float, shape: Array) -> float:
-        """Return alpha so that a bending mode's ratio is the strain-energy mean of the segments' ratios."""
-        m = self.model
-        energy = m.jnt_stiffness[self.joints[self._bends]] * shape**2
-        wanted = float(energy @ self._ratio[self._bends] / energy.sum())
-        hinge = float(m.dof_damping[self.dofs[self._bends]] @ shape**2)
-        return max(2 * omega * wanted - hinge, 0.0)
 
     def segment_poses(self, data: Any) -> Array:
         """Return T_world_rest (K, 4, 4): maps a segment's generated position to the present one."""

@@ -153,14 +153,14 @@ class Cell:
     def finer(self, parts: int) -> Iterator[None]:
         """Step `parts` times as finely meanwhile, with the plant damped as that allows; the log stays as dense."""
         m, plant = self.model, self.mechanics
-        before = m.opt.timestep, m.dof_damping.copy(), plant.mass_damping
-        m.opt.timestep, self._parts = before[0] / parts, parts
+        before = m.opt.timestep
+        m.opt.timestep, self._parts = before / parts, parts
         plant.damp(m.opt.timestep)
         try:
             yield
         finally:
-            m.opt.timestep, m.dof_damping[:], plant.mass_damping = before
-            self._parts = 1
+            m.opt.timestep, self._parts = before, 1
+            plant.damp(before)
 
     @property
     def joints(self) -> Array:
@@ -242,15 +242,15 @@ class Cell:
     def _step(self, q: Array, v: Array, a: Array, opening: float, motor: Array) -> None:
         m, d = self.model, self.data
         plant, inertia = self.mechanics.dofs, np.empty(m.nv)
-        motion = np.zeros(m.nv)  # arm and plant share no joint: one product serves both
-        motion[self._arm_dofs], motion[plant] = a, d.qvel[plant]
+        motion = np.zeros(m.nv)
+        motion[self._arm_dofs] = a
         mujoco.mj_mulM(m, d, inertia, motion)
         n, grip = self.arm.count, self._grip
         d.ctrl[:n], d.ctrl[n : 2 * n], d.ctrl[grip] = q, v, opening / 2
         d.ctrl[2 * n : grip] = self._expected * inertia[self._arm_dofs]
         if len(self._motor):
             d.ctrl[grip + 1 :] = self._coil(motor)
-        d.qfrc_applied[plant] = -self.mechanics.mass_damping * inertia[plant]
+        d.qfrc_applied[plant] = self.mechanics.drag(d)
         self._air.push(d, m.opt.timestep)
         mujoco.mj_step(m, d)
         if d.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:

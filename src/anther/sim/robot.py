@@ -63,25 +63,25 @@ class SimArm:
         q, v = _references(trajectory, 0.0, dt, last=told)
         measured = np.empty((0, self.cell.arm.count))
         try:
-            while len(measured) < len(q):
-                if not told and dt * len(measured) >= ends - LEAD:
-                    assert more is not None
-                    following = more()
-                    told = following is None
-                    trajectory = JointTrajectory.standstill(q[-1], dt) if following is None else following
-                    goes_on = _references(trajectory, ends, dt, last=told)
-                    q, v = np.concatenate([q, goes_on[0]]), np.concatenate([v, goes_on[1]])
-                    ends += trajectory.duration
-                rows = slice(len(measured), len(measured) + round(CYCLE / dt))
-                ahead = np.concatenate([v[1:], v[-1:]])[rows]
-                a = (ahead - v[rows]) / dt
-                openings = np.full(len(q[rows]), self.cell.grip_command)
-                steps = (np.repeat(values, parts, axis=0) for values in (q[rows], v[rows], openings, a))
-                with self.cell.finer(parts):
+            with self.cell.finer(parts):
+                while len(measured) < len(q):
+                    if not told and dt * len(measured) >= ends - LEAD:
+                        assert more is not None
+                        following = more()
+                        told = following is None
+                        trajectory = JointTrajectory.standstill(q[-1], dt) if following is None else following
+                        goes_on = _references(trajectory, ends, dt, last=told)
+                        q, v = np.concatenate([q, goes_on[0]]), np.concatenate([v, goes_on[1]])
+                        ends += trajectory.duration
+                    rows = slice(len(measured), len(measured) + round(CYCLE / dt))
+                    ahead = np.concatenate([v[1:], v[-1:]])[rows]
+                    a = (ahead - v[rows]) / dt
+                    openings = np.full(len(q[rows]), self.cell.grip_command)
+                    steps = (np.repeat(values, parts, axis=0) for values in (q[rows], v[rows], openings, a))
                     measured = np.concatenate([measured, self.cell.run(*steps)[parts - 1 :: parts]])
-                if watch:
-                    force = float(np.linalg.norm(sensed_force(self.cell)))
-                    watch(ArmSample(self.cell.time, q[rows][-1], measured[-1], force))
+                    if watch:
+                        force = float(np.linalg.norm(sensed_force(self.cell)))
+                        watch(ArmSample(self.cell.time, q[rows][-1], measured[-1], force))
         except BaseException:
             self.hold()
             raise

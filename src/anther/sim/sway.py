@@ -88,13 +88,12 @@ def gusts(plant: SimPlant, wind: float) -> Iterator[tuple[PlantMechanics, Any]]:
     """
     mechanics = alone(plant, Params(), TIMESTEP)
     model = mechanics.model
-    data, inertia = mujoco.MjData(model), np.empty(model.nv)
+    data = mujoco.MjData(model)
     air = Air(mechanics, wind, plant.seed)
     mujoco.mj_forward(model, data)
     while not data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
         yield mechanics, data
-        mujoco.mj_mulM(model, data, inertia, data.qvel)
-        data.qfrc_applied[:] = -mechanics.mass_damping * inertia
+        data.qfrc_applied[mechanics.dofs] = mechanics.drag(data)
         air.push(data, TIMESTEP)
         mujoco.mj_step(model, data)
     raise StageFailure("no_convergence", f"the plant was blown over by {wind:g} m/s.")
