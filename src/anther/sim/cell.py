@@ -26,12 +26,11 @@ from anther.sim.plant import GRAVITY, POT_HEIGHT, Organ, SimPlant
 from anther.sim.sway import Air
 from anther.sim.truth import NOMINAL, Truth
 
-POT, BENCH = -1, -2
+POT, BENCH = range(-1, -3, -1)
 """What a contact's `other` says when it is not a plant segment."""
 PLANT_BIT, ROBOT_BIT, SCENERY_BIT = 1, 2, 4
 LOG_EVERY = 2
 """One sample is logged every so many steps."""
-BENCH_HALF = (0.35, 0.5, 0.02)  # m, half extents of the bench top under the pot
 
 
 @dataclass(frozen=True, slots=True)
@@ -347,8 +346,8 @@ def _world(timestep: float, plant: SimPlant, solids: Sequence[Box]) -> Any:
     spec.worldbody.add_geom(
         name="bench",
         type=mujoco.mjtGeom.mjGEOM_BOX,
-        pos=[pot.centre[0] + 0.1, pot.centre[1], pot.bench_z - BENCH_HALF[2]],
-        size=BENCH_HALF,
+        pos=[pot.centre[0] + 0.1, pot.centre[1], pot.bench_z - 0.02],
+        size=(0.35, 0.5, 0.02),
         **bits,
     )
     for i, box in enumerate(solids):
