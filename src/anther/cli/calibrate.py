@@ -20,8 +20,6 @@ from anther.core.geometry import Array, Intrinsics, inverse
 from anther.robot.calibration import HandEye
 
 SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp"}
-BENT = 0.3
-"""Distortion from which on the other commands need undistorted images [px]."""
 
 
 def run(args: Args) -> int:
@@ -182,7 +180,7 @@ def _camera_notes(args: Args, views: Any, intrinsics: Intrinsics, distortion: Ar
 
     notes, bend = [], largest_distortion(intrinsics, distortion)
     covered = image_coverage(np.concatenate(views.corners.pixels), intrinsics)
-    if bend > BENT:
+    if bend > 0.3:
         notes.append(f"the lens bends the image's border by {bend:.1f} px: undistort images before anther reconstruct")
     if args.estimate_intrinsics and covered < COVERED:
         notes.append(f"the corners cover {covered:.0%} of the image: move the board into its corners too")

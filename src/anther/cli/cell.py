@@ -16,11 +16,6 @@ if TYPE_CHECKING:
     from anther.robot.cells import CellFile
     from anther.robot.devices import Arm, Camera, JointTrajectory
 
-FARTHEST = 10.0
-"""A jog goes no further than this [degrees]."""
-WATCHED = 1.0
-"""So long a camera is recorded to see its rate [s]."""
-
 
 def run(args: Args) -> int:
     """Do it; return 0, or 1 where a part is missing."""
@@ -111,7 +106,7 @@ def jog(file: CellFile, joint: int | None, degrees: float) -> int:
     from anther.robot.cells import own_cell
     from anther.robot.safety import GuardedArm
 
-    check_range("by", abs(degrees), 0.01, FARTHEST, "degrees")
+    check_range("by", abs(degrees), 0.01, 10.0, "degrees")
     limits = file.safety_limits()
     last = len(limits.joint_lower) - 1
     joint = last if joint is None else joint
@@ -181,7 +176,7 @@ def _camera_seen(camera: Camera) -> list[str]:
     frame, lens = camera.read(), camera.intrinsics
     took, late = time.monotonic() - before, time.monotonic() - frame.time
     camera.start(30.0)
-    time.sleep(WATCHED)
+    time.sleep(1.0)
     frames = camera.stop()
     rate = (len(frames) - 1) / (frames[-1].time - frames[0].time) if len(frames) > 1 else float("nan")
     near = frame.depth[frame.depth > 0]

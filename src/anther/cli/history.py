@@ -74,15 +74,15 @@ def _list(args: Args, which: dict[str, Any], outcomes: Sequence[Outcome]) -> Non
     return None
 
 
-def _trials(trials: Sequence[Visit], width: int) -> Table:
+def _trials(trials: Sequence[Visit], width: int, wide: int = 140) -> Table:
     """Return the table of trials; in a narrow terminal with the columns that tell how each went."""
-    columns = COLUMNS if width >= WIDE else {name: COLUMNS[name] for name in NARROW}
+    columns = COLUMNS if width >= wide else {name: COLUMNS[name] for name in NARROW}
     more = (
         ""
-        if width >= WIDE
-        else f"; from {WIDE} columns on: {', '.join(name for name in COLUMNS if name not in NARROW)}"
+        if width >= wide
+        else f"; from {wide} columns on: {', '.join(name for name in COLUMNS if name not in NARROW)}"
     )
-    box = HEAVY_HEAD if width >= WIDE else SIMPLE_HEAD
+    box = HEAVY_HEAD if width >= wide else SIMPLE_HEAD
     table = Table(*columns, title=f"trials{more}", title_justify="left", box=box)
     for trial in trials:
         table.add_row(*(cell(trial) for cell in columns.values()))
@@ -124,8 +124,6 @@ COLUMNS: dict[str, Callable[[Visit], str]] = {
     "run": lambda trial: trial.run or "",
 }
 NARROW = ("visit", "time (UTC)", "plant", "result", "shake")
-WIDE = 140
-"""A terminal of so many columns shows all of them."""
 
 
 def _outcomes(outcomes: Sequence[Outcome]) -> Table:

@@ -23,9 +23,6 @@ from threading import current_thread, main_thread
 from types import ModuleType
 from typing import Any, get_type_hints
 
-COLLECT_EVERY = 100_000
-"""Garbage is looked for after so many new objects: Python's 700 costs a fifth of the time of `anther skeletonize`."""
-
 CONTROL = re.compile(r"(\x1b\[[0-9;]*m)|[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 """Colours (group 1), and all else that a terminal obeys but tabs and the ends of lines."""
 
@@ -58,7 +55,7 @@ ACTIONS = {
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return the exit code; without `argv`, that of this process, which ends with it."""
     if argv is None:
-        gc.set_threshold(COLLECT_EVERY)
+        gc.set_threshold(100_000)  # Python's 700 costs a fifth of the time of `anther skeletonize`
         _print_plainly()
         atexit.register(_leave_garbage)
     words = list(sys.argv[1:] if argv is None else argv)

@@ -12,8 +12,6 @@ from anther.core.files import existing
 from anther.history import count_trials, shown
 
 LOCALHOST = "127.0.0.1"
-SHORTEST = 16
-"""Characters of a token."""
 
 
 def run(args: Args) -> None:
@@ -28,8 +26,8 @@ def run(args: Args) -> None:
             "anther history serve needs FastAPI. Install it with: pip install 'anther[serve]'"
         ) from error
     token = None if args.token is None else existing(args.token).read_text(encoding="utf-8").strip()
-    if token is not None and len(token) < SHORTEST:
-        allowed = f"{SHORTEST} or more, e.g. of: openssl rand -hex 16"
+    if token is not None and len(token) < 16:
+        allowed = "16 or more, e.g. of: openssl rand -hex 16"
         raise bad_input("token", given=f"{len(token)} characters", allowed=allowed, do="Write a longer one.")
     visits = count_trials(args.history)
     local = args.host in (LOCALHOST, "localhost", "::1")

@@ -36,10 +36,6 @@ PALETTE = (
 )  # fmt: skip
 
 
-SHOWN = 5
-"""Grasps that are listed, besides the one that was carried out."""
-
-
 def write_report(path: Path, results: RunResults) -> None:
     """Write the report of a run to one HTML file that needs nothing else."""
     title = escape(f"Anther: {results.title}")
@@ -140,11 +136,12 @@ def _plant(results: RunResults) -> str:
     return text + _image(lambda narrow: draw_layers(layers, results.grasp, narrow=narrow), alt)
 
 
-def _grasp(results: RunResults) -> str:
+def _grasp(results: RunResults, most: int = 5) -> str:
+    """Return the table of the best grasps, and of the one that was carried out."""
     if not results.grasps:
         return ""
     held = results.held_rank
-    listed = [(rank, g) for rank, g in enumerate(results.grasps) if rank < SHOWN or rank == held]
+    listed = [(rank, g) for rank, g in enumerate(results.grasps) if rank < most or rank == held]
     rows = [
         [
             f"{rank + 1}{' (carried out)' if rank == held else ''}",
@@ -162,7 +159,7 @@ def _grasp(results: RunResults) -> str:
     if any(g.clearance < 0 for _, g in listed):
         text += f" {CLEARANCE}"
     text += f"</p>{_list(results.attempts)}"
-    return f"{text}{_table(header, rows, chosen=None if held is None else min(held, SHOWN))}"
+    return f"{text}{_table(header, rows, chosen=None if held is None else min(held, most))}"
 
 
 CLEARANCE = (

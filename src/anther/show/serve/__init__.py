@@ -46,9 +46,6 @@ from anther.show.style import STYLE, quantity
 
 __all__ = ["make_app"]
 
-WIDTH, HEIGHT = 600.0, 100.0
-"""Of the SVG's view box; the page stretches it."""
-
 
 class Bar(NamedTuple):
     """One day: its box in the view box, and what it says."""
@@ -128,9 +125,10 @@ def _chart(
     since, until = span
     count = (until - since).days + 1
     top = top or max(values.values(), default=0.0) or 1.0
-    step = WIDTH / count
+    width, height = 600.0, 100.0  # of the SVG's view box; the page stretches it
+    step = width / count
     bars = [
-        Bar(step * k, HEIGHT * (1 - values[day] / top), 0.8 * step, HEIGHT * values[day] / top, f"{day}: {said}")
+        Bar(step * k, height * (1 - values[day] / top), 0.8 * step, height * values[day] / top, f"{day}: {said}")
         for k in range(count)
         if (day := since + timedelta(days=k)) in values and (said := form.format(values[day]))
     ]
@@ -155,9 +153,7 @@ LARGEST_NOTE = 65_536
 LONGEST = 366
 """Days of an export."""
 
-FIRST_DAY: Any = date(1970, 1, 2)
-LAST_DAY: Any = date(9000, 1, 1)
-Bounded = Query(ge=FIRST_DAY, le=LAST_DAY)
+Bounded = Query(ge=date(1970, 1, 2), le=date(9000, 1, 1))  # pyright: ignore[reportArgumentType]
 Day = Annotated[date | None, Bounded]
 Number = Annotated[int, Path_(ge=1, le=2**31 - 1)]
 Before = Annotated[int | None, Query(ge=1, le=2**31 - 1)]
