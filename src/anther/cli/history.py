@@ -21,10 +21,10 @@ from anther.history import (
     count_trials,
     each_trial,
     export,
+    hide_password,
     merge,
     read_outcomes,
     read_trials,
-    shown,
     starting_material,
 )  # fmt: skip
 from anther.plant.visit import Result, Visit
@@ -62,7 +62,7 @@ def _list(args: Args, which: dict[str, Any], outcomes: Sequence[Outcome]) -> Non
     trials = read_trials(args.history, **which, last=max(args.last, 0))
     count = count_trials(args.history, **which)
     if not count and not outcomes:
-        return console.print(f"{shown(args.history)}: no trial or outcome, or none that fits.")
+        return console.print(f"{hide_password(args.history)}: no trial or outcome, or none that fits.")
     if trials:
         console.print(_trials(trials, console.width))
     if count > len(trials):

@@ -9,7 +9,7 @@ from anther.cli.args.serve import Args
 from anther.core.checks import check_range
 from anther.core.errors import MissingExtra, bad_input
 from anther.core.files import existing
-from anther.history import count_trials, shown
+from anther.history import count_trials, hide_password
 
 LOCALHOST = "127.0.0.1"
 
@@ -34,7 +34,7 @@ def run(args: Args) -> None:
     with _listening(args.host, args.port) as listener:
         port = listener.getsockname()[1]
         name = f"[{args.host}]" if ":" in args.host else args.host
-        print(f"{shown(args.history)}: {visits} visits at http://{name}:{port}/ (Ctrl-C ends)")
+        print(f"{hide_password(args.history)}: {visits} visits at http://{name}:{port}/ (Ctrl-C ends)")
         reader = "only this computer" if local else "everybody who reaches this computer"
         print(f"{reader} can read it; notes: {'with the token' if token else 'none can be written'}", flush=True)
         app = make_app(args.history, existing(args.runs), token, local=local)

@@ -28,7 +28,7 @@ INSTALL = "pip install 'anther[postgresql]'"
 
 
 @contextmanager
-def reading(where: Path | str) -> Iterator[Session | None]:
+def open_reader(where: Path | str) -> Iterator[Session | None]:
     """Yield a session that reads the history, brought to the newest version; None when there is no such file.
 
     The database itself refuses it to write. Readers never wait for writers, nor writers for readers.
@@ -42,7 +42,7 @@ def reading(where: Path | str) -> Iterator[Session | None]:
 
 
 @contextmanager
-def writing(where: Path | str) -> Iterator[Session]:
+def open_writer(where: Path | str) -> Iterator[Session]:
     """Yield a session that writes, and commit at the end: all or, on an error or a crash, nothing of it is there.
 
     A SQLite file and its folder are made when they are missing. Writers wait for each other, up to `PATIENCE` seconds.
@@ -58,7 +58,7 @@ def insert(session: Session, table: Any) -> Any:
     return (postgresql if session.get_bind().dialect.name == "postgresql" else sqlite).insert(table)
 
 
-def shown(where: Path | str) -> str:
+def hide_password(where: Path | str) -> str:
     """Return the history's place for people and files: without a password."""
     return _place(_url(where))
 

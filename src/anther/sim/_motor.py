@@ -12,8 +12,8 @@ from anther.core.geometry import Array
 from anther.robot.devices import LEAD, ArmRecord, ArmSample, DeviceError, MoreSwing, Watch
 from anther.robot.swing import Swing
 from anther.sim import arm_model
-from anther.sim._plant_mechanics import mujoco
 from anther.sim.cell import Cell
+from anther.sim.plant_mechanics import mujoco
 
 CYCLE = 0.01
 """s between the readings that a watcher sees: joint_states' default rate (facts: sawyer 5)."""

@@ -20,9 +20,10 @@ from anther.core.errors import StageFailure
 from anther.core.geometry import Array, Box, transform
 from anther.robot.arm.model import ArmModel
 from anther.robot.arm.sawyer import SAWYER
-from anther.sim import _pieces, arm_model
-from anther.sim._plant_mechanics import PlantMechanics, add_plant, mujoco
+from anther.sim import arm_model
+from anther.sim.pieces import Params as Cut
 from anther.sim.plant import GRAVITY, POT_HEIGHT, Organ, SimPlant
+from anther.sim.plant_mechanics import PlantMechanics, add_plant, mujoco
 from anther.sim.sway import Air
 from anther.sim.truth import NOMINAL, Truth
 
@@ -46,9 +47,7 @@ class Params:
     """
 
     timestep: float = 1e-3
-    plant: _pieces.Params = field(
-        default_factory=lambda: _pieces.Params(twisting=(Organ.STEM, Organ.BRANCH, Organ.PEDUNCLE))
-    )
+    plant: Cut = field(default_factory=lambda: Cut(twisting=(Organ.STEM, Organ.BRANCH, Organ.PEDUNCLE)))
     grip_force: float = arm_model.GRIP_FORCE
     coil_force: float = 0.0
 

@@ -19,8 +19,8 @@ from anther.core.errors import FailureKind
 from anther.core.geometry import Array, inverse
 from anther.core.oscillation import fit_swing
 from anther.plant.limits import moved
-from anther.sim._pieces import of_flower_stalks
 from anther.sim.cell import Cell, CellLog
+from anther.sim.pieces import of_flower_stalks
 from anther.sim.plant import Organ
 from anther.sim.truth import DOSE_EXPONENT, DOSE_MEASURES, DOSE_MIDDLE, HALF_DOSE, TOLERANCE, tolerances
 

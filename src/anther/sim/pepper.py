@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from anther.core.geometry import Array
-from anther.sim._growth import AREAL_DENSITY, GOLDEN_ANGLE, Growth, arc, blade_colours, ripple
-from anther.sim._mesh import blade, star, tube, unit
+from anther.sim.growth import AREAL_DENSITY, GOLDEN_ANGLE, Growth, arc, blade_colours, ripple
+from anther.sim.mesh import blade, star, tube, unit
 from anther.sim.plant import POT_AXIS, Organ, SimPlant
 
 BRANCH_GREEN, SEPAL_GREEN = (112, 146, 70), (98, 136, 62)

@@ -17,7 +17,7 @@ from scipy.ndimage import distance_transform_edt
 from anther.core.checks import check_array, check_transform
 from anther.core.compiling import numba
 from anther.core.geometry import Array, Intrinsics
-from anther.sim._greenhouse import Setting, repainted, surroundings
+from anther.sim.greenhouse import Setting, repainted, surroundings
 from anther.sim.plant import Organ, SimPlant
 
 LIGHT = 0.72

@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike
 from anther.core.checks import check_array
 from anther.core.errors import StageFailure
 from anther.core.geometry import Array
-from anther.sim._pieces import Params
-from anther.sim._plant_mechanics import PlantMechanics, alone, mujoco
+from anther.sim.pieces import Params
 from anther.sim.plant import SimPlant
+from anther.sim.plant_mechanics import PlantMechanics, alone, mujoco
 
 
 class Air:

@@ -12,8 +12,8 @@ from __future__ import annotations
 import numpy as np
 
 from anther.core.geometry import Array
-from anther.sim._growth import AREAL_DENSITY, GOLDEN_ANGLE, Growth, arc, blade_colours, ripple
-from anther.sim._mesh import blade, star, tube, unit
+from anther.sim.growth import AREAL_DENSITY, GOLDEN_ANGLE, Growth, arc, blade_colours, ripple
+from anther.sim.mesh import blade, star, tube, unit
 from anther.sim.plant import POT_AXIS, Organ, SimPlant
 
 STEM_GREEN, SEPAL_GREEN = (108, 140, 72), (88, 128, 58)

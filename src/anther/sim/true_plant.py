@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from anther.core.errors import StageFailure
 from anther.core.geometry import Array
-from anther.sim._growth import AREAL_DENSITY, buckling_factor, supported_youngs
-from anther.sim._pieces import Params
-from anther.sim._plant_mechanics import alone
+from anther.sim.growth import AREAL_DENSITY, buckling_factor, supported_youngs
+from anther.sim.pieces import Params
 from anther.sim.plant import Organ, SimPlant
+from anther.sim.plant_mechanics import alone
 from anther.sim.truth import NOMINAL, Truth
 
 FOLIAGE = (Organ.PETIOLE, Organ.RACHIS, Organ.LEAF)

@@ -33,11 +33,11 @@ from anther.history import (
     each_trial,
     export,
     find_visit,
+    hide_password,
+    open_reader,
     overview,
     read_outcomes,
-    reading,
     record_note,
-    shown,
 )
 from anther.history import starting_material as believed
 from anther.history.overview import Tally
@@ -182,7 +182,7 @@ def make_app(history: str, runs: Path, token: str | None = None, *, local: bool 
     templates = Jinja2Templates(HERE / "templates")
     templates.env.globals.update(result_of=result_of, result_words=result_words, quantity=quantity, results=RESULTS)
     templates.env.globals.update(
-        {"today": lambda: datetime.now(UTC).date(), "place": shown(history), "writes": token is not None}
+        {"today": lambda: datetime.now(UTC).date(), "place": hide_password(history), "writes": token is not None}
     )
 
     def page(request: Request, name: str, status: int = 200, **values: Any) -> HTMLResponse:
@@ -391,7 +391,7 @@ def _exports(app: FastAPI, house: House, page: Callable[..., HTMLResponse]) -> N
 
 def _read(house: House, ask: Callable[[Session], dict[str, Any]], nothing: dict[str, Any]) -> dict[str, Any]:
     """Return what is read in one transaction; `nothing` where there is no history yet."""
-    with reading(house.history) as session:
+    with open_reader(house.history) as session:
         return nothing if session is None else ask(session)
 
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigh
 
 from anther.core.geometry import Array, transform, transform_points
-from anther.sim._mesh import Mesh, revolve, tube, unit
+from anther.sim.mesh import Mesh, revolve, tube, unit
 from anther.sim.plant import GRAVITY, POT_HEIGHT, SOIL_Z, Organ, Pot, SimPlant
 
 SELF_SUPPORT = 2.0

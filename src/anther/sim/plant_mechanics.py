@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from anther.core.errors import StageFailure
 from anther.core.geometry import Array
-from anther.sim._pieces import Params, Pieces, cut, mass_properties
+from anther.sim.pieces import Params, Pieces, cut, mass_properties
 from anther.sim.plant import GRAVITY, Organ, SimPlant
 
 mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them

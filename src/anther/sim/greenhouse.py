@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.core.geometry import Array
-from anther.sim._mesh import Mesh, box, grid_faces, join, tube, unit
+from anther.sim.mesh import Mesh, box, grid_faces, join, tube, unit
 from anther.sim.plant import Organ, Pot
 
 RGB = tuple[int, int, int]
