@@ -39,10 +39,10 @@ def check(file: CellFile) -> int:
 
     table, missing = Table("part", "driver", "what it sees", title=str(file.source.path), title_justify="left"), 0
     looks = (
-        ("arm", file.arm, partial(_arm_seen, file=file)),
-        ("gripper", file.gripper, _gripper_seen),
-        ("wrist camera", file.wrist_camera, _camera_seen),
-        ("side camera", file.side_camera, _camera_seen),
+        ("arm", file.arm, partial(_describe_arm, file=file)),
+        ("gripper", file.gripper, _describe_gripper),
+        ("wrist camera", file.wrist_camera, _describe_camera),
+        ("side camera", file.side_camera, _describe_camera),
         ("shaker", file.shaker, lambda motor: [f"stroke {1e3 * motor.stroke:.2f} mm"]),
     )
     with own_cell(file) as keep:
@@ -151,7 +151,7 @@ def _small_motion(file: CellFile, arm: Arm, joint: int, way: float) -> JointTraj
     return planner.move(here, there)
 
 
-def _arm_seen(arm: Any, file: CellFile) -> list[str]:
+def _describe_arm(arm: Any, file: CellFile) -> list[str]:
     q, limits = arm.joints(), file.safety_limits()
     margin = np.rad2deg(np.minimum(q - limits.joint_lower, limits.joint_upper - q).min())
     flange = file.model.forward(q)[:3, 3]
@@ -164,14 +164,14 @@ def _arm_seen(arm: Any, file: CellFile) -> list[str]:
     ]
 
 
-def _gripper_seen(gripper: Any) -> list[str]:
+def _describe_gripper(gripper: Any) -> list[str]:
     state = gripper.state()
     held = "holds something" if state.is_gripping else "holds nothing"
     told = f"presses with {state.force:.1f} N" if math.isfinite(state.force) else "does not tell its force"
     return [f"{1e3 * state.opening:.1f} of {1e3 * gripper.stroke:.1f} mm open, {held}, {told}"]
 
 
-def _camera_seen(camera: Camera) -> list[str]:
+def _describe_camera(camera: Camera) -> list[str]:
     before = time.monotonic()
     frame, lens = camera.read(), camera.intrinsics
     took, late = time.monotonic() - before, time.monotonic() - frame.time

@@ -70,7 +70,7 @@ def _list(args: Args, which: dict[str, Any], outcomes: Sequence[Outcome]) -> Non
     if outcomes:
         console.print(_outcomes(outcomes[-args.last :]))
     for species in sorted({t.species for t in trials}):
-        console.print(_believed(args, species), highlight=False)
+        console.print(_belief_line(args, species), highlight=False)
     return None
 
 
@@ -89,11 +89,11 @@ def _trials(trials: Sequence[Visit], width: int, wide: int = 140) -> Table:
     return table
 
 
-def _held(trial: Visit) -> str:
+def _grasp_cell(trial: Visit) -> str:
     return "" if trial.grasp is None or trial.grasp.arc_length is None else f"{100 * trial.grasp.arc_length:.1f}"
 
 
-def _shaken(trial: Visit) -> str:
+def _shake_cell(trial: Visit) -> str:
     return "" if trial.shake is None else f"{1000 * trial.shake.amplitude:.2f} mm, {trial.shake.frequency:.1f} Hz"
 
 
@@ -117,8 +117,8 @@ COLUMNS: dict[str, Callable[[Visit], str]] = {
     "crop": lambda trial: trial.species,
     "plant": lambda trial: trial.plant,
     "result": lambda trial: trial.result_words,
-    "grasp [cm]": _held,
-    "shake": _shaken,
+    "grasp [cm]": _grasp_cell,
+    "shake": _shake_cell,
     "flowers [mm]": _motion,
     "E after [MPa]": _stiff,
     "run": lambda trial: trial.run or "",
@@ -134,7 +134,7 @@ def _outcomes(outcomes: Sequence[Outcome]) -> Table:
     return table
 
 
-def _believed(args: Args, species: str) -> str:
+def _belief_line(args: Args, species: str) -> str:
     """Return what the next trial would begin with."""
     plant = "a plant not shaken before" if args.plant is None else args.plant
     belief = starting_material(species, plant, args.history)

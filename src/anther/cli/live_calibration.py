@@ -148,7 +148,7 @@ def live(
                 more = f"To go on with them: the same command with --out {folder}"
                 print(f"{len(taken)} views are kept in {folder}. {more}")
             raise
-    return _concluded(cell, taken, found, ask)
+    return _conclude(cell, taken, found, ask)
 
 
 def first_look(eye: Eye, taken: Taken, ask: Asking) -> None:
@@ -212,7 +212,7 @@ def _by_arm(eye: Eye, taken: Taken, found: HandEye | None, missed: list[Array], 
     T_flange_cam = found.T_flange_cam if found is not None and known else eye.file.T_flange_cam
     seen_at = taken.flange[-1] @ T_flange_cam @ taken.T_cam_board[-1]
     T_base_board = found.T_base_board if found is not None and known else seen_at
-    options = _ranked(taken, missed, known=known)
+    options = _rank_places(taken, missed, known=known)
     planner, limits = eye.planner(T_base_board, parse_board(taken.board).centre), eye.file.safety_limits()
     reached = find_first_reachable(planner, limits, eye.arm.joints(), T_base_board @ options @ inverse(T_flange_cam))
     if reached is None:
@@ -226,7 +226,7 @@ def _by_arm(eye: Eye, taken: Taken, found: HandEye | None, missed: list[Array], 
     return expected
 
 
-def _ranked(taken: Taken, missed: list[Array], *, known: bool) -> Array:
+def _rank_places(taken: Taken, missed: list[Array], *, known: bool) -> Array:
     """Return T_board_cam (C, 4, 4) of possible views, the one least like those before first."""
     centre, before = parse_board(taken.board).centre, inverse(taken.T_cam_board)
     options = candidates(before[0], centre, taken.intrinsics, known=known)
@@ -236,7 +236,7 @@ def _ranked(taken: Taken, missed: list[Array], *, known: bool) -> Array:
 
 def _by_hand(eye: Eye, taken: Taken, found: HandEye | None, missed: list[Array], ask: Asking) -> Array | None:
     """Ask a person to move the arm; return T_board_cam as asked for, or None where that is all."""
-    expected = _ranked(taken, missed, known=True)[0]
+    expected = _rank_places(taken, missed, known=True)[0]
     do = "Move the arm about there, let go, press Enter (done: end): "
     answer = ask.answer(f"view {len(taken) + 1}: {_way_in_words(taken, expected)}. {do}")
     return None if answer == "done" else expected
@@ -274,7 +274,7 @@ def _tell(taken: Taken, found: HandEye | None) -> None:
     print(f"{len(taken):2} of about {ENOUGH}: {seen} | {cover} | {known}")
 
 
-def _concluded(cell: Path, taken: Taken, found: HandEye | None, ask: Asking) -> int:
+def _conclude(cell: Path, taken: Taken, found: HandEye | None, ask: Asking) -> int:
     """Write the result; into the cell file too, where nothing lacks and nobody objects. Return the exit code."""
     missing = lacks(taken, found)
     if found is not None:

@@ -74,7 +74,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"anther: no command '{words[0]}'; allowed: {', '.join(COMMANDS)}. See: anther --help", file=sys.stderr)
         return 2
     own = 2 if words[1:] and words[1] in ACTIONS.get(words[0], ()) else 1
-    with _terminated_as_interrupted():
+    with _treat_termination_as_interrupt():
         return _run(" ".join(words[:own]), words[own:])
 
 
@@ -103,7 +103,7 @@ def _leave_garbage() -> None:
 
 
 @contextmanager
-def _terminated_as_interrupted() -> Iterator[None]:
+def _treat_termination_as_interrupt() -> Iterator[None]:
     """A service that is stopped (SIGTERM) ends as with Ctrl-C: the arm at rest, the pads open, all recorded."""
     if current_thread() is not main_thread():
         yield
@@ -117,7 +117,7 @@ def _terminated_as_interrupted() -> Iterator[None]:
 
 def do(name: str, words: list[str]) -> int:
     """Do one command, and return its exit code; errors are raised."""
-    args = _parsed(name, words)
+    args = _parse(name, words)
     return int(_module(name).run(args) or 0)
 
 
@@ -149,7 +149,7 @@ def _run(name: str, words: list[str]) -> int:
         return 130
 
 
-def _parsed(name: str, words: list[str]) -> Any:
+def _parse(name: str, words: list[str]) -> Any:
     """Return what a command is asked; nothing heavy is imported unless a stage's parameter is among it."""
     import tyro
 

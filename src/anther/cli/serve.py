@@ -31,7 +31,7 @@ def run(args: Args) -> None:
         raise bad_input("token", given=f"{len(token)} characters", allowed=allowed, do="Write a longer one.")
     visits = count_trials(args.history)
     local = args.host in (LOCALHOST, "localhost", "::1")
-    with _listening(args.host, args.port) as listener:
+    with _listen(args.host, args.port) as listener:
         port = listener.getsockname()[1]
         name = f"[{args.host}]" if ":" in args.host else args.host
         print(f"{hide_password(args.history)}: {visits} visits at http://{name}:{port}/ (Ctrl-C ends)")
@@ -43,7 +43,7 @@ def run(args: Args) -> None:
             uvicorn.Server(config).run(sockets=[listener])
 
 
-def _listening(host: str, port: int) -> socket.socket:
+def _listen(host: str, port: int) -> socket.socket:
     """Return a socket that listens there."""
     try:
         return socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)

@@ -60,7 +60,7 @@ def run(args: Args) -> int:
         given, allowed = f"'{args.restart_from}'", "a stage up to 'execution'"
         raise bad_input("restart-from", given=given, allowed=allowed, do=do)
     file = _file(args)
-    args = replace(_resolved(args, file), params=_params(args, file))
+    args = replace(_resolve(args, file), params=_params(args, file))
     find_masks = mask_finder(args.masks, args.models, args.params, cache=None)
     belief, began = _belief(args), datetime.now(UTC)
     earlier = None if args.material == "facts" else earlier_shake(args.plant, _label(args), args.history)
@@ -125,7 +125,7 @@ def _file(args: Args) -> CellFile | None:
     return read_simulated(args.cell)
 
 
-def _resolved(args: Args, file: CellFile | None) -> Args:
+def _resolve(args: Args, file: CellFile | None) -> Args:
     """Return the arguments with the arm, and in the simulated cell the distance, that they leave open."""
     if file is None:
         from anther.robot.arm.arms import simulated_arm

@@ -92,7 +92,7 @@ def read_trials(where: Path | str = DEFAULT, *, last: int | None = None, **which
         last: only so many, the last ones.
         which: see `Which`.
     """
-    query = _chosen(select(VisitRow), which).order_by(VisitRow.time.desc(), VisitRow.id.desc()).limit(last)
+    query = _filter_visits(select(VisitRow), which).order_by(VisitRow.time.desc(), VisitRow.id.desc()).limit(last)
     with open_reader(where) as session:
         return [] if session is None else [_visit_of(visit) for visit in session.scalars(query)][::-1]
 
@@ -102,7 +102,7 @@ def each_trial(where: Path | str = DEFAULT, **which: Unpack[Which]) -> Iterator[
 
     Every batch is read by itself: nothing is held while whoever asked is busy with the last one.
     """
-    query, place = _chosen(select(VisitRow), which).order_by(VisitRow.time, VisitRow.id).limit(BATCH), None
+    query, place = _filter_visits(select(VisitRow), which).order_by(VisitRow.time, VisitRow.id).limit(BATCH), None
     while True:
         further = query if place is None else query.where(tuple_(VisitRow.time, VisitRow.id) > place)
         with open_reader(where) as session:
@@ -115,12 +115,12 @@ def each_trial(where: Path | str = DEFAULT, **which: Unpack[Which]) -> Iterator[
 
 def count_trials(where: Path | str = DEFAULT, **which: Unpack[Which]) -> int:
     """Return how many trials `read_trials` would."""
-    query = _chosen(select(func.count(VisitRow.id)), which)
+    query = _filter_visits(select(func.count(VisitRow.id)), which)
     with open_reader(where) as session:
         return 0 if session is None else session.scalar(query) or 0
 
 
-def _chosen(query: Any, which: Which) -> Any:
+def _filter_visits(query: Any, which: Which) -> Any:
     """Ask a query of visits only of some."""
     query = _of_plant(query.join(VisitRow.plant), which.get("species"), which.get("plant"))
     since, until, result = (which.get(name) for name in ("since", "until", "result"))

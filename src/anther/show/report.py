@@ -53,12 +53,12 @@ def write_report(path: Path, results: RunResults) -> None:
 
 def _image(draw: Callable[[bool], Figure], alt: str) -> str:
     """Return a figure as an embedded picture, drawn (narrow or not) for a desk's screen and for a phone's."""
-    wide, narrow = (_embedded(draw(on_phone), 2.0 if on_phone else 1.0) for on_phone in (False, True))
+    wide, narrow = (_embed(draw(on_phone), 2.0 if on_phone else 1.0) for on_phone in (False, True))
     media = f"<source media='(max-width:{NARROW}px)' srcset='{narrow}'>"
     return f"<picture>{media}<img alt='{escape(alt)}' src='{wide}'></picture>"
 
 
-def _embedded(figure: Figure, finer: float) -> str:
+def _embed(figure: Figure, finer: float) -> str:
     """Return a figure as a PNG within an address, and free its memory."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110 * finer, bbox_inches="tight", pad_inches=0.05)
@@ -269,7 +269,7 @@ def _motion(results: RunResults) -> str:
             acceleration,
         ]
         for i, ((low, high), (amplitude, acceleration)) in enumerate(
-            zip(shake.predicted_amplitude_interval, _measured(results, measured), strict=True)
+            zip(shake.predicted_amplitude_interval, _measured_rows(results, measured), strict=True)
         )
     ]
     low, high = shake.predicted_amplitude_interval.T
@@ -314,7 +314,7 @@ MEASURED_AND_TRUE = (
 )
 
 
-def _measured(results: RunResults, felt: Array) -> Iterator[tuple[str, str]]:
+def _measured_rows(results: RunResults, felt: Array) -> Iterator[tuple[str, str]]:
     """Yield each flower's measured amplitude and acceleration (F,) [m/s2] in words, from one and the same source.
 
     A flower that was lost after the last step has what that step says; of a single frequency, its amplitude follows.

@@ -113,11 +113,11 @@ def pollen_freed(acceleration: Array) -> tuple[float, float, float]:
     known = acceleration[np.isfinite(acceleration)]
     if len(known) == 0:
         return np.nan, np.nan, np.nan
-    low, middle, high = np.quantile(_freed(known).mean(axis=1), [0.05, 0.5, 0.95])
+    low, middle, high = np.quantile(_pollen_shares(known).mean(axis=1), [0.05, 0.5, 0.95])
     return float(low), float(middle), float(high)
 
 
-def _freed(acceleration: Array) -> Array:
+def _pollen_shares(acceleration: Array) -> Array:
     """Return (200, F, 21) the share of pollen that (F,) accelerations free, by half dose and exponent."""
     middles = (np.arange(200) + 0.5) / 200
     half = HALF_DOSE.median * np.exp(HALF_DOSE.sigma * norm.ppf(middles))
@@ -126,10 +126,10 @@ def _freed(acceleration: Array) -> Array:
 
 
 @cache
-def _expected() -> tuple[Array, Array]:
+def _mean_pollen_share() -> tuple[Array, Array]:
     """Return ln of accelerations and the share of pollen that they free, its mean over all doses."""
     logs = np.linspace(np.log(1e-3), np.log(1e4), 321)
-    return logs, _freed(np.exp(logs)).mean(axis=(0, 2))
+    return logs, _pollen_shares(np.exp(logs)).mean(axis=(0, 2))
 
 
 COSTS = {"base": 0.05, "leaf": 0.05, "slip": 0.1}
@@ -162,7 +162,7 @@ def net_fruit(
     parts = [DOSE_MEASURES[measure]._replace(probability=1.0)] if measure else DOSE_MEASURES.values()
     motion = np.log(np.maximum(np.nan_to_num(felt), 1e-12))
     ratio = np.log(np.asarray(hertz, dtype=np.float64) / DOSE_MIDDLE)[..., None]
-    freed = sum(share * np.interp(motion + power * ratio, *_expected(), left=0.0) for power, share in parts)
+    freed = sum(share * np.interp(motion + power * ratio, *_mean_pollen_share(), left=0.0) for power, share in parts)
     gain = np.sum(freed, axis=-1) / max(np.shape(felt)[-1], 1)
     slips = np.asarray(slipped, dtype=bool)
     cost = sum(COSTS[kind] * np.asarray(bent[kind]) for kind in ("base", "leaf")) + COSTS["slip"] * slips
@@ -242,8 +242,8 @@ def judge(
     """
     log = cell.log()
     shaking = (log.times >= shake[0]) & (log.times <= shake[1]) if shake else np.zeros(len(log.times), dtype=bool)
-    holding = shaking if shake else _closed(log, shake)
-    segment, share = _grasped(log, holding)
+    holding = shaking if shake else _find_closed(log, shake)
+    segment, share = _find_grasped(log, holding)
     organ, *beside = _organs(cell, log, holding, segment)
     slip, height = _slip(cell, log, shaking, segment)
     push = _push(log, shake)
@@ -275,7 +275,7 @@ def judge(
     return Verdict(*facts, amplitude, peak, float(effort.max()), tuple(beside))
 
 
-def _closed(log: CellLog, shake: tuple[float, float] | None, time: float = 0.2) -> NDArray[np.bool_]:
+def _find_closed(log: CellLog, shake: tuple[float, float] | None, time: float = 0.2) -> NDArray[np.bool_]:
     """(T,) whether the gripper was commanded below what it was when the arm last and when it next travelled.
 
     The arm travels with open pads, but how far they are open is the grasp's choice. It travels while a joint turns by
@@ -292,9 +292,9 @@ def _closed(log: CellLog, shake: tuple[float, float] | None, time: float = 0.2) 
     return command < np.minimum(command[last], command[np.where(after > end, last, after)]) - 1e-3
 
 
-def _grasped(log: CellLog, when: NDArray[np.bool_]) -> tuple[int, float]:
+def _find_grasped(log: CellLog, when: NDArray[np.bool_]) -> tuple[int, float]:
     """Return the segment both pads press longest, -1 for none, and the share of samples in which both press any."""
-    real = _pressed(log, when)
+    real = _find_pad_contacts(log, when)
     pads = [set(log.contact_sample[real & (log.contact_pad == pad)].tolist()) for pad in (0, 1)]
     both = pads[0] & pads[1]
     if not both:
@@ -304,7 +304,7 @@ def _grasped(log: CellLog, when: NDArray[np.bool_]) -> tuple[int, float]:
     return int(np.argmax(impulse)), len(both) / max(int(when.sum()), 1)
 
 
-def _pressed(log: CellLog, when: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _find_pad_contacts(log: CellLog, when: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return (C,) which contacts are a pad's with the plant, of 0.2 N or more, and at these (T,) times."""
     firm = (log.contact_pad < 2) & (log.contact_other >= 0) & (log.contact_force > 0.2)
     return firm & when[log.contact_sample]
@@ -318,7 +318,7 @@ def _organs(cell: Cell, log: CellLog, when: NDArray[np.bool_], segment: int) -> 
     """
     if segment < 0:
         return [""]
-    pressed = np.flatnonzero(_pressed(log, when))
+    pressed = np.flatnonzero(_find_pad_contacts(log, when))
     sample, other, blade = (x[pressed] for x in (log.contact_sample, log.contact_other, log.contact_blade))
     times, row = np.unique(sample, return_inverse=True)
     flange = inverse(cell.flange_pose(log.qpos[times]))[row]
@@ -349,7 +349,7 @@ def _slip(cell: Cell, log: CellLog, shaking: NDArray[np.bool_], segment: int) ->
 
 def _push(log: CellLog, shake: tuple[float, float] | None) -> float:
     """Return the largest sum of the robot's forces on the plant while open, until it closes for the last time [N]."""
-    closed = _closed(log, shake)
+    closed = _find_closed(log, shake)
     begins = np.flatnonzero(closed & np.diff(closed, prepend=False))
     open_ = ~closed & (np.arange(len(closed)) < (begins[-1] if len(begins) else len(closed)))
     before = (log.contact_other >= 0) & open_[log.contact_sample]

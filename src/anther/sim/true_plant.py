@@ -31,8 +31,8 @@ def as_true(plant: SimPlant, truth: Truth) -> SimPlant:
     if truth == NOMINAL:
         return plant
     rng, branch = np.random.default_rng([plant.seed, 8]), branches(plant)
-    plant = _longer_pedicels(plant, truth.pedicel_length)
-    plant = _massive(plant, truth)
+    plant = _lengthen_pedicels(plant, truth.pedicel_length)
+    plant = _set_masses(plant, truth)
     plant = replace(
         plant,
         youngs=_youngs(plant, truth, branch, rng),
@@ -42,7 +42,7 @@ def as_true(plant: SimPlant, truth: Truth) -> SimPlant:
         foot=truth.foot,
     )
     plant = replace(plant, joint_compliance=_joints(plant, truth))
-    return _standing(plant, truth, rng)
+    return _support(plant, truth, rng)
 
 
 def branches(plant: SimPlant) -> NDArray[Any]:
@@ -54,7 +54,7 @@ def branches(plant: SimPlant) -> NDArray[Any]:
     return branch
 
 
-def _longer_pedicels(plant: SimPlant, factor: float) -> SimPlant:
+def _lengthen_pedicels(plant: SimPlant, factor: float) -> SimPlant:
     """Return the plant with pedicels as long as `factor` says; flowers go along and keep their size."""
     if factor == 1:
         return plant
@@ -79,7 +79,7 @@ def _longer_pedicels(plant: SimPlant, factor: float) -> SimPlant:
     return replace(plant, start=start, end=end, lump_centre=lump, vertices=vertices, flower_position=flowers)
 
 
-def _massive(plant: SimPlant, truth: Truth) -> SimPlant:
+def _set_masses(plant: SimPlant, truth: Truth) -> SimPlant:
     """Return the plant with its leaves' and flowers' masses, and what the air finds of them."""
     flowers = np.zeros(len(plant.start), dtype=bool)
     flowers[plant.flower_segment] = True
@@ -134,7 +134,7 @@ def _joints(plant: SimPlant, truth: Truth) -> Array:
     return np.where(last, truth.pedicel_joint * whole, 0.0)
 
 
-def _standing(plant: SimPlant, truth: Truth, rng: np.random.Generator) -> SimPlant:
+def _support(plant: SimPlant, truth: Truth, rng: np.random.Generator) -> SimPlant:
     """Return the plant with the self-support of the truth, tied to a stake where that is little: below 1.5.
 
     A cane of 1 cm in a pot holds the stem with 20-200 N/m (a guess). Plants slower than `SLOWEST` are made stiffer.
@@ -148,12 +148,12 @@ def _standing(plant: SimPlant, truth: Truth, rng: np.random.Generator) -> SimPla
     arc = np.cumsum(plant.length[stem])
     tied = (int(stem[np.searchsorted(arc, share * arc[-1])]), float(strength))
     plant = replace(plant, youngs=youngs, tie=tied if truth.self_support < 1.5 else None)
-    while not _stands(plant):
+    while not _is_stable(plant):
         plant = replace(plant, youngs=np.where(plant.organ == Organ.PEDICEL, plant.youngs, 1.2 * plant.youngs))
     return plant
 
 
-def _stands(plant: SimPlant) -> bool:
+def _is_stable(plant: SimPlant) -> bool:
     try:
         return bool(alone(plant, Params(twist_every=1)).frequencies[0] >= SLOWEST)
     except StageFailure:

@@ -99,7 +99,7 @@ class Tail:
     def _parts(self, content: bytes) -> list[McapRecord]:
         try:
             chunk = Chunk.read(ReadDataStream(BytesIO(content)))
-            return breakup_chunk(replace(chunk, compression="", data=_unpacked(chunk)))
+            return breakup_chunk(replace(chunk, compression="", data=_unpack(chunk)))
         except Exception as error:  # zstd and mcap raise whatever the bytes provoke
             raise self._damaged(repr(error)) from error
 
@@ -107,7 +107,7 @@ class Tail:
         return bad_input(str(self.path), given=f"damaged: {what}", allowed="an MCAP file", do="Restore the file.")
 
 
-def _unpacked(chunk: Chunk) -> bytes:
+def _unpack(chunk: Chunk) -> bytes:
     """Return what a chunk holds; a few bytes can stand for gigabytes, whatever size they state."""
     packed = BytesIO(chunk.data)
     match chunk.compression:

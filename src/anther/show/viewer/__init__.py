@@ -45,7 +45,7 @@ def write_html(
                 for i in range(max(0, len(motion.times) - int(seconds * RATE)), len(motion.times)):
                     player.show(i, exaggeration)
                     page.insert_sleep(1 / RATE)
-            text = _entitled(page.as_html(), results.title, handles.legend + (f"<br>{PLAYED}" if motion else ""))
+            text = _add_title(page.as_html(), results.title, handles.legend + (f"<br>{PLAYED}" if motion else ""))
             write_text(path, text)
         finally:
             server.stop()
@@ -62,7 +62,7 @@ OPENED = """<script>const waiting = setInterval(() => { if (document.querySelect
 """Takes the word away when the scene, which viser fades in, can be seen."""
 
 
-def _entitled(page: str, title: str, legend: str) -> str:
+def _add_title(page: str, title: str, legend: str) -> str:
     """Return a page of viser's with a title, a legend, and a word to those who wait for its scene."""
     font = "font:13px/1.5 system-ui,sans-serif;color:#1d2a22"
     over = "position:fixed;left:10px;top:10px;right:10px;pointer-events:none;z-index:9"  # viser's slider is below

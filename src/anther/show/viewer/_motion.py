@@ -61,11 +61,16 @@ def motion_of(results: RunResults) -> Replay | None:
     joints = np.column_stack([np.interp(times, trial.shake_times, q) for q in trial.measured.T])
     opening = float(trial.gripper[0, 0]) if len(trial.gripper) else 0.0
     return Replay(
-        arm, times - begin, joints, opening, _swayed(arm, plant, shake, trial, times), _filmed(results, times)
+        arm,
+        times - begin,
+        joints,
+        opening,
+        _predict_sway(arm, plant, shake, trial, times),
+        _read_tracks(results, times),
     )
 
 
-def _swayed(arm: ArmModel, plant: PlantModel, shake: ShakePlan, trial: Trial, times: Array) -> Array:
+def _predict_sway(arm: ArmModel, plant: PlantModel, shake: ShakePlan, trial: Trial, times: Array) -> Array:
     """Return (T, N, 3) what the rods do as linear theory says, to the grip's own swing at each step's frequencies."""
     flange = arm.forward(trial.measured)
     along = (flange[:, :3, :3] @ arm.tool.T_flange_grasp[:3, 3]) @ shake.direction
@@ -101,7 +106,7 @@ def _swing(read: Array, along: Array, frequencies: Array, times: Array, within: 
     return np.array([phasors(np.abs(read - time) <= 1 / frequencies[0]) for time in times]).reshape(-1, 1)
 
 
-def _filmed(results: RunResults, times: Array, longest: float = 0.12) -> Array:
+def _read_tracks(results: RunResults, times: Array, longest: float = 0.12) -> Array:
     """Return (T, F, 3) the flowers' tracks at the times; NaN where they were lost, for longer than `longest` [s]."""
     response = results.response
     if response is None or not len(response.times):
