@@ -153,7 +153,8 @@ LARGEST_NOTE = 65_536
 LONGEST = 366
 """Days of an export."""
 
-Bounded = Query(ge=date(1970, 1, 2), le=date(9000, 1, 1))  # pyright: ignore[reportArgumentType]
+DAYS: Any = {"ge": date(1970, 1, 2), "le": date(9000, 1, 1)}
+Bounded = Query(**DAYS)
 Day = Annotated[date | None, Bounded]
 Number = Annotated[int, Path_(ge=1, le=2**31 - 1)]
 Before = Annotated[int | None, Query(ge=1, le=2**31 - 1)]
