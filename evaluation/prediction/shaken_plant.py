@@ -26,9 +26,9 @@ from anther.core import Array, StageFailure
 from anther.core.checks import check_range
 from anther.core.oscillation import fit_swing
 from anther.pollination.shake.observables import semi_major
-from anther.sim import NOMINAL, Organ, SimPlant, Truth, _plant_mechanics
-from anther.sim._pieces import of_flower_stalks
-from anther.sim._plant_mechanics import PlantMechanics
+from anther.sim import NOMINAL, Organ, SimPlant, Truth, plant_mechanics
+from anther.sim.pieces import of_flower_stalks
+from anther.sim.plant_mechanics import PlantMechanics
 from anther.sim.sway import Air
 from evaluation.judge.finer_plant import divided
 
@@ -64,8 +64,8 @@ class Params:
     settle: float = 1.0
     measure: float = 1.0
     samples: int = 40
-    plant: _plant_mechanics.Params = field(
-        default_factory=lambda: _plant_mechanics.Params(piece=0.025, twist_every=1, foliage=300.0)
+    plant: plant_mechanics.Params = field(
+        default_factory=lambda: plant_mechanics.Params(piece=0.025, twist_every=1, foliage=300.0)
     )
 
 
@@ -140,7 +140,7 @@ class ShakenPlant:
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
         finer, self._part = divided(plant, params.plant.piece)
-        pieces = _plant_mechanics.add_plant(spec, finer, params.plant)
+        pieces = plant_mechanics.add_plant(spec, finer, params.plant)
         held, self.point = _nearest_piece(finer, pieces, np.asarray(point, dtype=np.float64))
         _add_carriage(spec, self.point, self.direction, f"plant_{held}", self._pads, params.timestep)
         self.model: Any = spec.compile()
@@ -371,7 +371,7 @@ class ShakenPlant:
         return out[:, :, self.mechanics.dofs]
 
 
-def _nearest_piece(plant: SimPlant, pieces: _plant_mechanics.Pieces, point: Array) -> tuple[int, Array]:
+def _nearest_piece(plant: SimPlant, pieces: plant_mechanics.Pieces, point: Array) -> tuple[int, Array]:
     """Return the stem piece whose middle is nearest to a point, and that middle.
 
     The lowest is left out: clamped at its foot it cannot move without turning.

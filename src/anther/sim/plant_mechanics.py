@@ -19,21 +19,12 @@ from scipy.spatial.transform import Rotation
 
 from anther.core.errors import StageFailure
 from anther.core.geometry import Array
-from anther.sim._pieces import Params, Pieces, cut, mass_properties
+from anther.sim.pieces import Params, Pieces, cut, mass_properties
 from anther.sim.plant import GRAVITY, Organ, SimPlant
 
 mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
 
-FLUTTER = 30.0
-"""Frequency at which the hinges alone give `damping_ratio`, and below which they give less [Hz]."""
-FOLDED = 1.2
-"""Angle at which a hinge stops [rad]: far beyond what tissue bears, and short of a right angle, where two crossed
-hinges lose a direction and a plant pushed aside would spin without bound."""
-BLADE = 0.03
-"""Longest box along a blade [m]."""
-THICKNESS = 0.002
-"""Of a box [m]: a blade's 0.25 mm and its ripples. An estimate."""
-GIVE = 0.2
+_BLADE_TIME = 0.2
 """Time constant of a blade's contact [s]. A blade is a membrane that bends away: a strip of it 40 mm long and wide,
 0.25 mm thick, of 75 MPa, is a spring of 0.2 N/m at its end, its midrib (0.7 mm) one of 0.7 N/m (3 E I / L^3). With this
 constant fingers that go through three grown plants press into blades with 0.5-2 N/m in the median (measured; with
@@ -85,7 +76,7 @@ def add_plant(spec: Any, plant: SimPlant, params: Params, *, contype: int = 0) -
 
 
 def leaf_boxes(plant: SimPlant) -> list[tuple[int, Array, Array, Array]]:
-    """Return boxes around pieces of every leaf blade of the mesh, at most `BLADE` long.
+    """Return boxes around pieces of every leaf blade of the mesh, at most 3 cm long.
 
     Each is the segment it rides on, its centre (3,) [m], its axes (3, 3) in columns, its half extents (3,) [m].
     """
@@ -102,7 +93,7 @@ def leaf_boxes(plant: SimPlant) -> list[tuple[int, Array, Array, Array]]:
 
 
 def _add_blades(spec: Any, plant: SimPlant, pieces: Pieces, contype: int) -> None:
-    """Add the blades as boxes `blade_<i>_<segment>`: soft (`GIVE`), and without mass, which is the segments' lumps."""
+    """Add the blades as boxes `blade_<i>_<segment>`: soft (`_BLADE_TIME`), and without mass: the segments have it."""
     for i, (k, centre, axes, half) in enumerate(leaf_boxes(plant)):
         b = pieces.body[k]
         spec.body(f"plant_{b}").add_geom(
@@ -116,17 +107,17 @@ def _add_blades(spec: Any, plant: SimPlant, pieces: Pieces, contype: int) -> Non
             conaffinity=0,
             condim=1,
             priority=2,
-            solref=[GIVE, 1.0],
+            solref=[_BLADE_TIME, 1.0],
             solimp=[0.5, 0.9, 0.005, 0.5, 2],
             group=2,
         )
 
 
-def _runs(points: Array) -> list[Array]:
-    """Cut points (n, 3) across their longest extent into runs of at most `BLADE`; runs of fewer than four are left."""
+def _runs(points: Array, longest: float = 0.03) -> list[Array]:
+    """Cut points (n, 3) across their longest extent into runs of at most `longest` [m], without those of under four."""
     centred = points - points.mean(axis=0)
     along = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]
-    count = max(int(np.ceil(np.ptp(along) / BLADE)), 1)
+    count = max(int(np.ceil(np.ptp(along) / longest)), 1)
     run = np.minimum(((along - along.min()) / max(np.ptp(along), 1e-9) * count).astype(int), count - 1)
     return [points[run == i] for i in range(count) if np.sum(run == i) >= 4]
 
@@ -139,7 +130,7 @@ def _box(points: Array) -> tuple[Array, Array, Array]:
     local = (points - mean) @ axes
     half = np.ptp(local, axis=0) / 2
     centre = mean + axes @ (local.min(axis=0) + half)
-    return centre, axes, np.array([half[0], half[1], THICKNESS / 2])
+    return centre, axes, np.array([half[0], half[1], 0.001])  # a blade's 0.25 mm and its ripples: an estimate
 
 
 def _add_tie(spec: Any, plant: SimPlant, body: Any, pieces: Pieces) -> None:
@@ -171,12 +162,14 @@ def _add_hinges(body: Any, plant: SimPlant, k: int, bending: float, twist: float
         joint.stiffness = [stiffness, 0, 0]
         joint.damping = [beta * stiffness, 0, 0]
         joint.armature = stiffness / (2 * np.pi * fastest) ** 2
-        joint.range, joint.limited, joint.solref_limit = [-FOLDED, FOLDED], 1, [4 * dt, 1]
+        # far beyond what tissue bears, and short of a right angle, where two crossed hinges lose a direction
+        joint.range, joint.limited, joint.solref_limit = [-1.2, 1.2], 1, [4 * dt, 1]
 
 
 def _beta(ratio: Any, dt: float) -> Any:
+    """Return damping over stiffness [s] of hinges that alone give `ratio` at 30 Hz, and less below."""
     # implicitfast takes springs explicitly and dampers implicitly: damping/stiffness >= 0.7 dt keeps it stable
-    return np.maximum(ratio / (np.pi * FLUTTER), 0.7 * dt)
+    return np.maximum(ratio / (np.pi * 30.0), 0.7 * dt)
 
 
 def alone(plant: SimPlant, params: Params, timestep: float = 2e-3) -> PlantMechanics:
