@@ -192,7 +192,7 @@ def build(
 
     def plan_around(cloud: Cloud) -> Planner:
         params, space = replace(BRISK, home=home), place.arm_space
-        return Planner(cloud.points, cloud.obstacles, place.solids, space=space, params=params, arm=arm)
+        return Planner(cloud.yielding, cloud.rigid, place.solids, space=space, params=params, arm=arm)
 
     robot = guard(tap(robot, limits, arm.tool.T_flange_cam, lambda: mujoco.time), limits)
     return SimulatedCell(plant, mujoco, planned, Cell(take_views, plan_around, robot, place.workspace, limits))
