@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from anther.core.errors import StageFailure
 from anther.perception.cloud import SUPPORT, Cloud, Support
 from anther.perception.cloud.ply import read_ply
 from anther.perception.skeleton import skeletonize
@@ -61,7 +63,7 @@ def test_support_is_set_apart_and_the_plant_stays(case):
     assert [s.kind for s in cloud.supports] == [kind], cloud.notes
     (support,) = cloud.supports
     assert support.radius == pytest.approx(radius, abs=0.0012)
-    off = segment_distance(rod, support.start, support.end)
+    off = segment_distance(rod, support.axis[0], support.axis[-1])
     assert np.quantile(off, 0.95) < radius + 0.002, "its axis is the rod's, over all of it"
     assert len(support.points) > 0.9 * len(rod)
     assert len(cloud.points) > 0.97 * plant, "the plant keeps its points"
@@ -78,8 +80,30 @@ def test_stem_is_no_support(bow, seed):
     assert len(cloud.points) == len(plant)
 
 
+def test_stake_that_bends_is_followed():
+    """It bows by 8 mm over half a metre: its axis bends with it, and its points are out of the plant."""
+    rng = np.random.default_rng(3)
+    heights = np.linspace(0, 0.5, 26)
+    line = np.stack([-0.05 + 0.008 * (heights / 0.5) ** 2, 0.02 + 0 * heights, heights], axis=1)
+    rod = np.concatenate([tube(line[k], line[k + 1], (0.004, 0.004), 0.0015, rng) for k in range(25)])
+    cloud, plant = found_in(rod)
+    (support,) = cloud.supports
+    off = np.min([segment_distance(line, a, b) for a, b in itertools.pairwise(support.axis)], axis=0)
+    assert off.max() < 0.002
+    assert len(support.points) > 0.9 * len(rod)
+    assert len(cloud.points) > 0.97 * plant
+
+
+def test_only_supports_are_no_plant():
+    with pytest.raises(StageFailure, match="only a stake of 10 mm") as failure:
+        find_supports(Cloud(cylinder([0, 0, 0], [0, 0, 0.6], 0.005)))
+    assert failure.value.kind == "no_plant_found"
+
+
 def test_two_supports_are_told_apart():
-    cloud, _ = found_in(cylinder([-0.04, 0, 0], [-0.04, 0, 0.6], 0.0015), cylinder([0.05, 0.1, 0], [0.05, 0.1, 0.5], 0.005))
+    cloud, _ = found_in(
+        cylinder([-0.04, 0, 0], [-0.04, 0, 0.6], 0.0015), cylinder([0.05, 0.1, 0], [0.05, 0.1, 0.5], 0.005)
+    )
     assert sorted(s.kind for s in cloud.supports) == ["stake", "string"]
 
 
@@ -106,15 +130,16 @@ def test_string_is_never_the_main_stem():
     assert "a string of 3 mm" in note
 
 
-EVIDENCE = Evidence(length=0.4, wander=0.0005, noise=0.0005, taper=0.0, orphans=0.0, beyond=False)
+EVIDENCE = Evidence(length=0.4, bow=0.0005, noise=0.0005, taper=0.0, slenderness=100.0, orphans=0, beyond=False)
 
 
 @pytest.mark.parametrize(
     ("better", "worse"),
     [
-        ({}, {"wander": 0.004}),
+        ({}, {"bow": 0.004}),
+        ({}, {"slenderness": 25.0}),
         ({}, {"taper": -0.5}),
-        ({}, {"orphans": 2.0}),
+        ({}, {"orphans": 2}),
         ({"beyond": True}, {}),
         ({"greenness": (0.0, 0.25, 0.1)}, {"greenness": (0.25, 0.25, 0.1)}),
     ],
@@ -124,7 +149,8 @@ def test_each_trait_of_a_stem_speaks_against_a_support(better, worse):
 
 
 def test_supports_are_kept_in_the_files(tmp_path):
-    support = Support([0, 0, 0], [0, 0, 0.5], 0.0015, cylinder([0, 0, 0], [0, 0, 0.5], 0.0015))
+    axis = [[0, 0, 0], [0, 0, 0.5]]
+    support = Support("string", axis, 0.0015, cylinder(*axis, 0.0015))
     plant = curved_plant()
     cloud = Cloud(plant, colors=np.full(plant.shape, 90, np.uint8), supports=(support,))
     cloud.save(tmp_path / "cloud.ply")
@@ -132,7 +158,7 @@ def test_supports_are_kept_in_the_files(tmp_path):
     np.testing.assert_allclose(again.points, plant)
     assert len(again.colors) == len(again.labels) == len(plant)
     np.testing.assert_allclose(again.supports[0].points, support.points)
-    assert again.supports[0].radius == support.radius
+    assert (again.supports[0].kind, again.supports[0].radius) == ("string", 0.0015)
     assert np.count_nonzero(read_ply(tmp_path / "cloud.ply")["labels"] == SUPPORT) == len(support.points)
     (tmp_path / "cloud.npz").unlink()
     alone = Cloud.load(tmp_path / "cloud.ply")

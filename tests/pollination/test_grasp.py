@@ -179,7 +179,9 @@ def beside(plant, radius, *azimuths, gap=0.0, top=0.2):
     stem, skeleton, cloud = plant
     off = float(skeleton.radius[0]) + gap + radius
     feet = [np.array([0.72 + off * np.cos(a), off * np.sin(a), -0.3]) for a in azimuths]
-    rods = [Support(foot, [*foot[:2], top], radius, np.linspace(foot, [*foot[:2], top], 50)) for foot in feet]
+    kind = "string" if radius < 0.003 else "stake"
+    axes = [np.linspace(foot, [*foot[:2], top], 50) for foot in feet]
+    rods = [Support(kind, axis, radius, axis) for axis in axes]
     return stem, skeleton, replace(cloud, supports=tuple(rods))
 
 

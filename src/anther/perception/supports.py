@@ -9,12 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import KDTree
 
+from anther.core.errors import StageFailure
 from anther.core.geometry import Array
 from anther.perception.cloud import Cloud, Support
 from anther.perception.cloud._fusion import voxel_means
@@ -39,6 +41,9 @@ def find_supports(cloud: Cloud) -> Cloud:
 
     Args:
         cloud: plant points, world frame, z up [m].
+
+    Raises:
+        StageFailure: "no_plant_found": there is nothing but supports.
     """
     if cloud.supports or len(cloud.points) < FEWEST:
         return cloud
@@ -46,22 +51,26 @@ def find_supports(cloud: Cloud) -> Cloud:
     rods = list(_rods(scene))
     if not rods:
         return cloud
-    owner = np.full(len(cloud.points), -1)
+    owner, supports = np.full(len(cloud.points), -1), list[Support]()
     for k, rod in enumerate(rods):
-        owner[(owner < 0) & rod.holds(cloud.points, scene.cell)] = k
+        kind = _kind(rod, scene.cell)
+        axis = _traced(cloud.points, rod, scene.cell, straight=kind in ("string", "wire"))
+        margin = np.where(rod.alone, 1.0, 0.5) * scene.cell  # where nothing else is near, noise belongs to it
+        off, section = _along(axis, cloud.points)
+        owner[(owner < 0) & (off < rod.radius + margin[section])] = k
+        supports.append(Support(kind, axis, rod.radius, cloud.points[owner == k]))
     plant = owner < 0
-    if np.count_nonzero(plant) < FEWEST:  # only supports: a later stage says that there is no plant
-        return cloud
-    supports = tuple(
-        Support(rod.start, rod.end, rod.radius, cloud.points[owner == k]) for k, rod in enumerate(rods)
-    )
+    if np.count_nonzero(plant) < FEWEST:
+        only = ", ".join(support.name for support in supports)
+        do = "Point the cameras at the plant, or set the workspace."
+        raise StageFailure("no_plant_found", f"supports: the cloud shows only {only}, and no plant. {do}")
     rest = {
         name: value[plant]
         for name in ("points", "normals", "colors", "labels")
         if (value := getattr(cloud, name)) is not None
     }
     notes = tuple(_note(support, rest["points"], scene.cell) for support in supports)
-    return replace(cloud, **rest, supports=supports, notes=(*cloud.notes, *notes))
+    return replace(cloud, **rest, supports=tuple(supports), notes=(*cloud.notes, *notes))
 
 
 def notes_beside(cloud: Cloud, skeleton: Skeleton, stem: Stem) -> tuple[str, ...]:
@@ -69,20 +78,41 @@ def notes_beside(cloud: Cloud, skeleton: Skeleton, stem: Stem) -> tuple[str, ...
     line, radius = skeleton.nodes[stem.node_ids], skeleton.radius[stem.node_ids]
     notes = []
     for support in cloud.supports:
-        free = float((support.distance(line) - radius).min())
+        balls = support.balls(0.003)
+        free = float((KDTree(balls[:, :3]).query(line)[0] - support.radius - radius).min())
         where = "touches the main stem" if free < 1e-3 else f"{1e2 * free:.1f} cm beside the main stem"
         notes.append(f"{support.name}: {where}")
     return tuple(notes)
 
 
 def _note(support: Support, plant: Array, cell: float) -> str:
-    text = f"{support.name}, {np.linalg.norm(support.end - support.start):.2f} m long, is no plant: kept as an obstacle"
-    low = min(support.start, support.end, key=lambda p: p[2])
+    long = float(np.linalg.norm(support.axis[-1] - support.axis[0]))
+    text = f"{support.name}, {long:.2f} m long, is no plant: kept as an obstacle"
+    low = support.axis[np.argmin(support.axis[:, 2])]
     near = float(KDTree(plant).query(low)[0]) < support.radius + 3 * cell
     above = low[2] - plant[:, 2].min() > 0.1 * np.ptp(plant[:, 2])
     if support.soft and near and above:
         text += "; it ends at the plant: below it may be wound round the stem, and counts as stem there"
     return text
+
+
+STRING_RADIUS = 0.003
+"""Twine is 1 to 3 mm thick, and a depth camera adds as much (a guess): what is thicker is rigid."""
+
+
+def _kind(rod: _Rod, cell: float) -> Literal["string", "wire", "stake", "pole"]:
+    """Return what a rod is; one that the cloud shows too coarsely to be sure is no string."""
+    if rod.radius + 0.2 * cell <= STRING_RADIUS:
+        return "string" if abs(rod.along[2]) > 0.7 else "wire"
+    return "stake" if rod.radius <= 0.01 else "pole"
+
+
+def _along(axis: Array, points: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Return how far points (N, 3) are from an axis (K + 1, 3) [m], and which of its K pieces is nearest to each."""
+    fine = np.linspace(0, len(axis) - 1, 20 * (len(axis) - 1) + 1)
+    line = np.stack([np.interp(fine, np.arange(len(axis)), column) for column in axis.T], axis=1)
+    off, nearest = KDTree(line).query(points)
+    return off, np.minimum(fine[nearest].astype(np.int64), len(axis) - 2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,6 +126,7 @@ class _Scene:
         lower: (3,) corner of the grid [m].
         grid: which cells hold points.
         size: the middle one of the three extents [m].
+        coarse: whether the cells are larger than they need be.
     """
 
     points: Array
@@ -104,6 +135,7 @@ class _Scene:
     lower: Array
     grid: NDArray[np.bool_]
     size: float
+    coarse: bool = False
 
     @classmethod
     def of(cls, cloud: Cloud) -> _Scene:
@@ -121,6 +153,19 @@ class _Scene:
         grid = np.zeros(np.ceil((points.max(axis=0) - lower) / cell).astype(int) + 3, dtype=bool)
         grid[tuple(np.floor((thin - lower) / cell).astype(int).T)] = True
         return cls(thin, greenness, cell, lower, grid, float(np.median(extent)))
+
+    def coarser(self) -> _Scene:
+        """Return it in cells three times as large: there a pipe's ring has no gaps."""
+        cell, low = 3 * self.cell, self.points.min(axis=0)
+        points = voxel_means(self.points - low, cell) + low
+        greenness = None if self.greenness is None else self.greenness[KDTree(self.points).query(points)[1]]
+        return replace(self, points=points, greenness=greenness, cell=cell, coarse=True)
+
+    def without(self, rod: _Rod) -> _Scene:
+        """Return it without a rod's points."""
+        keep = ~rod.holds(self.points, self.cell)
+        greenness = None if self.greenness is None else self.greenness[keep]
+        return replace(self, points=self.points[keep], greenness=greenness)
 
 
 def _straight_lines(scene: _Scene) -> Array:
@@ -169,19 +214,21 @@ class Evidence:
 
     Attributes:
         length: from the first to the last section that shows the rod alone [m].
-        wander: rms distance of these sections' centres from the line [m].
-        noise: what of it measurement may cause [m].
+        bow: rms distance from the line of a cubic through these sections' centres [m].
+        noise: what of it the centres' scatter about the cubic causes [m].
         taper: log of the upper third's radius over the lower third's.
-        orphans: points that lose their hold on the plant when the rod is taken away, per point of the rod.
+        slenderness: its length over its radius.
+        orphans: pieces of the plant that come loose when the rod is taken away.
         beyond: whether its upper end (of a level one, either) is beyond the rest of the plant.
         greenness: of the rod and, median and spread, of the rest; None without colour.
     """
 
     length: float
-    wander: float
+    bow: float
     noise: float
     taper: float
-    orphans: float
+    slenderness: float
+    orphans: int
     beyond: bool
     greenness: tuple[float, float, float] | None = None
 
@@ -190,7 +237,7 @@ PRIOR = -3.0
 """Log-odds that a long straight line in a plant's cloud is a support: one in twenty (a guess)."""
 PRICE = 3.0
 """Log of how much worse it is to cut a stem away than to keep a support: twenty times (a judgement)."""
-BOW, WANDER = 0.0015, 0.012
+BOW, WANDER = 0.003, 0.012
 """Rms distance from a straight line, over the length: of a taut string, a stake or a pipe (guess, from bamboo and
 steel rods that bow by up to half a percent), and of stem segments (WHERE)."""
 
@@ -198,28 +245,25 @@ steel rods that bow by up to half a percent), and of stem segments (WHERE)."""
 def log_odds(e: Evidence) -> float:
     """Return the log-odds of a rigid rod against a piece of plant.
 
-    Each term is the log-ratio of what is seen if it is a rod, to the same if it is plant; the distributions are guesses.
+    Each term is the log-ratio of the probabilities of what is seen; the distributions are guesses.
     """
     rod = e.noise**2 + (BOW * e.length) ** 2
     plant = e.noise**2 + (WANDER * e.length) ** 2
-    straight = 1.5 * (np.log(plant / rod) - e.wander**2 * (1 / rod - 1 / plant))  # three bends are independent
+    straight = 2 * np.log(plant / rod) - 2 * e.bow**2 * (1 / rod - 1 / plant)  # four coefficients
     even = _normal(e.taper, 0, 0.15) - np.logaddexp(_normal(e.taper, -0.4, 0.35), _normal(e.taper, 0, 1.0)) + np.log(2)
-    bare = np.log(_exponential(e.orphans, 0.1, 2.0, 0.95) / _exponential(e.orphans, 0.1, 3.0, 0.1))
+    bare = max(np.log(0.8 / 0.3) + e.orphans * np.log(0.2 / 0.7), -4.0)  # geometric, 0.25 and 2.3 in the mean
     free = np.log(0.4 / 0.05) if e.beyond else np.log(0.6 / 0.95)
+    slender = np.log(max(e.slenderness, 1.0))
+    thin = min(_normal(slender, np.log(100), 0.9) - _normal(slender, np.log(25), 0.7), 3.0)
     colour = 0.0
     if e.greenness is not None:
         own, middle, spread = e.greenness
         colour = float(np.clip(_normal(own, 0, 0.2) - _normal(own, middle, max(spread, 0.1)), -1.5, 1.5))
-    return float(PRIOR + straight + even + bare + free + colour)
+    return float(PRIOR + straight + even + thin + bare + free + colour)
 
 
 def _normal(x: float, mean: float, sigma: float) -> float:
     return float(-0.5 * ((x - mean) / sigma) ** 2 - np.log(sigma))
-
-
-def _exponential(x: float, short: float, long: float, share: float) -> float:
-    """Return the density of a mixture of two exponential distributions, `share` of it the short one."""
-    return float(share * np.exp(-x / short) / short + (1 - share) * np.exp(-x / long) / long)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -262,17 +306,18 @@ class _Rod:
 
 def _rods(scene: _Scene) -> Iterator[_Rod]:
     """Yield the rods that are likely enough supports, the longest lines first."""
-    lines, looked = _straight_lines(scene), 0
+    lines, coarse, looked = _straight_lines(scene), scene.coarser(), 0
     while len(lines) and looked < _LINES:
         looked += 1
-        found = _fitted(scene, lines[0])
-        if found is None:
+        found = [pair for view in (scene, coarse) if (pair := _fitted(view, lines[0])) is not None]
+        if not found:
             lines = lines[1:]
             continue
-        rod, evidence = found
+        rod, evidence = max(found, key=lambda pair: log_odds(pair[1]))
+        lines = lines[1:][~rod.near(lines[1:], scene.cell)]
         if log_odds(evidence) > PRICE:
             yield rod
-        lines = lines[1:][~rod.near(lines[1:], scene.cell)]
+            scene, coarse = scene.without(rod), coarse.without(rod)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -346,6 +391,8 @@ def _fitted(scene: _Scene, line: Array) -> tuple[_Rod, Evidence] | None:
     usual = max(float(np.median(off)), 0.3 * scene.cell)
     good = np.flatnonzero(alone)[off < 4 * usual]
     t = found.t[good]
+    if scene.coarse and typical < 1.5 * scene.cell:  # seen as well in fine cells
+        return None
     if len(t) < _LEAST or len(t) < 0.2 * np.count_nonzero(found.near < np.inf):
         return None
     axis = _Rod(start, end, typical, np.isin(np.arange(len(found.t)), good))
@@ -353,12 +400,13 @@ def _fitted(scene: _Scene, line: Array) -> tuple[_Rod, Evidence] | None:
     third = np.quantile(t, [1 / 3, 2 / 3])
     upward = np.sign(rod.along[2]) or 1.0
     taper = np.log(np.median(found.spread[good][t >= third[1]]) / np.median(found.spread[good][t <= third[0]]))
-    wander = float(np.sqrt(np.mean(np.minimum(off, 6 * usual) ** 2)))
+    bow, noise = _bow(t, found.centre[good])
     evidence = Evidence(
         length=float(t[-1] - t[0]),
-        wander=wander,
-        noise=float(np.hypot(0.2 * scene.cell, 0.1 * typical)),
+        bow=bow,
+        noise=max(noise, 0.05 * scene.cell),
         taper=float(upward * taper),
+        slenderness=float(t[-1] - t[0]) / rod.radius,
         orphans=_orphans(scene, rod),
         beyond=_beyond(scene, rod),
         greenness=_greenness(scene, rod),
@@ -380,6 +428,14 @@ def _straight_fit(t: Array, centre: Array) -> tuple[Array, Array, Array]:
         off = np.linalg.norm(centre - offset - t[:, None] * slope, axis=1)
         weight = 1 / (1 + (off / max(2 * float(np.median(off)), 1e-9)) ** 2)  # Cauchy
     return offset, slope, off
+
+
+def _bow(t: Array, centre: Array) -> tuple[float, float]:
+    """Return how far a cubic through centres (K, 2) departs from a line, and what of it their scatter causes [m]."""
+    basis = np.linalg.qr(np.vander((t - t.mean()) / np.ptp(t), 4, increasing=True))[0]
+    share = basis.T @ centre
+    scatter = np.sum((centre - basis @ share) ** 2) / max(2 * (len(t) - 4), 1)
+    return float(np.sqrt(np.sum(share[2:] ** 2) / len(t))), float(np.sqrt(4 * scatter / len(t)))
 
 
 def _measured(scene: _Scene, axis: _Rod) -> _Rod:
@@ -409,6 +465,42 @@ def _measured(scene: _Scene, axis: _Rod) -> _Rod:
     return _Rod(start, axis.start + (high + 1) * step * axis.along, radius, alone)
 
 
+def _traced(points: Array, rod: _Rod, cell: float, *, straight: bool) -> Array:
+    """Return the axis (K + 1, 3) of a rod: straight if it is taut, else along its surface, as a long stake bends."""
+    count, across = len(rod.alone), np.linalg.svd(rod.along[None])[2][1:]
+    step = float(np.linalg.norm(rod.end - rod.start)) / count
+    line = rod.start + np.arange(count + 1)[:, None] * step * rod.along
+    if straight:
+        return line
+    t, off = rod._cylinder(points)
+    near = np.flatnonzero(off < rod.radius + 8 * cell)
+    t, xy = t[near] / step, (points[near] - rod.start) @ across.T
+    aside, first = np.zeros((count + 1, 2)), int(np.median(np.flatnonzero(rod.alone)))
+    for order in (range(first, count + 1), range(first, -1, -1)):
+        at, slope = np.zeros(2), np.zeros(2)
+        for k in order:
+            guess = at + slope
+            step_aside = _ring_centre(xy[np.abs(t - k) < 1], guess, rod.radius, cell) - guess
+            at, slope = guess + 0.5 * step_aside, slope + 0.2 * step_aside  # alpha-beta filter
+            aside[k] = at
+    return line + aside @ across
+
+
+def _ring_centre(xy: Array, guess: Array, radius: float, cell: float) -> Array:
+    """Return the centre of a ring of known radius through points (N, 2), near a guess (2,): this where they are few."""
+    xy, centre = xy[np.linalg.norm(xy - guess, axis=1) < radius + 0.7 * cell], guess
+    if len(xy) < 4:
+        return guess
+    for _ in range(5):
+        ray = xy - centre
+        off = np.linalg.norm(ray, axis=1)
+        ray /= np.maximum(off, 1e-9)[:, None]
+        weight = 1 / (1 + ((off - radius) / (0.3 * cell)) ** 2)
+        ties = (ray * weight[:, None]).T @ ray + 0.2 * weight.sum() * np.eye(2)
+        centre = centre + np.linalg.solve(ties, ray.T @ (weight * (off - radius)))
+    return centre
+
+
 def _round(axis: _Rod, points: Array, cell: float) -> tuple[_Rod, float]:
     """Return the axis moved into the middle of the surface points (N, 3) around it, and the radius [m].
 
@@ -435,9 +527,11 @@ def _followed(last: int, numbers: NDArray[np.int64], gap: int) -> int:
     return int(last)
 
 
-def _orphans(scene: _Scene, rod: _Rod) -> float:
-    """Return how many points lose their hold on the plant without the rod, per point of the rod."""
-    own = rod.holds(scene.points, 1.5 * scene.cell)
+def _orphans(scene: _Scene, rod: _Rod) -> int:
+    """Return how many pieces of the plant, of half a percent of its points or more, come loose without the rod."""
+    t, off = rod._cylinder(scene.points)
+    length = float(np.linalg.norm(rod.end - rod.start))
+    own = (off < 1.3 * rod.radius + 1.5 * scene.cell) & (t > -scene.cell) & (t < length + scene.cell)
     coarse = np.floor((scene.points - scene.lower) / (2 * scene.cell)).astype(int)
     shape = coarse.max(axis=0) + 1
 
@@ -447,11 +541,11 @@ def _orphans(scene: _Scene, rod: _Rod) -> float:
         return ndimage.label(held, np.ones((3, 3, 3)))[0][tuple(coarse[~own].T)]
 
     if own.all():
-        return 0.0
+        return 0
     before, after = parts(np.ones(len(own), dtype=bool)), parts(~own)
     home = np.bincount(after).argmax()  # the largest piece that is left
     joined = before == before[after == home][0]
-    return float(np.count_nonzero(joined & (after != home)) / max(np.count_nonzero(own), 1))
+    return int(np.count_nonzero(np.bincount(after[joined & (after != home)]) > 0.005 * len(after)))
 
 
 def _beyond(scene: _Scene, rod: _Rod) -> bool:

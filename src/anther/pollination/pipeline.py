@@ -134,9 +134,7 @@ def perceive(
         fused = run.stage(
             "cloud",
             Cloud.load,
-            lambda advance: find_supports(
-                cloud.fuse(capture, labels, workspace, params.cloud, progress=advance)
-            ),
+            lambda advance: find_supports(cloud.fuse(capture, labels, workspace, params.cloud, progress=advance)),
         )
         tree = run.stage("skeleton", Skeleton.load, lambda _: skeleton.skeletonize(fused, params.skeleton))
         centres = flowers.flower_centres(fused)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,33 +67,22 @@ class Params(Record):
     registration: _registration.Params | None = field(default_factory=_registration.Params)
 
 
-STRING_RADIUS = 0.0025
-"""Twine is 1 to 3 mm thick, and a depth camera adds up to 2 mm (a guess): a thicker support is rigid."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Support(Record):
-    """A string, wire, stake, pole or pipe beside the plant (`supports.find_supports`): a straight rod.
+    """A string, wire, stake or pole beside the plant: a rod that is not plant (`supports.find_supports`).
 
     Attributes:
-        start, end: (3,) of its axis [m].
+        kind: what it is, by how thick it is; a thin one by whether it is upright.
+        axis: (K, 3) along its middle, from end to end [m].
         radius: [m].
         points: (N, 3) of its surface [m].
     """
 
     CALLED = "support"
-    start: Annotated[Array, Shape(3), Range(unit="m")]
-    end: Annotated[Array, Shape(3), Range(unit="m")]
+    kind: Literal["string", "wire", "stake", "pole"]
+    axis: Annotated[Array, Shape("K", 3), Range(unit="m")]
     radius: Annotated[float, Range(0, 1, "m")]
     points: Annotated[Array, Shape("N", 3), Range(unit="m")]
-
-    @property
-    def kind(self) -> str:
-        """String, wire, stake or pole: by how thick it is, and a thin one by whether it is upright."""
-        if self.radius <= STRING_RADIUS:
-            rise = abs(self.end - self.start)
-            return "string" if rise[2] > np.hypot(rise[0], rise[1]) else "wire"
-        return "stake" if self.radius <= 0.01 else "pole"
 
     @property
     def soft(self) -> bool:
@@ -105,15 +94,16 @@ class Support(Record):
         """What it is and how thick, for people."""
         return f"a {self.kind} of {2e3 * self.radius:.0f} mm"
 
+    def balls(self, apart: float) -> Array:
+        """Return (B, 4) centres and radii of balls that fill it, at most so far apart [m]."""
+        length = np.append(0, np.cumsum(np.linalg.norm(np.diff(self.axis, axis=0), axis=1)))
+        at = np.linspace(0, length[-1], int(np.ceil(length[-1] / apart)) + 1)
+        centres = [np.interp(at, length, column) for column in self.axis.T]
+        return np.column_stack([*centres, np.full(len(at), self.radius)])
+
     def scaled(self, factor: float) -> Support:
         """Return it so many times as large, about the world's origin."""
-        return Support(factor * self.start, factor * self.end, factor * self.radius, factor * self.points)
-
-    def distance(self, points: Array) -> Array:
-        """Return how far points (N, 3) are from its surface [m], negative inside."""
-        axis = self.end - self.start
-        t = np.clip((points - self.start) @ axis / max(float(axis @ axis), 1e-18), 0, 1)
-        return np.linalg.norm(points - self.start - t[:, None] * axis, axis=1) - self.radius
+        return Support(self.kind, factor * self.axis, factor * self.radius, factor * self.points)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

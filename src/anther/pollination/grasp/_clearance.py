@@ -101,7 +101,9 @@ def surroundings_of(stem: Stem, skeleton: Skeleton, cloud: Cloud) -> Surrounding
     line = KDTree(stem_balls[:, :3])
     free = lambda points, margin: points[_outside(points, line, stem_balls[:, 3], margin)]  # noqa: E731
     is_flower = np.asarray(cloud.labels) == FLOWER
-    supports = {kind: _support_balls([s for s in cloud.supports if s.soft == (kind == STRING)]) for kind in (RIGID, STRING)}
+    supports = {
+        kind: _support_balls([s for s in cloud.supports if s.soft == (kind == STRING)]) for kind in (RIGID, STRING)
+    }
     parts = [
         (LEAF, free(thin_out(cloud.points[~is_flower], LEAF_SIZE), STEM_FUZZ)),
         (FLOWER_POINT, thin_out(cloud.points[is_flower], LEAF_SIZE)),
@@ -121,11 +123,7 @@ def surroundings_of(stem: Stem, skeleton: Skeleton, cloud: Cloud) -> Surrounding
 
 def _support_balls(supports: Sequence[Support]) -> Array:
     """Return (M, 4) centres and radii of balls along the axes of supports, at most 3 mm apart."""
-    balls = [np.zeros((0, 4))]
-    for s in supports:
-        share = np.linspace(0, 1, max(int(np.ceil(np.linalg.norm(s.end - s.start) / 0.003)), 1) + 1)[:, None]
-        balls.append(np.column_stack([s.start + share * (s.end - s.start), np.full(len(share), s.radius)]))
-    return np.concatenate(balls)
+    return np.concatenate([np.zeros((0, 4)), *(support.balls(0.003) for support in supports)])
 
 
 def _outside(points: Array, line: KDTree, radius: Array, margin: float) -> NDArray[np.bool_]:

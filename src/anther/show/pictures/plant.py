@@ -30,7 +30,15 @@ Sides = tuple[int, int, int]
 """Which world axes go across, up, and into the picture."""
 _SIDES: dict[str, Sides] = {"front": (0, 2, 1), "side": (1, 2, 0), "top": (0, 1, 2)}
 _MOST_POINTS = 40_000
-_DRAWN = ("cloud", "supports", *(name for name, _, _ in scene.ORGANS.values()), "skeleton", "flowers", "gripper", "grasp")
+_DRAWN = (
+    "cloud",
+    "supports",
+    *(name for name, _, _ in scene.ORGANS.values()),
+    "skeleton",
+    "flowers",
+    "gripper",
+    "grasp",
+)
 """Layers of these pictures, the later ones above; the arm would make the plant small."""
 _WIDE = 600.0
 """Points of a line's width in the picture for a metre of it in the scene; a hand's guess."""
