@@ -50,7 +50,7 @@ RODS = {
     "string 20 mm beside the stem": ([-0.028, 0, 0], [-0.02, 0, 0.62], 0.0015, "string"),
     "string that touches the base": ([-0.0076, 0, 0], [-0.05, 0, 0.62], 0.0015, "string"),
     "stake": ([0.01, -0.04, 0], [0.01, -0.045, 0.45], 0.0045, "stake"),
-    "pole": ([-0.15, 0, 0], [-0.15, 0, 0.6], 0.0255, "pole"),
+    "pole": ([-0.135, -0.173, 0], [-0.135, -0.173, 0.6], 0.0255, "pole"),
     "wire over the plant": ([-0.3, 0.02, 0.53], [0.3, 0.02, 0.535], 0.0015, "wire"),
 }
 
@@ -81,14 +81,14 @@ def test_stem_is_no_support(bow, seed):
 
 
 def test_stake_that_bends_is_followed():
-    """It bows by 8 mm over half a metre: its axis bends with it, and its points are out of the plant."""
+    """It bends aside by 20 mm over half a metre, and its axis with it: no straight one is within 3 mm of its ends."""
     rng = np.random.default_rng(3)
     heights = np.linspace(0, 0.5, 26)
-    line = np.stack([-0.05 + 0.008 * (heights / 0.5) ** 2, 0.02 + 0 * heights, heights], axis=1)
+    line = np.stack([-0.05 + 0.02 * (heights / 0.5) ** 2, 0.02 + 0 * heights, heights], axis=1)
     rod = np.concatenate([tube(line[k], line[k + 1], (0.004, 0.004), 0.0015, rng) for k in range(25)])
     cloud, plant = found_in(rod)
     (support,) = cloud.supports
-    off = np.min([segment_distance(line, a, b) for a, b in itertools.pairwise(support.axis)], axis=0)
+    off = np.min([segment_distance(line[1:-1], a, b) for a, b in itertools.pairwise(support.axis)], axis=0)
     assert off.max() < 0.002
     assert len(support.points) > 0.9 * len(rod)
     assert len(cloud.points) > 0.97 * plant
@@ -127,7 +127,8 @@ def test_string_is_never_the_main_stem():
     high = line[line[:, 2] > 0.1]
     assert segment_distance(high, [-0.0076, 0, 0], [-0.05, 0, 0.62]).min() > 0.01
     (note,) = notes_beside(cloud, tree, stem)
-    assert "a string of 3 mm" in note
+    assert cloud.supports[0].name in note
+    assert "the main stem" in note
 
 
 EVIDENCE = Evidence(length=0.4, bow=0.0005, noise=0.0005, taper=0.0, slenderness=100.0, orphans=0, beyond=False)
