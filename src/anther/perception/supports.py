@@ -238,7 +238,7 @@ PRIOR = -3.0
 PRICE = 3.0
 """Log of how much worse it is to cut a stem away than to keep a support: twenty times (a judgement)."""
 BOW, WANDER = 0.003, 0.012
-"""Rms bow over the length: of strings, stakes and pipes (a guess; the real pole at hand has 0.002), and of stem segments
+"""Rms bow over the length: of strings, stakes and pipes (a guess; the one real pole has 0.002), and of stem segments
 (a guess; the straightest of 93 labelled seedlings have 0.001 to 0.004)."""
 
 
