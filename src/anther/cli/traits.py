@@ -24,6 +24,7 @@ from anther.perception.skeleton import Params, skeletonize
 from anther.perception.stem import Params as StemParams
 from anther.perception.stem import find_stem
 from anther.perception.stem.confidence import doubt
+from anther.perception.supports import find_supports
 from anther.perception.traits import LEVELS, CloudTraits, Limb, measure, measure_cloud, organs_of
 from anther.plant.imported import with_known_places
 from anther.show.pictures import save_figure
@@ -183,7 +184,7 @@ def _measure_plant(args: Args, path: Path, name: str) -> dict[str, Any]:
 
 
 def _row(args: Args, path: Path, place: Path) -> dict[str, Any]:
-    cloud = read_cloud(path, args.units, args.up)
+    cloud = find_supports(read_cloud(path, args.units, args.up))
     params, known = _stages(args)
     skeleton = skeletonize(cloud, params)
     stem = organs_of(find_stem(skeleton, known, flowers_at=flower_centres(cloud)), args.species)

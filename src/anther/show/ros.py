@@ -24,6 +24,7 @@ from anther.perception.cloud import Cloud
 from anther.perception.flowers import flower_centres
 from anther.perception.skeleton import Skeleton, skeletonize
 from anther.perception.stem import Stem, find_stem
+from anther.perception.supports import find_supports
 from anther.pollination import grasp
 from anther.robot.arm.gripper_shape import GripperShape
 from anther.robot.arm.planner import Planner
@@ -61,8 +62,8 @@ class PlantAnswers:
             allowed = f"the plant within {file.workspace.lower} .. {file.workspace.upper} m"
             raise bad_input("cloud", given=given, allowed=allowed, do="Is it in metres, in the arm's base frame?")
         self.file, self.arm = file, file.model
-        self.cloud = Cloud(
-            points[inside], None, None if colours is None else colours[inside], obstacles=points[~inside]
+        self.cloud = find_supports(
+            Cloud(points[inside], None, None if colours is None else colours[inside], obstacles=points[~inside])
         )
         self._found: tuple[Skeleton, Stem] | None = None
         self._grasp: tuple[grasp.Grasp, Planner] | None = None

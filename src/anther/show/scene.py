@@ -75,10 +75,13 @@ class Layer:
 
 
 def cloud(found: Cloud) -> list[Layer]:
-    """Return the plant's points, and those of pot and bench if there are any."""
+    """Return the plant's points, and those of pot and bench, and of supports, if there are any."""
     layers = [Layer("cloud", style.CLOUD_COLOR, points=found.points, colours=found.colors)]
     if len(found.obstacles):
         layers.append(Layer("pot and bench", style.POT_COLOR, points=found.obstacles))
+    if found.supports:
+        points = np.concatenate([support.points for support in found.supports])
+        layers.append(Layer("supports", style.SUPPORT_COLOR, points=points))
     return layers
 
 

@@ -189,7 +189,8 @@ def build(
     def plan_around(cloud: Cloud) -> Planner:
         # between sawyer_moveit's "medium" and "fast" (facts: sawyer 1), which passes the safety limits in places
         params = MotionParams(velocity_share=0.9, acceleration_share=0.7, approach_speed=0.1, home=home)
-        return Planner(cloud.points, cloud.obstacles, place.solids, space=place.arm_space, params=params, arm=arm)
+        space = place.arm_space
+        return Planner(cloud.yielding, cloud.rigid, place.solids, space=space, params=params, arm=arm)
 
     robot = guard(tap(robot, limits, arm.tool.T_flange_cam, lambda: mujoco.time), limits)
     return SimulatedCell(plant, mujoco, planned, Cell(take_views, plan_around, robot, place.workspace, limits))

@@ -241,8 +241,9 @@ class Scribe:
             case Cloud():
                 plant, *others = scene.cloud(value)
                 self._put("/cloud", _scene.points(plant, stamp(when), WORLD), when)
-                for pot in others:
-                    self._put("/pot_and_bench", _scene.points(pot, stamp(when), WORLD), when)
+                for other in others:
+                    topic = "/" + other.name.replace(" ", "_")
+                    self._put(topic, _scene.points(other, stamp(when), WORLD), when)
             case Skeleton():
                 self._nodes = value.nodes
                 self._stand(when, WORLD, PLANT, transform(np.eye(3), value.nodes[0]))

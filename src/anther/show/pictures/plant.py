@@ -29,7 +29,9 @@ __all__ = ["BRANCH_COLOR", "GRASP_COLOR", "ORGAN_COLORS", "STEM_COLOR", "draw_la
 Sides = tuple[int, int, int]
 """Which world axes go across, up, and into the picture."""
 _SIDES: dict[str, Sides] = {"front": (0, 2, 1), "side": (1, 2, 0), "top": (0, 1, 2)}
-_DRAWN = ("cloud", *(name for name, _, _ in scene.ORGANS.values()), "skeleton", "flowers", "gripper", "grasp")
+_DRAWN = (
+    "cloud", "supports", *(name for name, _, _ in scene.ORGANS.values()), "skeleton", "flowers", "gripper", "grasp",
+)  # fmt: skip
 """Layers of these pictures, the later ones above; the arm would make the plant small."""
 
 
