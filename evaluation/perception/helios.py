@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.core.errors import MissingExtra
-from evaluation.perception.scene_plants import OTHER, STEM, Grown
+from evaluation.perception.scene_plants import OTHER, PETAL, STEM, Grown
 
 Model = Literal["tomato", "cherrytomato", "capsicum"]
 AGE: dict[Model, tuple[float, float]] = {"tomato": (30.0, 50.0), "cherrytomato": (35.0, 60.0), "capsicum": (45.0, 70.0)}
 """Days between which a plant is drawn: 0.3-0.9 m tall, as those that a robot shakes."""
-ORGANS = ("Internode", "Petiole", "Leaf", "Peduncle", "Flower", "Fruit")
+ORGANS = {"Internode": STEM, "Petiole": OTHER, "Leaf": OTHER, "Peduncle": OTHER, "Flower": PETAL, "Fruit": OTHER}
+"""What Helios calls the organs, and what a scene calls them."""
 
 
 def grow_helios(model: Model, seed: int, age: float | None = None) -> Grown:
@@ -49,25 +50,22 @@ def grow_helios(model: Model, seed: int, age: float | None = None) -> Grown:
             stem = np.array([tuple(node) for node in plants.getShootInternodeVertices(plant, main)])
             radius = np.array(plants.getShootInternodeRadii(plant, main))
             parts = [_triangles(context, getattr(plants, f"getPlant{organ}ObjectIDs")(plant)) for organ in ORGANS]
-    corners = np.concatenate([part[0] for part in parts])
-    colour = np.concatenate([part[1] for part in parts])
-    organ = np.repeat([STEM] + [OTHER] * (len(ORGANS) - 1), [len(part[0]) for part in parts])
+    corners, organ = np.concatenate(parts), np.repeat(list(ORGANS.values()), [len(part) for part in parts])
     side = (organ == STEM) & ~_along(corners.mean(axis=1), stem, radius)  # side shoots are no main stem
-    return Grown(f"{model}-{seed}", corners, np.where(side, OTHER, organ), colour, stem, radius)
+    return Grown(f"{model}-{seed}", corners, np.where(side, OTHER, organ), stem, radius)
 
 
-def _triangles(context: Any, objects: list[int]) -> tuple[NDArray[Any], NDArray[np.uint8]]:
-    """Return the triangles (F, 3, 3) of some objects, four-cornered patches as two, and their colours (F, 3)."""
+def _triangles(context: Any, objects: list[int]) -> NDArray[Any]:
+    """Return the triangles (F, 3, 3) [m] of some objects, four-cornered patches as two."""
     uuids = context.getObjectPrimitiveUUIDs(objects) if objects else []
     if not uuids:
-        return np.zeros((0, 3, 3)), np.zeros((0, 3), np.uint8)
+        return np.zeros((0, 3, 3))
     flat, offsets = context.getPrimitiveVertices(list(uuids))
     vertices, first = np.asarray(flat, dtype=float).reshape(-1, 3), np.asarray(offsets, dtype=int)
-    first = first // 3 if first[-1] == len(flat) else first
-    corners = np.diff(first)
-    start, square = first[:-1], first[:-1][corners == 4]
+    first = first // 3  # offsets count numbers, not corners
+    start, square = first[:-1], first[:-1][np.diff(first) == 4]
     faces = np.vstack([start[:, None] + [0, 1, 2], square[:, None] + [0, 2, 3]])
-    return vertices[faces], np.tile(np.array([70, 120, 50], np.uint8), (len(faces), 1))
+    return vertices[faces]
 
 
 def _along(points: NDArray[Any], stem: NDArray[Any], radius: NDArray[Any]) -> NDArray[np.bool_]:

@@ -22,8 +22,8 @@ STEM, OTHER, PETAL, SUPPORT = range(4)
 """What a point of a scene is: main stem, another organ, a flower, a support."""
 NOISE = 0.0003
 """Standard deviation of a point's place [m], as in the scenes that were tried (issue 59)."""
-DENSITY = 4e5
-"""Points to a square metre of surface: one every 1.6 mm."""
+DENSITY = 2e5
+"""Points to a square metre of surface: one every 2.2 mm."""
 APART = (0.1, 0.5)
 """Between which a plant stands from its neighbour [m]."""
 SUPPORTS = ("free string", "wound string", "stake", "pole", "pipe")
@@ -37,7 +37,6 @@ class Grown:
         name: of the plant.
         corners: (F, 3, 3) [m].
         organ: (F,) STEM, OTHER or PETAL.
-        colour: (F, 3) uint8.
         stem: (S, 3) main stem from the soil up [m].
         radius: (S,) [m].
     """
@@ -45,7 +44,6 @@ class Grown:
     name: str
     corners: Array
     organ: NDArray[Any]
-    colour: NDArray[Any]
     stem: Array
     radius: Array
 
@@ -58,7 +56,7 @@ class Points:
         name: of the plant.
         points: (N, 3) [m].
         organ: (N,) STEM, OTHER or PETAL.
-        stem: (S, 3) places on the main stem, from the soil up: its nodes, or the points that people labelled [m].
+        stem: (S, 3) main stem from the soil up: its nodes, or means of the points that people labelled [m].
         radius: of the stem, typical [m].
     """
 
@@ -104,11 +102,8 @@ def of_sim(plant: SimPlant) -> Grown:
     line, radius, _ = plant.stem_centreline()
     own = plant.face_organ <= Organ.FLOWER
     organ = np.where(plant.face_organ == Organ.STEM, STEM, np.where(plant.face_organ == Organ.FLOWER, PETAL, OTHER))
-    foot = line[0]
-    faces = plant.faces[own]
-    colour = plant.vertex_color[faces[:, 0]]
-    name = f"{plant.species}-{plant.seed}"
-    return Grown(name, plant.vertices[faces] - foot, organ[own], colour, line - foot, radius)
+    corners = plant.vertices[plant.faces[own]]
+    return Grown(f"{plant.species}-{plant.seed}", corners - line[0], organ[own], line - line[0], radius)
 
 
 def sampled(plant: Grown, rng: np.random.Generator) -> Points:
@@ -126,9 +121,9 @@ def of_scan(name: str, points: Array, is_stem: NDArray[np.bool_], height: float)
     lowest = stem[stem[:, 2] <= np.quantile(stem[:, 2], 0.01)].mean(axis=0)
     scale = height / float(np.ptp(np.quantile(points[:, 2], [0.005, 0.995])))
     moved, stem = scale * (points - lowest), scale * (stem - lowest)
-    stem = stem[np.argsort(stem[:, 2])]
-    organ = np.where(is_stem, STEM, OTHER)
-    return Points(name, moved, organ, np.vstack([np.zeros(3), stem]), 0.01 * height)
+    slices = np.array_split(stem[np.argsort(stem[:, 2])], 40)
+    line = np.vstack([np.zeros(3), *(part.mean(axis=0) for part in slices if len(part))])
+    return Points(name, moved, np.where(is_stem, STEM, OTHER), line, 0.01 * height)
 
 
 def thinned(plant: Points, most: int, rng: np.random.Generator) -> Points:
@@ -171,8 +166,7 @@ def support(name: str, plant: Points, rng: np.random.Generator) -> Array:
     }[name]
     line = foot + beside * side + rise
     if name == "wound string":
-        heights = np.linspace(0.02, 0.98, 400) * np.ptp(plant.stem[:, 2])
-        order = np.argsort(plant.stem[:, 2])
+        heights, order = np.linspace(0.02, 0.98, 400) * np.ptp(plant.stem[:, 2]), np.argsort(plant.stem[:, 2])
         axis = np.stack([np.interp(heights + foot[2], *plant.stem[order].T[[2, k]]) for k in range(3)], axis=1)
         turn = angle + heights / 0.08 * 2 * np.pi  # a turn every 80 mm
         around = np.stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)], axis=1)
