@@ -1,6 +1,6 @@
 """Plants of Helios (Bailey 2019; pip install 'anther[evaluation]'), a generator that shares nothing with Anther's own.
 
-Triangles with exact organ labels, and the stem's own nodes and radii. For tests and evaluation; no constant is set by it.
+Triangles with exact organ labels, and the stem's own nodes and radii. It sets no constant.
 """
 
 from __future__ import annotations

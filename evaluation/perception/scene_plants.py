@@ -90,11 +90,14 @@ class Scene:
         """(P, 3) where the stems leave the soil [m]."""
         return np.array([plant.stem[0] for plant in self.plants])
 
-    def cloud(self, plant: int | None = None) -> Cloud:
-        """Return what perception gets: all points, or those of one plant alone."""
-        kept = slice(None) if plant is None else self.owner == plant
-        labels = np.where(self.organ[kept] == PETAL, FLOWER, PLANT).astype(np.uint8)
-        return Cloud(self.points[kept], labels=labels)
+    def only(self, plant: int) -> Scene:
+        """Return the scene of one plant alone."""
+        kept = self.owner == plant
+        return Scene(self.points[kept], np.zeros(kept.sum(), int), self.organ[kept], [self.plants[plant]])
+
+    def cloud(self) -> Cloud:
+        """Return what perception gets."""
+        return Cloud(self.points, labels=np.where(self.organ == PETAL, FLOWER, PLANT).astype(np.uint8))
 
 
 def of_sim(plant: SimPlant) -> Grown:

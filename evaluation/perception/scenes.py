@@ -1,7 +1,7 @@
 """Whose stem is it: scenes of 2-5 plants 0.1-0.5 m apart, with and without strings, stakes and poles.
 
 Plants in turn are Anther's own, Helios's (left out where pyhelios3d is not installed) and real labelled seedlings
-enlarged to 0.45 m (left out without --data), turned and merged; `scene_plants.py` builds the scenes as complete surfaces
+enlarged to 0.45 m (left out without --data), turned and merged; `scene_plants.py` builds complete surfaces
 with 0.3 mm of noise. Of each scene perception is asked for the first plant by its foot (`root`), for the plant that
 stands in the middle (nothing named), and for the first plant alone, which gives its time. Scenes go through a sweep in
 --out: what is done is not run again.
@@ -14,7 +14,7 @@ was found), organs_own (share of the named tree's nodes on the asked plant, mean
 that close on a support, of scenes with supports), two_stems_48 (of 48 pairs of own plants with their feet 0.04-0.12 m
 apart, those whose grasp is on the asked stem; clouds, not whole trials), flagged_wrong (share of the wrong answers,
 another plant's stem or a grasp off the asked one's, that are refused, or have a confidence below 0.75 or a note of the
-stem), false_flags (share of right answers that have), scene_over_one (processor time of a scene of five plants over that
+stem), false_flags (share of right answers that have), scene_over_one (processor time of a scene of five over that
 of one of them, median; of all scenes where there are none of five), scenes; and own_, helios_, real_ for parts.
 """
 
@@ -89,9 +89,9 @@ class Answer:
         return bool(self.stem.notes) or min(value for value in (*sure, 1.0) if value is not None) < SURE
 
 
-def ask(scene: Scene, plant: int | None = None, root: Array | None = None) -> Answer:
-    """Ask perception for a main stem and a grasp in a scene, or of one plant alone, perhaps with its root named."""
-    cloud, begin = scene.cloud(plant), time.process_time()
+def ask(scene: Scene, root: Array | None = None) -> Answer:
+    """Ask perception for a main stem and a grasp in a scene, perhaps with the root named."""
+    cloud, begin = scene.cloud(), time.process_time()
     try:
         x, y, z = (0.0, 0.0, 0.0) if root is None else map(float, root)
         skeleton = skeletonize(cloud, None if root is None else Params(root=(x, y, z)))
@@ -219,7 +219,7 @@ def one_scene(row: Row, _: Path) -> Row:
     return found | {
         "named": named,
         "unnamed": judge.of(ask(scene), middle(scene)),
-        "alone": judge.of(ask(scene, plant=0), [0]),
+        "alone": Judge(scene.only(0)).of(ask(scene.only(0)), [0]),
     }
 
 

@@ -1,15 +1,15 @@
 """Depth on thin parts: what a real stereo camera reads of a plant, and what the simulated one reads of the same scene.
 
-One real frame (--data; D435, silk shrub at 0.5 m, background at 2-7 m) in which green pixels are the plant. Its scene is
-rebuilt from the mask and the readings, and seen by the simulated camera with the D435's baseline: as a nominal trial has
+One real frame (--data; D435, silk shrub at 0.5 m, background at 2-7 m) in which green is the plant. Its scene is
+rebuilt from the mask and the readings, and seen by the simulated camera with a D435's baseline: as a nominal trial has
 it, and as --draws wide trials draw it. Simulated plants beside it, as a nominal trial's wrist camera sees them. Widths
 are those of the largest disc in the mask that covers a pixel. The bounds of `truth.WIDE` are judged by this table; one
 frame fits no constant.
 
 Keys of the --json file, for real, nominal, wide_low, wide_median, wide_high (5 %, 50 % and 95 % quantile of the draws,
-each key by itself) and plants: <which>_thin_right, _thin_none, _thin_behind (shares of the plant's pixels in parts under
+each key by itself) and plants: <which>_thin_right, _thin_none, _thin_behind (shares of pixels in parts under
 6.5 mm: the plant's depth, no reading, the background's), <which>_right, _none, _behind (of all the plant's pixels),
-<which>_near_outside (share of the pixels up to 1.5 px outside the mask that read the plant's depth); frame_s (seconds of
+<which>_near_outside (share of the pixels up to 1.5 px outside that read the plant's depth); frame_s (seconds of
 the simulated depth of one frame of 1280 x 720).
 """
 

@@ -98,7 +98,7 @@ def segment(capture: Capture, workspace: Box | None = None, params: Params | Non
 
 
 def green_pixels(rgb: NDArray[Any], params: Params | None = None) -> NDArray[np.bool_]:
-    """Return (H, W) which pixels of one colour image (H, W, 3) uint8 are as green as leaves; none in light without green.
+    """Return (H, W) which pixels of one colour image (H, W, 3) uint8 are as green as leaves; none without green light.
 
     Colour alone does not tell a plant from others behind it; `segment` does.
     """
