@@ -49,7 +49,7 @@ RIVAL = 28.0
 """From this disparity step on a surface behind competes in full [px]: a wire at 0.9 m had depth with a wall 0.6 m
 behind, 14 px, and none with one at 4 m, 28 px (librealsense #5477)."""
 PATCH = 6.0
-"""Standard deviation of the Gaussian that correlates the texture of neighbours [px]; fits the real frame (thin_depth)."""
+"""Standard deviation of the Gaussian that correlates the texture of neighbours [px]; fits one real frame (thin_depth)."""
 
 
 @dataclass(frozen=True, slots=True)
