@@ -172,6 +172,9 @@ def _describe_gripper(gripper: Any) -> list[str]:
 
 
 def _describe_camera(camera: Camera) -> list[str]:
+    from anther.perception.coverage import describe_depth
+    from anther.perception.masks import green_pixels
+
     before = time.monotonic()
     frame, lens = camera.read(), camera.intrinsics
     took, late = time.monotonic() - before, time.monotonic() - frame.time
@@ -180,9 +183,11 @@ def _describe_camera(camera: Camera) -> list[str]:
     frames = camera.stop()
     rate = (len(frames) - 1) / (frames[-1].time - frames[0].time) if len(frames) > 1 else float("nan")
     near = frame.depth[frame.depth > 0]
+    plant = describe_depth(frame.depth, green_pixels(frame.rgb), lens.fx)
     return [
         f"{lens.width} x {lens.height} px, f {lens.fx:.1f} px; depth in {len(near) / frame.depth.size:.0%} of it",
         f"a frame after {1e3 * took:.0f} ms, {1e3 * late:.0f} ms old by its stamp; {rate:.1f} a second",
+        *filter(None, [plant]),
     ]
 
 

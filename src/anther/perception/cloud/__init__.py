@@ -41,6 +41,7 @@ from anther.perception.cloud._warnings import (
 )
 from anther.perception.cloud._wrong_views import SEARCH
 from anther.perception.cloud.ply import read_ply, write_ply
+from anther.perception.coverage import describe_depth
 from anther.perception.masks import BACKGROUND, LEAST_PIXELS, Masks
 
 __all__ = ["Cloud", "Params", "Support", "fuse", "likely_cause"]
@@ -219,7 +220,8 @@ def fuse(
     pixels = plant_pixels(capture, labels, box)
     _require(sum(len(p.points) for p in pixels), "pixels with depth within the masks, within the workspace")
     report()
-    notes = (*_unseen_views(pixels), *warn_of_views(capture.depth, labels))
+    covered = describe_depth(capture.depth, labels != BACKGROUND, capture.intrinsics.fx, only_poor=True)
+    notes = (*_unseen_views(pixels), *warn_of_views(capture.depth, labels), *filter(None, [covered]))
     poses, pixels, found = _registered(pixels, capture.T_world_cam, params)
     report()
     fused = fuse_voxels(pixels, poses, box, params.voxel)
