@@ -45,6 +45,8 @@ _BASIN = 0.04
 """Lowest rise of a basin, of the scene's height: less is roughness of a cut stem or of a blade."""
 _NEAR = 0.08
 """How far from the nearest point a named root may be, of the scene's height: the foot may be hidden."""
+_KNOWN = 20.0
+"""Odds by which a place that somebody names is likelier a stem's foot than one that nobody names: a guess."""
 _FOOT = 0.15
 """How far up the way from a minimum is looked at, of the scene's height."""
 
@@ -94,10 +96,9 @@ def find_plants(
     graph = _graph(points)
     minima = _minima(graph)
     chance = probability(FITTED, _evidence(graph, minima))
+    named = None if root is None else _named(graph, np.asarray(root, dtype=np.float64), minima, chance)
+    chance = np.where(minima == named, 1.0, chance)  # who names it knows
     feet = minima[chance >= 0.5]
-    named = None if root is None else _named(graph, np.asarray(root, dtype=np.float64), minima, feet)
-    if named is not None and named not in feet:
-        feet = np.append(feet, named)
     if len(feet) < 2:
         foot = graph.points[feet if len(feet) else minima[:1]]
         _check_number(plant, foot)
@@ -112,8 +113,7 @@ def find_plants(
         asked, why = plant, "--plant names it"
     else:
         asked, why = _middle_one(roots, np.bincount(owner[owner >= 0], minlength=len(feet)), points, middle)
-    chance = np.where(minima == named, 1.0, chance)  # who names it knows
-    sure = np.array([1.0 if foot == named else chance[minima == foot][0] for foot in feet])
+    sure = np.array([chance[minima == foot][0] for foot in feet])
     near = np.linalg.norm(graph.points[minima, :2] - roots[asked, :2], axis=1) <= graph.height
     certain = float(np.prod(np.maximum(chance, 1 - chance)[near]))
     on_it = named is not None and np.linalg.norm(roots[asked] - root) > _NEAR * graph.height
@@ -148,30 +148,38 @@ def _middle_one(roots: Array, size: NDArray[Any], points: Array, middle: ArrayLi
     return best, "the one in the middle" if len(alike) == 1 else "the largest of those about as near the middle"
 
 
-def _named(graph: _Graph, root: Array, minima: NDArray[Any], feet: NDArray[Any]) -> int:
-    """Return the foot, or another voxel, that a place (3,) [m] names.
+def _named(graph: _Graph, root: Array, minima: NDArray[Any], chance: Array) -> int | None:
+    """Return the foot that a place (3,) [m] names; None where it is no foot, but on the only plant.
+
+    A minimum that is not likely enough to be a foot of its own counts as one where somebody names it.
 
     Raises:
-        InputError: nothing is near it, or two stems are.
+        InputError: nothing is near it, two stems are as near, or it is on no stem though several are in view.
     """
-    allowed = _NEAR * graph.height
+    feet = minima[chance >= 0.5]
+    roots = graph.points[feet if len(feet) else minima[:1]]
     away = np.linalg.norm(graph.points - root, axis=1)
-    voxel = int(away.argmin())
-    roots = graph.points[feet]
     aside = np.linalg.norm(roots[:, :2] - root[:2], axis=1)
-    order = np.argsort(aside)
-    if len(feet) and away[voxel] <= allowed and _below(graph, voxel)[feet[order[0]]]:
-        return int(feet[order[0]])  # it is on this stem, or on what hangs no lower
-    between = len(feet) > 1 and aside[order[0]] > 0.5 * aside[order[1]]
-    if away[voxel] > allowed or between:
-        place = f"{root.round(3).tolist()}, {away[voxel]:.3g} m from the nearest point"
-        given = f"{place}{', between two stems' if between else ''}"
-        near = _listed(roots[order[:2]]) if len(feet) else _listed(graph.points[minima[:1]])
-        raise bad_input("root", given=given, allowed=f"on a stem; the nearest: {near}", do="Name one of these places.")
-    if len(feet) and aside[order[0]] <= allowed:
-        return int(feet[order[0]])
-    hanging = minima[_below(graph, voxel)[minima]]
-    return int(hanging[0]) if len(hanging) else voxel
+    voxel, order = int(away.argmin()), np.argsort(aside)
+    near = away[voxel] <= _NEAR * graph.height
+    between = len(roots) > 1 and aside[order[0]] > 0.5 * aside[order[1]]  # twice as near is clear: a guess
+    on_it = away[voxel] <= 2 * graph.height / _FINEST
+    if near and (on_it or not between):
+        if not len(feet):
+            return None
+        below = _below(graph, voxel)
+        if below[feet[order[0]]]:
+            return int(feet[order[0]])
+        lowest = np.flatnonzero(below[minima])[:1]
+        if len(lowest) and chance[lowest[0]] >= 1 / (1 + _KNOWN):
+            return int(minima[lowest[0]])
+        if aside[order[0]] <= _NEAR * graph.height and not between:
+            return int(feet[order[0]])
+        if len(feet) == 1:
+            return None
+    where = f"{root.round(3).tolist()}, {away[voxel]:.3g} m from the plant{', between two stems' if between else ''}"
+    listed = "; ".join(", ".join(f"{value:.3f}" for value in place) for place in roots[order[:2]])
+    raise bad_input("root", given=where, allowed=f"on a stem; the nearest stand at {listed} m", do="Name one of them.")
 
 
 def _below(graph: _Graph, voxel: int) -> NDArray[np.bool_]:
