@@ -1,4 +1,4 @@
-"""Several plants in view: each point has one plant, the asked one is taken whole, and what cannot be meant is refused."""
+"""Several plants in view: each point has one, the asked one is taken whole, what cannot be meant is refused."""
 
 from __future__ import annotations
 

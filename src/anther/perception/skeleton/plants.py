@@ -213,9 +213,7 @@ class _Graph:
         """Return (V,) the cost of the cheapest way from any source, the voxel before, and the source; inf, -1, -1."""
         n = len(self.points)
         graph = sparse.coo_matrix((self.cost, (self.links[:, 0], self.links[:, 1])), (n, n)).tocsr()
-        cost, before, source = dijkstra(
-            graph, directed=False, indices=sources, return_predecessors=True, min_only=True
-        )
+        cost, before, source = dijkstra(graph, directed=False, indices=sources, return_predecessors=True, min_only=True)
         return cost, np.maximum(before, -1), np.where(np.isfinite(cost), source, -1)
 
 
