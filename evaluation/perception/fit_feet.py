@@ -26,6 +26,8 @@ from evaluation.perception.real.strict import disturbed
 from evaluation.statistics import logistic
 
 SCENES, MOST_POINTS = 40, 12_000
+GRASSES = ("gavriel_maize", "grass", "maize")
+"""They stand alone: their leaves hang to the ground as stems stand, which no minimum of height tells apart."""
 AT_FOOT = 0.06
 """A minimum this near to a base, of the scene's height, is its foot."""
 
@@ -77,7 +79,7 @@ def scenes(plants: Sequence[Labelled], count: int, seed: int) -> Iterator[Scene]
     known = []
     for k, plant in enumerate(plants):
         for number, (_, other, base) in enumerate(disturbed(plant)):
-            if number == 0:
+            if number == 0 and not plant.name.startswith(GRASSES):
                 known.append((plant.cloud.points, base))
             if number == 0 or k % 8 == 0:
                 yield Scene(other.cloud.points, base[None])

@@ -33,8 +33,9 @@ from anther.perception.skeleton.voxel_solid import (
 
 __all__ = ["Plants", "find_plants"]
 
-FITTED = (-13.23, 3.18, 6.83, 7.59, 9.49)
-"""Constant and weights of `_evidence` in the log-odds that a stem stands at a minimum of height."""
+FITTED = (-18.11, 2.88, 0.75, 4.9, 15.47)
+"""Constant and weights of `_evidence` in the log-odds that a stem stands at a minimum of height:
+`python -m evaluation.perception.fit_feet`."""
 _FINEST = 100
 """Voxels along the scene's height: stems a thirtieth of it apart keep apart."""
 _BRIDGE = 0.15
@@ -281,8 +282,8 @@ def _evidence(graph: _Graph, feet: NDArray[Any]) -> Array:
     """Return the evidence (C, 4), each 0 .. 1, larger is better, that a stem stands at each of the voxels `feet` (C,).
 
     Columns, of what these feet leave to one another: how much what is near is an upright line, (l1 - l2) / l1 of its
-    scatter, blades left out, times the rise of its axis; how little its surroundings are a plane; the same on the way
-    up alone; how far the plant rises, of the scene's height.
+    scatter, blades left out, times the rise of its axis; how little the surroundings of the way up are a plane; how far
+    the plant rises, of the scene's height; how low the foot is.
     """
     _, before, owner = graph.ways(feet)
     z, reach, rows = graph.points[:, 2], _FOOT * graph.height, []
@@ -297,9 +298,9 @@ def _evidence(graph: _Graph, feet: NDArray[Any]) -> Array:
         solid = (1 - graph.flatness[near]) ** 2 + 1e-6
         values, axes = np.linalg.eigh(np.cov(graph.points[near].T, aweights=solid)) if len(near) > 3 else _BALL
         line = (values[2] - values[1]) / max(values[2], 1e-12) * abs(axes[2, 2])
-        flat = graph.flatness[near].mean(), graph.flatness[start].mean()
-        rows.append([line, 1 - flat[0], 1 - flat[1], min((z[top] - z[foot]) / graph.height, 1)])
-    return np.array(rows).reshape(-1, 4)
+        rise, low = (z[top] - z[foot]) / graph.height, 1 - (z[foot] - z.min()) / graph.height
+        rows.append([line, 1 - graph.flatness[start].mean(), rise, low])
+    return np.clip(np.array(rows).reshape(-1, 4), 0, 1)
 
 
 _BALL = np.ones(3), np.eye(3)
