@@ -62,8 +62,7 @@ class Plants:
         owner: (N,) plant of each point of the cloud; -1: of none.
         asked: which one is asked for.
         root: (3,) where its tree begins [m].
-        certain: probability that it is a plant of its own, whole: that it and its neighbours are stems and what else
-            is low beside it is none.
+        certain: probability that a stem stands there and is the one that is meant.
         notes: what the user should know.
     """
 
@@ -108,18 +107,24 @@ def find_plants(
     feet = feet[np.argsort(graph.points[feet, int(spread[1] > spread[0])], kind="stable")]
     roots, owner = graph.points[feet], _owners(graph, feet, points)
     _check_number(plant, roots)
+    rival = -1
     if named is not None:
         asked, why = int(np.flatnonzero(feet == named)[0]), "--root names it"
     elif plant is not None:
         asked, why = plant, "--plant names it"
     else:
-        asked, why = _middle_one(roots, np.bincount(owner[owner >= 0], minlength=len(feet)), points, middle)
+        size = np.bincount(owner[owner >= 0], minlength=len(feet))
+        asked, rival = _middle_one(roots, size, points, middle)
+        why = "the one in the middle" if rival < 0 else "the largest of those about as near the middle"
     sure = np.array([chance[minima == foot][0] for foot in feet])
-    near = np.linalg.norm(graph.points[minima, :2] - roots[asked, :2], axis=1) <= graph.height
-    certain = float(np.prod(np.maximum(chance, 1 - chance)[near]))
+    certain, notes = float(sure[asked]), _notes(roots, asked, why, owner)
+    if rival >= 0:
+        certain *= size[asked] / (size[asked] + size[rival])
+        x, y, z = roots[rival]
+        notes += (f"root: probability {certain:.0%}; the second candidate is {x:.3f},{y:.3f},{z:.3f} (set it with --root)",)
     on_it = named is not None and np.linalg.norm(roots[asked] - root) > _NEAR * graph.height
     start = np.asarray(root, dtype=np.float64) if on_it else roots[asked]
-    return Plants(roots, sure, owner, asked, start, certain, _notes(roots, asked, why, owner))
+    return Plants(roots, sure, owner, asked, start, certain, notes)
 
 
 def _check_number(plant: int | None, roots: Array) -> None:
@@ -139,14 +144,14 @@ def _notes(roots: Array, asked: int, why: str, owner: NDArray[np.int64]) -> tupl
     return (f"{words}; name another with --plant or --root", *none)
 
 
-def _middle_one(roots: Array, size: NDArray[Any], points: Array, middle: ArrayLike | None) -> tuple[int, str]:
-    """Return which plant stands nearest to the middle, the largest of those about as near, and why."""
+def _middle_one(roots: Array, size: NDArray[Any], points: Array, middle: ArrayLike | None) -> tuple[int, int]:
+    """Return which plant stands nearest to the middle, the largest of those about as near, and the second; -1: none."""
     low, high = np.quantile(points, [0.005, 0.995], axis=0)
     centre = (low + high) / 2 if middle is None else np.asarray(middle, dtype=np.float64)
     away = np.linalg.norm(roots[:, :2] - centre[:2], axis=1)
-    alike = np.flatnonzero(away <= away.min() + 0.25 * np.ptp(away))  # a guess
-    best = int(alike[np.argmax(size[alike])])
-    return best, "the one in the middle" if len(alike) == 1 else "the largest of those about as near the middle"
+    alike = np.flatnonzero(away <= away.min() + 0.1 * np.ptp(roots[:, :2], axis=0).max())  # a guess
+    alike = alike[np.argsort(-size[alike], kind="stable")]
+    return int(alike[0]), int(alike[1]) if len(alike) > 1 else -1
 
 
 def _named(graph: _Graph, root: Array, minima: NDArray[Any], chance: Array) -> int | None:
@@ -172,7 +177,7 @@ def _named(graph: _Graph, root: Array, minima: NDArray[Any], chance: Array) -> i
         if below[feet[order[0]]]:
             return int(feet[order[0]])
         lowest = np.flatnonzero(below[minima])[:1]
-        if len(lowest) and chance[lowest[0]] >= 1 / (1 + _KNOWN):
+        if len(lowest) and (chance[lowest[0]] >= 1 / (1 + _KNOWN) or (on_it and len(feet) > 1)):
             return int(minima[lowest[0]])
         if aside[order[0]] <= _NEAR * graph.height and not between:
             return int(feet[order[0]])
