@@ -107,13 +107,12 @@ def find_plants(
     feet = feet[np.argsort(graph.points[feet, int(spread[1] > spread[0])], kind="stable")]
     roots, owner = graph.points[feet], _owners(graph, feet, points)
     _check_number(plant, roots)
-    rival = -1
+    rival, size = -1, np.bincount(owner[owner >= 0], minlength=len(feet))
     if named is not None:
         asked, why = int(np.flatnonzero(feet == named)[0]), "--root names it"
     elif plant is not None:
         asked, why = plant, "--plant names it"
     else:
-        size = np.bincount(owner[owner >= 0], minlength=len(feet))
         asked, rival = _middle_one(roots, size, points, middle)
         why = "the one in the middle" if rival < 0 else "the largest of those about as near the middle"
     sure = np.array([chance[minima == foot][0] for foot in feet])
@@ -121,7 +120,8 @@ def find_plants(
     if rival >= 0:
         certain *= size[asked] / (size[asked] + size[rival])
         x, y, z = roots[rival]
-        notes += (f"root: probability {certain:.0%}; the second candidate is {x:.3f},{y:.3f},{z:.3f} (set it with --root)",)
+        words = f"root: probability {certain:.0%}; the second candidate is {x:.3f},{y:.3f},{z:.3f}"
+        notes += (f"{words} (set it with --root)",)
     on_it = named is not None and np.linalg.norm(roots[asked] - root) > _NEAR * graph.height
     start = np.asarray(root, dtype=np.float64) if on_it else roots[asked]
     return Plants(roots, sure, owner, asked, start, certain, notes)
