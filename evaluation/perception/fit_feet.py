@@ -3,9 +3,9 @@
     python -m evaluation.perception.fit_feet
 
 Prints the constants of skeleton/plants.py. Development plants: five of the ten seedlings of trackplant3d_tomato1a, a
-maize, and grown ones (`real/grown.py`); each alone, some disturbed in every way (`real/strict.py`), and two to five of them
-0.15 to 0.8 of their height apart, turned, on almost one level. Also says how many feet of other scenes, of plants that
-the fit has not seen, are missed, and what else is taken for one.
+maize, and grown ones (`real/grown.py`); each alone, some disturbed in every way (`real/strict.py`), and two to five of
+those that are no grasses 0.15 to 0.8 of their height apart, turned, on almost one level. Also says how many feet of
+other scenes, of plants that the fit has not seen, are missed, and what else is taken for one.
 """
 
 from __future__ import annotations
