@@ -1,6 +1,6 @@
 r"""Is what Anther believes of a shake calibrated? Flowers and loads of plants that nobody fitted anything to.
 
-    python -m evaluation.prediction.belief --plants 8 --jobs 2
+    python -m evaluation.prediction.belief --plants 40 --jobs 2
 
 Simulated plants whose truth is drawn wide (`anther.sim.truth.WIDE`) are scanned in ten views, modelled, held at four
 places and shaken a little at fifteen tones, as an arm and a motor do. The truth is MuJoCo's linear equations. The
@@ -12,7 +12,9 @@ A belief is calibrated where the share of it below the truth (the probability in
 and shakes. With --development the plants are those on which the errors were fitted, and the fit is printed.
 
 Keys of --json: pit_error_max, how far the distribution of the transform is at most from uniform at 0.05, 0.1, ... 0.95,
-over kinds and bands; passed_95, the share of truths above the 95 % quantile; both also as <key>_<kind>_<when>_<band>;
+over kinds and bands; passed_95, the share of truths above the 95 % quantile; both also as <key>_<kind>_<when>_<band>,
+with pit_chance, which 19 of 20 samples of as many plants would stay below if the belief were right (bootstrap over
+plants); pit_cells, how many kinds, times and bands there are, and pit_beyond, in how many of them the error is larger;
 motor_<species>_<tone>_ms2, the median flower's median over plants and grips when a motor moves the grip as far as it
 can; plants.
 """
@@ -25,6 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.table import Table
 from scipy.optimize import minimize
 from scipy.spatial import KDTree
@@ -60,7 +63,7 @@ SHAKEN = np.clip(TONES / 3, 1.0, 5.0)
 BANDS = {"1_14": (0.0, 14.0), "14_20": (14.0, 20.0), "20_40": (20.0, 40.0), "40_120": (40.0, 120.0)}
 """[Hz]."""
 HEIGHTS = (0.3, 0.45, 0.65, 0.8)
-FIRST, DEVELOPMENT = 9620, 520
+FIRST, DEVELOPMENT = 9660, (520, 9620)
 SEEN_WITH = 0.12
 """Error of what a camera sees of a node's motion: relative (films of eight plants)."""
 NEAR = 0.015
@@ -210,32 +213,55 @@ def transform(value: Value) -> float:
     return float(ndtr((truth - logs) / spread).mean())
 
 
-def metrics(values: list[Value], plants: int) -> dict[str, float]:
-    """Return the table's numbers."""
-    moved, values = ([v for v in values if (v[0] == MOTOR) == motor] for motor in (True, False))
-    table, all_shares = {"plants": float(plants)}, np.array([transform(value) for value in values])
+def by_chance(shares: Array, plant: NDArray[np.int64]) -> float:
+    """Return how far apart the distributions of shares (n,) are, of 19 in 20 samples of as many plants (n,)."""
+    _, plant = np.unique(plant, return_inverse=True)
+    count = np.bincount(plant)
+    below = np.zeros((len(count), len(SHARES)))
+    np.add.at(below, plant, shares[:, None] <= SHARES)
+    drawn = np.random.default_rng(0).multinomial(len(count), np.full(len(count), 1 / len(count)), 400)
+    apart = (drawn @ below) / (drawn @ count)[:, None] - below.sum(axis=0) / count.sum()
+    return float(np.quantile(np.abs(apart).max(axis=1), 0.95))
+
+
+def metrics(of_plants: list[list[Value]]) -> dict[str, float]:
+    """Return the table's numbers, of the values of each plant."""
+    table: dict[str, float] = {"plants": float(sum(bool(part) for part in of_plants))}
+    moved = [value for part in of_plants for value in part if value[0] == MOTOR]
+    numbered = [(n, value) for n, part in enumerate(of_plants) for value in part if value[0] != MOTOR]
     for species, tone in product(CROPS, TONES[VIBRATING_GRIPPER.lowest <= TONES]):
         felt = [value[3][0] for value in moved if value[1] == species and value[2] == tone]
         if felt:
             table[f"motor_{species}_{tone:.0f}_ms2"] = float(np.median(felt))
-    for kind, when, band in product(WORDS, WHEN, BANDS):
-        shares = np.array([transform(value) for value in chosen(values, kind, when, band)])
+    plant, all_shares = np.array([n for n, _ in numbered]), np.array([transform(value) for _, value in numbered])
+    errors, beyond = list[float](), 0
+    for kind, when, (band, (low, high)) in product(WORDS, WHEN, BANDS.items()):
+        cell = np.array([v[0] == kind and v[1] == when and low < v[2] <= high for _, v in numbered], dtype=bool)
+        shares = all_shares[cell]
         if len(shares) >= FEWEST:
             below = np.array([np.mean(shares <= share) for share in SHARES])
-            table[f"pit_error_{kind}_{when}_{band}"] = float(np.abs(below - SHARES).max())
+            errors.append(float(np.abs(below - SHARES).max()))
+            chance = by_chance(shares, plant[cell])
+            beyond += errors[-1] > chance
+            table[f"pit_error_{kind}_{when}_{band}"] = errors[-1]
+            table[f"pit_chance_{kind}_{when}_{band}"] = chance
             table[f"passed_95_{kind}_{when}_{band}"] = float(np.mean(shares > 0.95))
-    table["pit_error_max"] = max((value for key, value in table.items() if key.startswith("pit_error")), default=np.nan)
-    table["passed_95"] = float(np.mean(all_shares > 0.95)) if len(values) else np.nan
+    table |= {"pit_cells": float(len(errors)), "pit_beyond": float(beyond)}
+    table["pit_error_max"] = max(errors, default=np.nan)
+    table["passed_95"] = float(np.mean(all_shares > 0.95)) if numbered else np.nan
     return table
 
 
 def report(table: dict[str, float]) -> Table:
     """Return the table by kind and band, before and after an observation."""
-    text = markdown(["what", "Hz", *(f"furthest from uniform / above the 95 % quantile: {when}" for when in WHEN)])
+    what = "furthest from uniform (by chance) / above the 95 % quantile"
+    text = markdown(["what", "Hz", *(f"{what}: {when}" for when in WHEN)])
     for kind, band in product(WORDS, BANDS):
         keys = [f"{kind}_{when}_{band}" for when in WHEN]
         cells = [
-            f"{table[f'pit_error_{key}']:.2f} / {table[f'passed_95_{key}']:.0%}" if f"pit_error_{key}" in table else "–"
+            f"{table[f'pit_error_{key}']:.2f} ({table[f'pit_chance_{key}']:.2f}) / {table[f'passed_95_{key}']:.0%}"
+            if f"pit_error_{key}" in table
+            else "–"
             for key in keys
         ]
         text.add_row(WORDS[kind], band.replace("_", "–"), *cells)
@@ -281,19 +307,28 @@ def _likeliest(values: list[Value]) -> str:
 def main() -> None:
     """Run what is missing and print the table."""
     own = {
-        "--plants": (24, "tomatoes and peppers by turns"),
+        "--plants": (40, "tomatoes and peppers by turns"),
         "--development": (False, "the plants on which the errors were fitted"),
     }
     seed = (0, "added to the seeds of all plants")
     args = options(__doc__, quick="two plants", seed=seed, jobs="plants", out="runs/belief", own=own)
-    first, count = DEVELOPMENT if args.development else FIRST, 2 if args.quick else args.plants
-    cases = [{"species": species, "seed": seed} for species, seed in by_turns(count, first + args.seed)]
+    count = 2 if args.quick else args.plants
+    firsts = DEVELOPMENT if args.development else (FIRST,)
+    plants = [plant for first in firsts for plant in by_turns(count // len(firsts), first + args.seed)]
+    cases = [{"species": species, "seed": seed} for species, seed in plants]
     done = [part["values"] for part in run_cases(one_plant, cases, args.out, args.jobs, lambda _: {"values": []})]
     width = min((len(value[3]) for part in done for value in part if value[0] != MOTOR), default=0)
-    values = [v if v[0] == MOTOR else [*v[:3], [*v[3][: width - 1], v[3][-1]]] for part in done for v in part]
-    table = metrics(values, sum(bool(part) for part in done))
+    done = [[v if v[0] == MOTOR else [*v[:3], [*v[3][: width - 1], v[3][-1]]] for v in part] for part in done]
+    table = metrics(done)
     words = f"{table['plants']:.0f} plants, {len(HEIGHTS)} grips, {len(TONES)} tones each."
-    finish(args, table, words, report(table), by_motor(table), *([fitted(values)] if args.development else []))
+    finish(
+        args,
+        table,
+        words,
+        report(table),
+        by_motor(table),
+        *([fitted([v for part in done for v in part])] if args.development else []),
+    )
 
 
 if __name__ == "__main__":

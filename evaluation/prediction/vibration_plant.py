@@ -19,7 +19,6 @@ from anther.plant import Crop, Material, PlantModel
 from anther.pollination import Grasp, ObservedShake, Refinement, refine
 from anther.pollination.learning import Felt
 from anther.pollination.shake import sawyer_limit
-from anther.pollination.shake._verification import steadily_shaken
 from anther.pollination.shake.observables import semi_major
 from anther.pollination.shake.pads import Pads, grip_rows, pad_nodes
 from anther.rods import Drive
@@ -27,6 +26,7 @@ from evaluation.prediction.expectation import amplitude_at
 from evaluation.prediction.known_plant import DIRECTION, Known, filmed, known, observed, shake_of, stem_points
 from evaluation.prediction.shaken_plant import Params as ShakenParams
 from evaluation.prediction.shaken_plant import ShakenPlant
+from evaluation.prediction.steady import steadily_shaken
 from evaluation.prediction.vibration_models import Model, anther_model, paper_model, true_model
 
 HEIGHTS = (0.3, 0.45, 0.6, 0.75, 0.9)

@@ -27,16 +27,24 @@ def drawn(kind: str, when: str, tone: float, *, wide: float = 1.0, shift: float 
     return [[kind, when, tone, [*row, true]] for row, true in zip(members.tolist(), truth.tolist(), strict=True)]
 
 
+def plants(values: list[Any]) -> list[list[Any]]:
+    """Return the values as those of 50 plants."""
+    return [values[k::50] for k in range(50)]
+
+
 @pytest.mark.parametrize("tone", [6.4, 16.9, 34.0, 80.0])
 @pytest.mark.parametrize(("kind", "when"), list(product(belief.WORDS, belief.WHEN)))
 def test_truths_that_come_from_what_is_believed_are_found_calibrated_each_in_its_band(
     kind: str, when: str, tone: float
 ) -> None:
-    found = belief.metrics(drawn(kind, when, tone), 3)
+    found = belief.metrics(plants(drawn(kind, when, tone)))
     (band,) = (name for name, (low, high) in belief.BANDS.items() if low < tone <= high)
     assert found.keys() == {
-        "plants", f"pit_error_{kind}_{when}_{band}", f"passed_95_{kind}_{when}_{band}", "pit_error_max", "passed_95"
+        "plants", f"pit_error_{kind}_{when}_{band}", f"passed_95_{kind}_{when}_{band}", "pit_error_max", "passed_95",
+        f"pit_chance_{kind}_{when}_{band}", "pit_cells", "pit_beyond",
     }  # fmt: skip
+    assert (found["plants"], found["pit_cells"]) == (50, 1)
+    assert found["pit_error_max"] < 1.6 * found[f"pit_chance_{kind}_{when}_{band}"]
     assert found["pit_error_max"] < 0.04
     assert found["passed_95"] == pytest.approx(0.05, abs=0.015)
 
@@ -48,24 +56,35 @@ def test_a_belief_that_is_too_wide_or_too_narrow_or_too_low_is_found_so(
     wrong: dict[str, float], least: float, most: float
 ) -> None:
     """Where 5 % should pass: hardly any, or more than twice as many."""
-    found = belief.metrics(drawn("flowers", "before", 6.4, **wrong), 3)
+    found = belief.metrics(plants(drawn("flowers", "before", 6.4, **wrong)))
     assert found["pit_error_max"] > 0.1
+    assert found["pit_beyond"] == 1
     assert least <= found["passed_95"] <= most
+
+
+def test_plants_not_values_are_what_chance_draws() -> None:
+    """Values that are alike in each plant say no more than one of them."""
+    rng = np.random.default_rng(2)
+    shares = rng.uniform(size=40)
+    alone = belief.by_chance(shares, np.arange(40))
+    assert belief.by_chance(np.repeat(shares, 25), np.repeat(np.arange(40), 25)) == pytest.approx(alone)
+    assert belief.by_chance(rng.uniform(size=1000), np.arange(1000)) < 0.3 * alone
+    assert alone == pytest.approx(1.36 / np.sqrt(40), rel=0.3)  # Kolmogorov's
 
 
 def test_of_few_values_no_distribution_is_told() -> None:
     few = drawn("flowers", "before", 6.4)[: belief.FEWEST - 1]
-    assert np.isnan(belief.metrics(few, 3)["pit_error_max"])
-    assert np.isnan(belief.metrics([], 0)["passed_95"])
+    assert np.isnan(belief.metrics([few])["pit_error_max"])
+    assert np.isnan(belief.metrics([])["passed_95"])
 
 
 def test_what_a_motor_moves_is_told_apart_by_crop_and_tone() -> None:
     motor = [[belief.MOTOR, "tomato", 34.0, [felt]] for felt in (1.0, 7.0, 9.0)]
     motor += [[belief.MOTOR, "pepper", 34.0, [2.0]]]
     values = drawn("flowers", "before", 6.4)
-    found = belief.metrics([*motor, *values], 3)
+    found = belief.metrics([[*motor, *values]])
     assert (found["motor_tomato_34_ms2"], found["motor_pepper_34_ms2"]) == (7.0, 2.0)
-    assert belief.metrics(values, 3) == {key: value for key, value in found.items() if not key.startswith("motor")}
+    assert belief.metrics([values]) == {key: value for key, value in found.items() if not key.startswith("motor")}
 
 
 def test_a_fit_finds_the_regression_that_values_were_drawn_with() -> None:

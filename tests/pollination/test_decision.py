@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from anther.core.geometry import Array
-from anther.plant.limits import GUSTS, HALF_DOSE, LOST_AT, PEDICEL_STRAIN, TOLERANCE
+from anther.plant.limits import DOSE_MEASURES, GUSTS, HALF_DOSE, LOST_AT, PEDICEL_STRAIN, SAME_DOSE, TOLERANCE
 from anther.pollination import decision
 from anther.pollination.decision import (
     BANDS,
@@ -174,7 +174,15 @@ def test_the_closed_form_is_the_mean_over_members_errors_and_what_is_borne(hertz
     looks = [None, None] if seen is None else [bool(one) for one in seen]
     felt = np.column_stack([true(answer.flowers[:, f], "flowers", looks[f]) for f in (0, 1)])
     half = HALF_DOSE.median * np.exp(HALF_DOSE.spread * rng.normal(size=shape))
-    assert told.gain == pytest.approx(np.mean(felt**EXPONENT / (felt**EXPONENT + half**EXPONENT)), abs=0.02)
+    for measure, (power, _) in DOSE_MEASURES.items():
+        dose = felt * (hertz / SAME_DOSE) ** power
+        assert told.freed[measure] == pytest.approx(
+            np.mean(dose**EXPONENT / (dose**EXPONENT + half**EXPONENT)), abs=0.02
+        )
+        assert told.by(measure) - told.net == pytest.approx(
+            (1 - told.bent["grip_force"]) * (told.freed[measure] - told.gain)
+        )
+    assert told.gain == pytest.approx(sum(share * told.freed[measure] for measure, (_, share) in DOSE_MEASURES.items()))
     borne = {k: b.median * np.exp(b.spread * rng.normal(size=shape)) for k, b in BORNE.items()}
     lost_at = LOST_AT.median * np.exp(LOST_AT.spread * rng.normal(size=shape))
     assert told.lost == pytest.approx(np.mean(felt > lost_at), abs=0.01)

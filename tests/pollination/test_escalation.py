@@ -605,6 +605,22 @@ def test_what_a_camera_shows_that_does_not_see_the_plant_raises_nothing(
         check_pieces(world, watched)
 
 
+def test_a_probe_that_proves_nothing_teaches_nothing(shaken: Shaken, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What was not looked at alone since is believed as before any look, with the errors of that."""
+    monkeypatch.setattr(foresight_module, "MISFIT", 0.2)
+    watched, seeing = (lied_to(shaken, lie, 0)[1] for lie in ("a picture that stands still", "none"))
+    looked_at = {int(np.abs(TONES - step.frequencies[0]).argmin()) for step in single(watched)}
+    for n, (blind, sighted) in enumerate(zip(watched._options, seeing._options, strict=True)):
+        assert sighted.told.measured is not None
+        if n not in looked_at:
+            assert blind.told.measured is None
+            assert np.all(np.isnan(blind.told.most))
+            assert (
+                np.log(blind.told.answer.flowers).std(axis=0).mean()
+                > 1.2 * np.log(sighted.told.answer.flowers).std(axis=0).mean()
+            )
+
+
 def test_motion_as_large_as_that_of_the_plant_but_not_its_own_harms_nothing(
     shaken: Shaken, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -88,7 +88,7 @@ def plan(plant: PlantModel) -> ShakePlan:
 
 
 def amplitude_of(truth: PlantModel, plant: PlantModel, plan: ShakePlan) -> np.ndarray:
-    """What another plant would do in that shake, with the plan's own nonlinear correction."""
+    """What another plant would do in that shake."""
     pads = pad_nodes(plant, grip_rows(plant, plan.grasp.point[None]))
     response = gains(
         [Version(plant), Version(truth)], pads, plan.direction[None, None], np.array([plan.frequency])
@@ -97,7 +97,7 @@ def amplitude_of(truth: PlantModel, plant: PlantModel, plan: ShakePlan) -> np.nd
 
 
 def predicted(plant: PlantModel, after: Refinement, plan: ShakePlan) -> np.ndarray:
-    """What the members now say of the flowers' amplitudes in a shake, with its nonlinear correction."""
+    """What the members now say of the flowers' amplitudes in a shake."""
     nothing = np.full(len(plan.predicted_amplitude), np.nan)
     said = told(Version(plant, plan.pads), after.members, [ObservedShake(plan, nothing, nothing)])[0]
     return np.exp(np.log(semi_major(said.flowers)).mean(axis=0))

@@ -46,7 +46,7 @@ def seen(plant: PlantModel, truth: Pads, frequency: float, believed: Pads, *, be
     point = plant.rods.nodes[plant.stem_nodes[HELD]]
     motion = SIZE * dense_motion(plant, HELD, truth, frequency)
     flowers = motion[plant.flower_nodes]
-    facts = {"direction": WAY, "amplitude": SIZE, "frequency": frequency, "pads": believed, "nonlinear": None}
+    facts = {"direction": WAY, "amplitude": SIZE, "frequency": frequency, "pads": believed}
     shake = cast(ShakePlan, SimpleNamespace(grasp=SimpleNamespace(point=point), **facts))
     size, ways = semi_major(flowers), np.tile(WAY, (len(flowers), 1))
     told: dict = {"phase": np.angle(flowers @ WAY), "phase_std": np.full(len(size), 0.05), "axis": ways}

@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 
 from anther.core.geometry import Array
 from anther.plant.model import TOMATO, PlantModel, build_plant
-from anther.pollination.shake._verification import steadily_shaken
 from anther.pollination.shake.observables import observables
 from anther.pollination.shake.pads import Pads
 from anther.pollination.shake.search import Version, gains
@@ -20,6 +19,7 @@ from anther.rods import Clamp, Drive, Rods, joints, simulate, strain_changes, wi
 from anther.rods._equilibrium import static_state
 from anther.rods._linear import dense, linearise
 from anther.rods._model import build_model
+from evaluation.prediction.steady import steadily_shaken
 
 WEIGHTLESS = (0.0, 0.0, 0.0)
 FIRM = Pads(stiffness=1e9, turning=1e6, stiffness_spread=0, turning_spread=0)

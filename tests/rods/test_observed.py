@@ -11,7 +11,6 @@ from dense_grip import dense_answer
 from sample_plants import branched
 
 from anther.plant.model import TOMATO, PlantModel, build_plant
-from anther.pollination.shake._verification import steadily_shaken
 from anther.pollination.shake.observables import observables, semi_major
 from anther.pollination.shake.pads import pad_nodes
 from anther.rods import (
@@ -26,6 +25,7 @@ from anther.rods import (
     strain_changes,
 )
 from anther.rods._response import displacements
+from evaluation.prediction.steady import steadily_shaken
 
 WAY = np.array([0.8, 0.6, 0.0])
 SOFT = Springs(5e3, 0.3)

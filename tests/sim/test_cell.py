@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,11 +14,13 @@ from straight_plant import BASE, chain, plant_of, straight_plant, with_blade
 
 from anther.core.errors import StageFailure
 from anther.robot.arm import sawyer
-from anther.sim import _growth, _plant_mechanics
-from anther.sim._plant_mechanics import leaf_boxes
-from anther.sim.cell import LOG_EVERY, Cell, Params, mujoco
+from anther.robot.devices import JointTrajectory
+from anther.sim import growth, plant_mechanics
+from anther.sim.cell import FINE, LOG_EVERY, Cell, Params, mujoco
 from anther.sim.pepper import grow_pepper
 from anther.sim.plant import Organ, SimPlant
+from anther.sim.plant_mechanics import leaf_boxes
+from anther.sim.robot import SimArm
 from anther.sim.tomato import grow_tomato
 
 LENGTH, RADIUS, YOUNGS, DENSITY = 0.5, 0.004, 1e9, 1000.0
@@ -120,12 +123,12 @@ def test_a_plant_too_soft_to_stand_is_refused() -> None:
 
 def test_the_cut_keeps_mass_organs_and_order() -> None:
     plant = straight_plant()
-    pieces = _plant_mechanics.cut(plant, _plant_mechanics.Params(piece=0.1))
+    pieces = plant_mechanics.cut(plant, plant_mechanics.Params(piece=0.1))
     assert len(pieces.first) < len(plant.start) / 2
     assert np.all(pieces.parent < np.arange(len(pieces.parent)))
     for b in range(len(pieces.first)):
         assert len(set(plant.organ[pieces.body == b])) == 1
-    cell = Cell(plant, params=Params(plant=_plant_mechanics.Params(piece=0.1)))
+    cell = Cell(plant, params=Params(plant=plant_mechanics.Params(piece=0.1)))
     mass = cell.model.body_mass[cell.mechanics.bodies].sum()
     assert mass == pytest.approx(plant.mass.sum() + plant.lump_mass.sum(), rel=1e-9)
 
@@ -146,7 +149,7 @@ def test_a_bar_with_a_heavy_arm_twists_as_theory_says_and_bending_strain_does_no
     m = cell.model
     qpos = cell.data.qpos.copy()
     up = [m.body_jntadr[b] + 2 for b in cell.mechanics.bodies if m.body_jntnum[b] == 3]
-    assert len(up) == 20 // _plant_mechanics.Params().twist_every
+    assert len(up) == 20 // plant_mechanics.Params().twist_every
     qpos[m.jnt_qposadr[up]] = 0.3
     assert cell.mechanics.strain(qpos).max() == pytest.approx(0, abs=1e-12)
 
@@ -167,7 +170,7 @@ def test_a_rod_of_one_piece_bends_under_a_weight_at_its_end_as_beam_theory_says(
 @pytest.mark.parametrize("grow", [grow_tomato, grow_pepper])
 def test_a_grown_plant_is_fine_enough_and_swings_as_one_cut_finer(grow, monkeypatch) -> None:
     coarse = grow(11)
-    monkeypatch.setattr(_growth, "LONGEST", 0.015)
+    monkeypatch.setattr(growth, "LONGEST", 0.015)
     fine = grow(11)
     assert coarse.length.max() <= 0.05 + 1e-9
     assert fine.length.max() <= 0.015 + 1e-9
@@ -239,3 +242,26 @@ def test_a_leaf_pushed_too_far_stops_short_of_a_right_angle() -> None:
     idle(cell, 0.4)
     angles = cell.log().qpos[:, cell.model.jnt_qposadr[cell.mechanics.joints]]
     assert 1.0 < np.abs(angles).max() < np.pi / 2
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_a_plant_that_is_held_is_stepped_finely_and_is_damped_less_for_it(
+    monkeypatch: pytest.MonkeyPatch, held: bool
+) -> None:
+    """The least damping of a hinge goes with the step: what swings fast swings too little in long ones."""
+    cell = Cell(cantilever(damping_ratio=1e-4))
+    monkeypatch.setattr(Cell, "held", property(lambda _: held))
+    steps, damping, before = list[float](), list[float](), cell.time
+    real = Cell._step
+
+    def spied(self: Cell, *given: Any) -> None:
+        steps.append(self.timestep)
+        damping.append(self.model.dof_damping[self.mechanics.dofs].sum())
+        real(self, *given)
+
+    monkeypatch.setattr(Cell, "_step", spied)
+    record = SimArm(cell).follow(JointTrajectory.standstill(cell.joints, 0.05))
+    assert set(steps) == {cell.params.timestep / (FINE if held else 1)}
+    assert len(record.times) == pytest.approx((cell.time - before) / cell.params.timestep), "a row for each outer step"
+    whole = cell.model.dof_damping[cell.mechanics.dofs].sum()
+    assert (damping[0] < 0.9 * whole) == held

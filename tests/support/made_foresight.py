@@ -89,6 +89,7 @@ def made_plan(
         score=1.0,
         limits=(),
         runner_up=None,
+        regret=(),
         reason="The test's own.",
         response_map=ResponseMap(TONES, np.zeros(1), *np.ones((3, 1, len(TONES)))),
         tones=Tones(TONES, lines_across(lines), *alike),

@@ -28,6 +28,7 @@ from anther.pollination.escalation._knowledge import (
     proven,
     settled,
     summed,
+    unproven,
 )
 from anther.pollination.escalation._option import SHORTEST, WORDS, Option, Params, limits_of
 from anther.pollination.execution import Line, Step
@@ -172,7 +173,10 @@ class Escalation:
             self._proven.append(look)
         active = np.flatnonzero(piece.amplitudes).tolist()
         before = [self._options[n].told for n in active] if self._options else [None] * len(active)
-        answers = [answered(self._foresight, look, i, self._late, last) for i, last in enumerate(before)]
+        if self._probing and not self._proofs[-1]:
+            answers = [unproven(self._foresight, look, i) for i in range(len(active))]
+        else:
+            answers = [answered(self._foresight, look, i, self._late, last) for i, last in enumerate(before)]
         told = [self._known(n, one) for n, one in zip(active, answers, strict=True)]
         shaken = list(zip(piece.amplitudes[active].tolist(), active, told, strict=True))
         shares = {k: sum(a * one.loads[k] / self._limits[n][k] for a, n, one in shaken) for k in WORDS}
@@ -230,7 +234,6 @@ class Escalation:
             predicted_acceleration=middle,
             predicted_acceleration_interval=wide,
             weighed=self._weighed(tone, direction),
-            nonlinear=None,
             reason=f"{self.plan.reason} Watched on the way: {' '.join(step.decided for step in steps)}",
         )
 

@@ -70,6 +70,7 @@ class Known(NamedTuple):
         answer: what members say that it does; of flowers that are seen, what the camera measured, and of others that it
             followed, no more than it would have measured.
         picture: (F, 3) phasors of the flowers as `Swings` has them, on the camera's clock [m/m].
+        observed: whether a camera taught anything of it.
     """
 
     flowers: Array
@@ -78,6 +79,12 @@ class Known(NamedTuple):
     loads: Mapping[str, float]
     answer: decision.Answer
     picture: ComplexArray
+    observed: bool = True
+
+    @property
+    def measured(self) -> NDArray[np.bool_] | None:
+        """(F,) whether the camera measured a flower; None: nothing was observed (`decision.worth`)."""
+        return self.seen if self.observed else None
 
 
 class Look(NamedTuple):
@@ -117,6 +124,7 @@ class Answer(NamedTuple):
         std: (F, 3) its standard deviation.
         axes: (F, 3, 3) see `response.points.Sight`.
         peak: (F,) see `sharpened`.
+        observed: whether a camera taught anything of it.
     """
 
     members: ComplexArray
@@ -124,6 +132,7 @@ class Answer(NamedTuple):
     std: Array
     axes: Array
     peak: Array | float = 1.0
+    observed: bool = True
 
 
 def unsettled(swings: Swings, hertz: float) -> float:
@@ -208,6 +217,14 @@ def answered(foresight: Foresight, look: Look, i: int, late: float, before: Know
     return Answer(found, motion[own], std[own], look.swings.axes[own], sharpened(look.swings, own))
 
 
+def unproven(foresight: Foresight, look: Look, i: int) -> Answer:
+    """Return what is believed of the look's tone number i where it proves nothing: only what the gripper did counts."""
+    own = slice(foresight.where["flowers"].stop - foresight.where["flowers"].start)
+    nothing = np.full((own.stop, 3), np.nan)
+    members = _members(foresight, look, i)
+    return Answer(members, nothing.astype(np.complex128), nothing, look.swings.axes[own], observed=False)
+
+
 def summed(answers: Sequence[Answer], parts: Array) -> Answer:
     """Return what a plant answers to a shake that is the sum of others at the same frequency, so much of each."""
     used = [(part, one) for part, one in zip(parts, answers, strict=True) if abs(part) > 1e-9]
@@ -216,6 +233,7 @@ def summed(answers: Sequence[Answer], parts: Array) -> Answer:
         np.asarray(sum(part * one.flowers for part, one in used)),
         np.sqrt(sum((part * one.std) ** 2 for part, one in used)),
         answers[0].axes,
+        observed=all(one.observed for _, one in used),
     )
 
 
@@ -241,10 +259,12 @@ def known(foresight: Foresight, hertz: float, one: Answer, late: float) -> Known
     swing = one.peak * semi_major(np.einsum("fa,fax->fx", parts, np.linalg.inv(one.axes)))  # without overtones, as much
     answer = foresight.answer(one.members, hertz, one.peak)
     answer = answer._replace(flowers=np.where(seen, omega**2 * swing, np.fmin(answer.flowers, may)))
-    flowers = np.array([expected("flowers", answer.flowers[:, f], hertz, bool(at)) for f, at in enumerate(seen)])
-    loads = {kind: float(expected(kind, getattr(answer, kind), hertz, measured=False)) for kind in COSTS}
+    known_of = seen.tolist() if one.observed else [None] * len(seen)
+    flowers = np.array([expected("flowers", answer.flowers[:, f], hertz, at) for f, at in enumerate(known_of)])
+    at_all = False if one.observed else None
+    loads = {kind: float(expected(kind, getattr(answer, kind), hertz, at_all)) for kind in COSTS}
     loads["joint_strain"] = PEDICEL_STRAIN.median * float(flowers.max(initial=0.0))
-    return Known(flowers, seen, may, loads, answer, np.exp(-1j * omega * late) * parts)
+    return Known(flowers, seen, may, loads, answer, np.exp(-1j * omega * late) * parts, one.observed)
 
 
 def _measured(motion: ComplexArray, std: Array) -> NDArray[np.bool_]:

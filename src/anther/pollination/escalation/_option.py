@@ -121,12 +121,12 @@ class Option:
 
     def _worth(self, amplitudes: Array) -> Worth:
         told = self.told
-        return worth(told.answer, amplitudes, self.hertz, self.held, self.price, told.seen)
+        return worth(told.answer, amplitudes, self.hertz, self.held, self.price, told.measured)
 
     @property
     def weighed(self) -> Weighed:
         """What it is worth by its amplitude, by what is known of it now."""
-        return weighed(self.told.answer, self._tried, self.hertz, self.held, self.price, self.told.seen)
+        return weighed(self.told.answer, self._tried, self.hertz, self.held, self.price, self.told.measured)
 
     def looked_at(self, told: Known) -> None:
         """Learn from a look at it alone.

@@ -77,8 +77,8 @@ def refine(
 
     An ensemble is drawn from the present belief (`shake.search.scenarios`: E, damping, EI/GJ, pedicels, radius,
     gain; the pads' two stiffnesses; and each branch's own stiffness), each member's flowers' motion in every shake
-    follows from linear theory times the nonlinear correction of the plan. The members are then moved towards what was
-    measured by an ensemble smoother with multiple data assimilation (Emerick and Reynolds 2013, "Ensemble smoother with
+    follows from linear theory. The members are then moved towards what was measured by an ensemble smoother with
+    multiple data assimilation (Emerick and Reynolds 2013, "Ensemble smoother with
     multiple data assimilation", Computers & Geosciences 55): `STEPS` Kalman updates of all drawn numbers, the gains
     from the members' own covariances, the measurements perturbed for each member and their variances times `STEPS`.
     What is told is ln amplitude and phase of every flower that was seen, the force in the grip, and the stem's motion
@@ -203,7 +203,7 @@ class Predicted(NamedTuple):
 
 
 def told(believed: Version, members: Sequence[Version], observed: Sequence[ObservedShake]) -> list[Predicted]:
-    """Return what the members say of every shake, with what the plan's nonlinear check added to linear theory.
+    """Return what the members say of every shake.
 
     Shakes in one hold are answered together, which costs little more than one of them.
 
@@ -231,9 +231,8 @@ def _of_one_hold(believed: Version, members: Sequence[Version], observed: Sequen
     parts = np.split(stem, starts[:-1], axis=2)
     out = list[Predicted]()
     for k, one in enumerate(observed):
-        shake, moved = one.shake, one.felt.moved if np.isfinite(one.felt.moved) else one.shake.amplitude
-        gain = np.ones(flowers.shape[2]) if shake.nonlinear is None else shake.nonlinear
-        out.append(Predicted(moved * gain[:, None] * flowers[:, k], moved * parts[k][:, k], moved * force[:, k]))
+        moved = one.felt.moved if np.isfinite(one.felt.moved) else one.shake.amplitude
+        out.append(Predicted(moved * flowers[:, k], moved * parts[k][:, k], moved * force[:, k]))
     return out
 
 

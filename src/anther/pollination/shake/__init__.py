@@ -6,6 +6,7 @@ F flowers, G grip heights, Q frequencies, D directions, M scenarios.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,7 +17,6 @@ from anther.plant.model import PlantModel
 from anther.pollination.grasp import Grasp
 from anther.pollination.shake._actuators import VIBRATING_GRIPPER, Actuator, arm_shaker, sawyer_limit
 from anther.pollination.shake._plan import ResponseMap, RunnerUp, ShakePlan
-from anther.pollination.shake._verification import Checked, best_that_holds
 from anther.pollination.shake.choice import (
     Place,
     Search,
@@ -25,12 +25,13 @@ from anther.pollination.shake.choice import (
     closest,
     grips_of,
     limit_rows,
+    predicted_at,
     search,
     tones_at,
     weighed_at,
 )
 from anther.pollination.shake.pads import PADS, Pads
-from anther.pollination.shake.params import Params, with_preset
+from anther.pollination.shake.params import MOST_DURATION, Params, with_preset
 from anther.pollination.shake.search import gains, scenarios
 from anther.robot.pressing import PRESSING, Pressing
 
@@ -46,6 +47,10 @@ DRAWS = 6
 """Scenarios drawn from the material's spread, beside the best guess: quasi-random ones, few of which cover it."""
 
 
+TOLD = 0.05
+"""A plan says which measure of motion it is not made for when another shake would be worth so much more."""
+
+
 def plan_shake(
     plant: PlantModel,
     grasps: Sequence[Grasp],
@@ -59,10 +64,8 @@ def plan_shake(
     Linear theory (complex tree solves about the gravity equilibrium) gives the response of every flower and the load of
     every organ to a shake of one metre at every grip, direction and frequency, for the plant as believed and for
     `DRAWS` scenarios drawn from the spread of its material. Each shake is as large as it is worth most
-    (`anther.pollination.decision`: the fruit it should add, less what it should cost). The best is checked by the
-    nonlinear solver, and made smaller where that finds an organ loaded further than it was weighed with and may be. The
-    prediction is what the solver says of the plant as believed, times what is expected over that: by the scenarios,
-    the model's errors and what the actuator delivers, whose spread is the interval.
+    (`anther.pollination.decision`: the fruit it should add, less what it should cost). The prediction is the median of
+    what is expected by the scenarios, the model's errors and what the actuator delivers, whose spread is the interval.
 
     Args:
         plant: from `build_plant`.
@@ -76,7 +79,7 @@ def plan_shake(
     Raises:
         InputError: the frequencies asked for are outside the actuator's band.
         StageFailure: "no_flowers_found"; "no_grasp_found" when there is no grasp; "limits_exceeded" when no shake is
-            allowed; "no_convergence" when the plant cannot be simulated.
+            worth its cost.
     """
     if not len(plant.flower_nodes):
         raise StageFailure("no_flowers_found", "no flower was found, so there is nothing to shake for.")
@@ -90,38 +93,37 @@ def plan_shake(
         raise _nothing_allowed(found, len(grasps), actuator)
     again = None if earlier is None else as_earlier(found, earlier)
     found, earlier = (found, None) if again is None else (again, earlier)
-    found, at, done = best_that_holds(plant, found, params)
-    notes = plant.notes + done.notes
+    at, notes = best(found), plant.notes
     if earlier is not None:
         begins = f"{1e3 * earlier.amplitude:.2g} mm at {earlier.frequency:.3g} Hz"
         notes += (f"shake: begins as an earlier visit ended, {begins}.",)
-    other = _runner_up(found, at)
-    _, g, d = at
-    score, pressed = float(found.score[at]), float(grips.press[g, 0])
-    acceleration = (2 * np.pi * done.shake.frequency) ** 2 * done.amplitude
-    return ShakePlan(
+    q, g, d = at
+    frequency, (amplitude, spread) = float(frequencies[q]), predicted_at(found, at)
+    duration, omega2 = params.lasts(frequency), (2 * np.pi * frequency) ** 2
+    plan = ShakePlan(
         grasp_index=g,
         grasp=grasps[g],
         direction=grips.directions[g, d],
-        amplitude=done.shake.amplitude,
-        frequency=done.shake.frequency,
-        duration=params.lasts(done.shake.frequency),
-        press=pressed,
-        predicted_amplitude=done.amplitude,
-        predicted_amplitude_interval=done.amplitude[:, None] * done.spread,
-        predicted_acceleration=acceleration,
-        predicted_acceleration_interval=acceleration[:, None] * done.spread,
-        score=score,
-        limits=tuple(done.limits),
-        runner_up=other,
-        reason=_reason(done, other, float(grips.arc_length[g]), pressed, score, kept=params.keeps_limits),
+        amplitude=float(found.amplitude[at]),
+        frequency=frequency,
+        duration=duration,
+        press=float(grips.press[g, 0]),
+        predicted_amplitude=amplitude,
+        predicted_amplitude_interval=amplitude[:, None] * spread,
+        predicted_acceleration=omega2 * amplitude,
+        predicted_acceleration_interval=omega2 * amplitude[:, None] * spread,
+        score=float(found.score[at]),
+        limits=(*limit_rows(found, at), ("duration [s]", duration, MOST_DURATION, duration / MOST_DURATION)),
+        runner_up=_runner_up(found, at),
+        regret=tuple((measure, float(values[at])) for measure, values in found.regret.items()),
+        reason="",
         response_map=_map(found, len(grasps)),
         tones=tones_at(found, at, actuator.tones, earlier),
         pads=params.pads,
         weighed=weighed_at(found, at, params),
-        nonlinear=done.nonlinear,
         notes=notes,
     )
+    return replace(plan, reason=_reason(plan, kept=params.keeps_limits))
 
 
 def _frequencies(actuator: Actuator, params: Params) -> Array:
@@ -155,18 +157,19 @@ def _runner_up(found: Search, at: Place) -> RunnerUp | None:
     return RunnerUp(g, float(found.frequencies[q]), float(found.amplitude[other]), float(found.score[other]))
 
 
-def _reason(
-    done: Checked, other: RunnerUp | None, arc_length: float, pressed: float, score: float, *, kept: bool
-) -> str:
-    shake = done.shake
-    acceleration = np.median((2 * np.pi * shake.frequency) ** 2 * done.amplitude)
+def _reason(plan: ShakePlan, *, kept: bool) -> str:
     text = (
-        f"Held {100 * arc_length:.0f} cm up the stem with {pressed:.2g} N and shaken"
-        f" {1e3 * shake.amplitude:.2g} mm at {shake.frequency:.3g} Hz, the flowers should move"
-        f" {1e3 * np.median(done.amplitude):.2g} mm (median) with {acceleration:.3g} m/s². Of all grasps, directions"
-        f" and frequencies compared this is worth most: {score:.2g} of all flowers' pollen, less what may be lost, over"
-        f" {DRAWS} further drawings of the plant's stiffness and damping. {closest(done.limits[:-1], kept=kept)}"
+        f"Held {100 * plan.grasp.arc_length:.0f} cm up the stem with {plan.press:.2g} N and shaken"
+        f" {1e3 * plan.amplitude:.2g} mm at {plan.frequency:.3g} Hz, the flowers should move"
+        f" {1e3 * np.median(plan.predicted_amplitude):.2g} mm (median) with"
+        f" {np.median(plan.predicted_acceleration):.3g} m/s². Of all grasps, directions"
+        f" and frequencies compared this is worth most: {plan.score:.2g} of all flowers' pollen, less what may be lost,"
+        f" over {DRAWS} further drawings of the plant's stiffness and damping. {closest(plan.limits[:-1], kept=kept)}"
     )
+    for measure, regret in plan.regret:
+        if regret > TOLD:
+            text += f" If {measure} alone frees pollen, another shake would be worth {regret:.2g} more."
+    other = plan.runner_up
     if other is None:
         return text
     return text + (

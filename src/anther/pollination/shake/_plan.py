@@ -76,7 +76,7 @@ class RunnerUp(Record):
     Attributes:
         grasp_index: into the ranked grasps.
         frequency, amplitude: [Hz], [m].
-        score: as `ShakePlan.score`, perhaps not checked by the nonlinear solver.
+        score: as `ShakePlan.score`.
     """
 
     grasp_index: int
@@ -104,18 +104,18 @@ class ShakePlan(Stored):
         predicted_acceleration: (F,) peak [m/s2].
         predicted_acceleration_interval: (F, 2) [m/s2].
         score: what it is worth, share of all pollen less what may be lost (`decision.Worth.net`).
-        limits: (name, value, limit, share used) each; of the plant what is expected by linear theory, or by the
-            nonlinear solver where that is more, beside what nineteen organs of twenty bear.
+        limits: (name, value, limit, share used) each; of the plant what is expected beside what nineteen organs of
+            twenty bear.
         runner_up: the next best, or None.
+        regret: measure of motion -> how much more another shake would be worth if that is what frees pollen.
         reason: why this one, for people.
-        response_map, weighed: for the pictures; the latter of the shake before the nonlinear solver saw it.
+        response_map, weighed: for the pictures.
         tones: other frequencies worth trying, for a shake that is watched.
         pads: what was believed of them.
-        nonlinear: (F,) each flower's amplitude by the nonlinear solver over that of linear theory; None: not computed.
         notes: what the stage wants the user to know.
     """
 
-    KIND, SCHEMA, CALLED = "shake plan", 8, "shake"
+    KIND, SCHEMA, CALLED = "shake plan", 9, "shake"
     grasp_index: int
     grasp: Grasp
     direction: Annotated[Array, Shape(3)]
@@ -130,10 +130,10 @@ class ShakePlan(Stored):
     score: float
     limits: tuple[LimitRow, ...]
     runner_up: RunnerUp | None
+    regret: tuple[tuple[str, float], ...]
     reason: str
     response_map: ResponseMap
     tones: Tones
     pads: Pads = PADS
     weighed: Weighed | None = None
-    nonlinear: Annotated[Array, Shape("F")] | None = None
     notes: tuple[str, ...] = ()

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from anther.core.geometry import Array
 from anther.plant.belief import EarlierShake
-from anther.plant.limits import GUSTS, LOADED, PEAKS, PEDICEL_STRAIN
+from anther.plant.limits import DOSE_MEASURES, GUSTS, LOADED, PEAKS, PEDICEL_STRAIN
 from anther.plant.model import PlantModel
-from anther.pollination.decision import Answer, Weighed, expected, weighed, worth
+from anther.pollination.decision import Answer, Weighed, believed, expected, interval, weighed, worth
 from anther.pollination.grasp import Grasp
 from anther.pollination.shake._actuators import Actuator
 from anther.pollination.shake._plan import LimitRow, Tones
@@ -58,11 +58,6 @@ class Bound(NamedTuple):
 
     value: Array  # (Q, G, D) per metre of amplitude, as expected
     limit: Array  # of a shape that goes with it
-    believed: Array  # (Q, G, D) the same of the plant as believed
-
-    def over(self, at: Place) -> float:
-        """Return how many times as large as of the plant as believed it is expected."""
-        return float(self.value[at] / self.believed[at]) if self.believed[at] > 0 else 1.0
 
 
 class Search(NamedTuple):
@@ -74,6 +69,7 @@ class Search(NamedTuple):
     frequencies: Array  # (Q,) [Hz]
     amplitude: Array  # (Q, G, D) that is worth most, or the largest where limits are not kept [m]
     score: Array  # (Q, G, D) what it is worth (`decision.Worth.net`); -1 where it is nothing, or for the map alone
+    regret: dict[str, Array]  # (Q, G, D) how much more the best is worth if that measure of motion frees pollen
     bounds: dict[str, Bound]  # by name; in the first `OF_THE_MACHINE` the plant has no part
     delivered: tuple[Array, Array]  # (Q, 1, 1) each, see `Actuator.delivers`
     least: float  # a shake of less amplitude is none [m]
@@ -128,7 +124,7 @@ def search(
 
     def load(values: Array, limit: float | Array, kind: str) -> Bound:
         """Return the bound of a load of which members have values (M, Q, G, D): the median of what is expected."""
-        return Bound(np.exp(delivered[0]) * expected(kind, values, hertz), np.atleast_2d(limit), values[0])
+        return Bound(np.exp(delivered[0]) * expected(kind, values, hertz), np.atleast_2d(limit))
 
     bounds = {
         f"{actuator.name} amplitude [share of its limit]": _sure(1 / np.maximum(most, 1e-12), 1.0),
@@ -140,28 +136,31 @@ def search(
     felt = load(answer.flowers.max(axis=-1), LOADED["joint_strain"].low, "flowers")
     for kind, name in PEAKS.items():
         limit = np.where((kind == "leaf_load") & (hertz > GUSTS), np.inf, LOADED[kind].low)
-        of_rods = getattr(response, kind)
         if kind == "joint_strain":
-            bounds[name] = felt._replace(value=PEDICEL_STRAIN.median * felt.value, believed=of_rods[0])
+            bounds[name] = felt._replace(value=PEDICEL_STRAIN.median * felt.value)
         else:
-            bounds[name] = load(of_rods, limit, kind)
+            bounds[name] = load(getattr(response, kind), limit, kind)
     reach = _reach(bounds)
     least = actuator.least_amplitude if params.least_amplitude is None else params.least_amplitude
     price = params.price if params.keeps_limits else 0.0
     steps = np.linspace(0, 1, SIZES)[:, None, None, None] if params.keeps_limits else np.ones(1)[:, None, None, None]
     tried = least * np.maximum(reach / least, 1.0) ** steps
     held = params.held(1.0) * grips.press
-    net = worth(answer, tried, hertz, held, price, delivered=delivered).net
-    best = net.argmax(axis=0)[None]
-    amplitude = np.minimum(np.take_along_axis(tried, best, axis=0)[0], reach)
-    score = np.take_along_axis(net, best, axis=0)[0]
+    found = worth(answer, tried, hertz, held, price, delivered=delivered)
+    best = found.net.argmax(axis=0)[None]
+    amplitude, score = (np.take_along_axis(values, best, axis=0)[0] for values in (tried, found.net))
+    amplitude = np.minimum(amplitude, reach)
+    own, regret = (slice(None), slice(None), slice(len(grasps))), dict[str, Array]()
+    for measure in DOSE_MEASURES:
+        net = np.where(tried <= 1.001 * reach, found.by(measure), -1.0)
+        regret[measure] = net[own].max() - np.take_along_axis(net, best, axis=0)[0]
     score = np.where((amplitude < least) | (score <= 0), -1.0, score)
     score[:, len(grasps) :] = -1.0
-    return Search(grips, response.flower, answer, frequencies, amplitude, score, bounds, delivered, least)
+    return Search(grips, response.flower, answer, frequencies, amplitude, score, regret, bounds, delivered, least)
 
 
 def _sure(value: Array, limit: float) -> Bound:
-    return Bound(value, np.atleast_2d(limit), value)
+    return Bound(value, np.atleast_2d(limit))
 
 
 def best(found: Search, *, avoid: Place | None = None) -> Place:
@@ -207,6 +206,17 @@ def tones_at(found: Search, at: Place, most: int, earlier: EarlierShake | None) 
 
 SAME_PLACE = 0.02
 """A grip is the one of an earlier visit up to this along the stem [m]: the pads are 16 mm wide."""
+
+
+def predicted_at(found: Search, at: Place) -> tuple[Array, Array]:
+    """Return each flower's amplitude at a shake (F,), the median of what is expected [m], and (F, 2) of which 5 % lie
+    below and above, over that: by the scenarios, the model's errors, and what the actuator delivers."""
+    q, g, d = at
+    hertz, (shift, wrong) = float(found.frequencies[q]), (float(part[q, 0, 0]) for part in found.delivered)
+    omega2 = (2 * np.pi * hertz) ** 2
+    logs, doubt = believed("flowers", omega2 * found.flower[:, q, g, d], hertz)
+    middle = float(found.amplitude[at]) * np.exp(shift + logs.mean(axis=0)) / omega2
+    return middle, interval(logs, np.hypot(doubt, wrong))
 
 
 def weighed_at(found: Search, at: Place, params: Params) -> Weighed:
