@@ -18,7 +18,7 @@ from anther.pollination.pipeline import Params, cause_named, mask_finder, percei
 def run(args: Args) -> None:
     """Reconstruct one plant and print what was found."""
     params = args.params or Params()
-    skeleton, stem = with_known_places(args.root, args.stem_tip, params.skeleton, params.stem)
+    skeleton, stem = with_known_places(args.root, args.stem_tip, params.skeleton, params.stem, args.plant)
     args = replace(args, params=replace(params, skeleton=skeleton, stem=stem))
     out = args.out or Path("runs") / args.capture.resolve().name
     workspace = None if args.workspace is None else Box(np.array(args.workspace[:3]), np.array(args.workspace[3:]))

@@ -12,7 +12,7 @@ from anther.core.files import json_text
 from anther.core.usage import process_seconds
 from anther.perception.cloud import Cloud
 from anther.perception.flowers import flower_centres
-from anther.perception.formats.clouds import read_cloud
+from anther.perception.formats.clouds import plants_stored, read_cloud
 from anther.perception.formats.skeletons import write_skeleton
 from anther.perception.skeleton import Params, Skeleton, skeletonize
 from anther.perception.stem import Params as StemParams
@@ -31,8 +31,10 @@ GRASP = ("point", "tangent", "approach", "arc_length", "stem_diameter", "clearan
 def run(args: Args) -> None:
     """Read, skeletonise, find stem and grasp, write and print them."""
     out = room_for(args, WRITTEN)
-    cloud = find_supports(read_cloud(args.cloud, args.units, args.up, plant=args.plant))
-    params, known = with_known_places(args.root, args.stem_tip, args.params or Params(), args.stem or StemParams())
+    stored = plants_stored(args.cloud) > 1
+    cloud = find_supports(read_cloud(args.cloud, args.units, args.up, plant=args.plant if stored else None))
+    params, known = args.params or Params(), args.stem or StemParams()
+    params, known = with_known_places(args.root, args.stem_tip, params, known, None if stored else args.plant)
     skeleton = skeletonize(cloud, params)
     stem = find_stem(skeleton, known, flowers_at=flower_centres(cloud))
     grasps, notes = best_grasps(stem, skeleton, cloud, args.grasp)

@@ -7,7 +7,7 @@ from .flowers import Flowers, find_flowers, flower_centres
 from .formats.clouds import read_cloud
 from .formats.skeletons import read_skeleton, write_skeleton
 from .masks import Masks, segment
-from .skeleton import Skeleton, skeletonize
+from .skeleton import Plants, Skeleton, find_plants, skeletonize
 from .stem import Stem, find_stem
 from .supports import find_supports
 from .traits import measure
@@ -17,9 +17,11 @@ __all__ = [
     "Cloud",
     "Flowers",
     "Masks",
+    "Plants",
     "Skeleton",
     "Stem",
     "find_flowers",
+    "find_plants",
     "find_stem",
     "find_supports",
     "flower_centres",

@@ -120,7 +120,10 @@ def place(option: str, text: str) -> Place:
     return x, y, z
 
 
-def with_known_places(root: str | None, tip: str | None, params: Params, stem: StemParams) -> tuple[Params, StemParams]:
-    """Return the parameters with the places that --root and --stem-tip name, where they are given."""
+def with_known_places(
+    root: str | None, tip: str | None, params: Params, stem: StemParams, plant: int | None = None
+) -> tuple[Params, StemParams]:
+    """Return the parameters with the places that --root and --stem-tip name, and --plant's number, where given."""
     params = params if root is None else replace(params, root=place("--root", root))
+    params = params if plant is None else replace(params, plant=plant)
     return params, stem if tip is None else replace(stem, tip=place("--stem-tip", tip))

@@ -19,7 +19,7 @@ from anther.perception.capture import Capture
 from anther.perception.cloud import Cloud, likely_cause
 from anther.perception.flowers import Flowers
 from anther.perception.masks import Masks, by_words, without_ground
-from anther.perception.skeleton import Skeleton
+from anther.perception.skeleton import Plants, Skeleton
 from anther.perception.stem import Stem
 from anther.perception.supports import find_supports, notes_beside
 from anther.plant import model as plant
@@ -95,6 +95,11 @@ class Seen:
     stem: Stem
     flowers: Flowers
 
+    @property
+    def plants(self) -> Plants:
+        """The plants in view, of which the asked one is that of the skeleton."""
+        return skeleton.find_plants(self.cloud.points, self.skeleton.nodes[0])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Done:
@@ -136,7 +141,8 @@ def perceive(
             Cloud.load,
             lambda advance: find_supports(cloud.fuse(capture, labels, workspace, params.cloud, progress=advance)),
         )
-        tree = run.stage("skeleton", Skeleton.load, lambda _: skeleton.skeletonize(fused, params.skeleton))
+        middle = None if workspace is None else (workspace.lower + workspace.upper) / 2
+        tree = run.stage("skeleton", Skeleton.load, lambda _: skeleton.skeletonize(fused, params.skeleton, middle))
         centres = flowers.flower_centres(fused)
         main = run.stage("stem", Stem.load, lambda _: _main_stem(fused, tree, centres, params))
     found = run.stage("flowers", Flowers.load, lambda _: flowers.find_flowers(fused, tree, main, centres=centres))

@@ -19,6 +19,9 @@ class Args(Overwrite, Place):
     """Run folder; by default runs/ and the capture's name."""
     workspace: tuple[float, float, float, float, float, float] | None = None
     """Box the plant stands in: x0 y0 z0 x1 y1 z1 [m]. By default it is found from where the cameras look."""
+    plant: int | None = None
+    """Which of several plants in view, from 0 on, along x (along y where they spread more along y). By default the one
+    in the middle of the workspace."""
     masks: MaskSource = "colour"
     """What finds plant and flowers: colour and geometry, Grounding DINO and SAM 2, or SAM 3 (docs/masks.md)."""
     models: Path = Path("models")

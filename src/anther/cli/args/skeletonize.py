@@ -15,7 +15,8 @@ class Args(Output, Source):
     cloud: Given
     """Point cloud: .ply, .pcd, .las, .laz, .e57, .xyz, .txt, .csv, .asc, .pts or .npz."""
     plant: int | None = None
-    """Which plant of an .npz that holds several, from 0 on."""
+    """Which plant, from 0 on: of an .npz that holds several, or of those that stand in the cloud, along x (along y
+    where they spread more along y). By default the one in the middle."""
     out: Path | None = None
     """Folder for skeleton.npz, skeleton.swc, stem.npz, grasp.json and overview.png."""
     params: Stage = stage("anther.perception.skeleton")

@@ -306,15 +306,15 @@ def _touching(points, start, pairs, gap2):
 
 
 def attached_points(points: Array) -> NDArray[np.bool_]:
-    """Return which points (N, 3) [m] belong to the plant: the largest cluster, and large ones within 50 mm of it.
+    """Return which points (N, 3) [m] belong to plants: the largest clusters, and large ones within 50 mm of them.
 
-    A large one has 0.2 % of the points. The strict largest cluster would lose most of a real plant, whose cloud has
+    The largest have a fifth of the points of the very largest (a guess): a smaller plant beside it stays in view. A
+    large one has 0.2 % of the points. The strict largest cluster would lose most of a real plant, whose cloud has
     gaps (facts: skeleton_peers, trap 3).
     """
     part, far = clusters(points, GAP), 0.05
     size = np.bincount(part)
-    keep = np.zeros(len(size), dtype=bool)
-    keep[np.argmax(size)] = True
+    keep = size >= 0.2 * size.max()
     large = size >= 0.002 * len(points)
     while True:
         rest = np.flatnonzero((large & ~keep)[part])

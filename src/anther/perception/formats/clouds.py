@@ -220,6 +220,15 @@ def read_npz_points(path: Path, plant: int | None) -> RawPoints:
         return RawPoints(points, seen, _units(path, held), _up(held))
 
 
+def plants_stored(path: Path | str) -> int:
+    """Return how many plants a file holds apart: an .npz with `offsets` several, every other one."""
+    path = existing(path)
+    if path.suffix.lower() != ".npz":
+        return 1
+    offsets = load_npz(path, "an .npz with points (N, 3)", ("offsets",)).get("offsets")
+    return 1 if offsets is None else max(np.size(offsets) - 1, 1)
+
+
 def read_pcd(path: Path) -> RawPoints:
     """Read a PCD (ASCII, binary or binary_compressed) with fields x, y, z and, optionally, rgb."""
     content = whole_file(path).read_bytes()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -17,6 +17,7 @@ from anther.perception.cloud import Cloud
 from anther.perception.masks import FLOWER
 from anther.perception.skeleton._centreline import centre_curves, extend_to_soil, resample, start_direction
 from anther.perception.skeleton._paths import LevelSets, centre_on_blades, geodesic_tree, level_sets
+from anther.perception.skeleton.plants import Plants, find_plants
 from anther.perception.skeleton.raw_tree import (
     RawTree,
     remove_spurs,
@@ -40,7 +41,7 @@ from anther.perception.skeleton.voxel_solid import (
     surroundings,
 )
 
-__all__ = ["Params", "Skeleton", "nearest_node", "skeletonize"]
+__all__ = ["Params", "Plants", "Skeleton", "find_plants", "nearest_node", "skeletonize"]
 
 FEWEST_POINTS = 50
 """A plant of fewer points has no skeleton."""
@@ -59,7 +60,9 @@ class Params(Record):
     """How a cloud becomes a skeleton. Lengths without a unit are relative to the plant's size (its diagonal).
 
     Attributes:
-        root: where the stem leaves the soil [m], if known; None: it is found.
+        root: where the asked plant's stem leaves the soil [m], if known; None: it is found.
+        plant: which plant, if several stand in view, in the order of `plants.Plants`; None: the one that `root` names,
+            else the one in the middle.
         method: "geodesic" (shortest paths that prefer stems, default: measured better) or "thinning" (the paper's
             P7-P9).
         voxel: voxel edge [m]; None: plant size / `RESOLUTION`, but not below 1.3 point spacings.
@@ -71,6 +74,7 @@ class Params(Record):
     """
 
     root: Annotated[tuple[float, float, float], Range(-1e9, 1e9, "m")] | None = None
+    plant: Annotated[int, Range(0, 1e6)] | None = None
     method: Literal["geodesic", "thinning"] = "geodesic"
     voxel: Annotated[float, Range(1e-5, 1, "m")] | None = None
     spacing: Annotated[float, Range(1e-4, 1, "m")] | None = None
@@ -148,22 +152,29 @@ class Skeleton(Stored):
         return np.array(path[::-1])
 
 
-def skeletonize(cloud: Cloud, params: Params | None = None) -> Skeleton:
-    """Return the plant's centrelines as ONE rooted tree.
+def skeletonize(cloud: Cloud, params: Params | None = None, middle: ArrayLike | None = None) -> Skeleton:
+    """Return the centrelines of the plant that is asked for as ONE rooted tree.
 
     Args:
-        cloud: plant points, world frame, z up [m]; points labelled as flowers are left out.
+        cloud: plant points, world frame, z up [m]; points labelled as flowers are left out. Where several plants
+            stand in it, only what grows from the asked stem is looked at (`plants.find_plants`).
         params: one set for every plant; lengths scale with the plant.
+        middle: of the workspace (3,) [m]: of several plants the one there is asked for, unless `params` names one.
 
     Raises:
         StageFailure: "no_plant_found" when there are too few points to make a tree.
-        InputError: the plant's size is not that of a plant (wrong units?), or `params.root` is not on it.
+        InputError: the plant's size is not that of a plant (wrong units?), `params.root` is on no stem or between two,
+            or there is no such `params.plant`.
     """
     params = params or Params()
     points = _plant_points(cloud)
     size = _plant_size(points)
-    if len(points) > ENOUGH_POINTS:
-        points = np.asarray(voxelgrid_sampling(points, size / (2 * RESOLUTION)).points())[:, :3]
+    scene = _thinned(points, float(np.subtract(*np.quantile(points[:, 2], [0.995, 0.005]))))  # as fine as of one plant
+    plants = find_plants(scene, params.root, params.plant, middle)
+    if len(plants) > 1:
+        points = scene[plants.owner == plants.asked]
+        size, params = _plant_size(points), replace(params, root=tuple(plants.root.tolist()))
+    points = _thinned(points, size)
     if params.voxel is not None:
         check_range("voxel", params.voxel, size / 1500, size / 10, "m")  # finer, filled hollows take gigabytes
     voxel = params.voxel or max(size / RESOLUTION, 1.3 * point_spacing(points))
@@ -183,9 +194,8 @@ def skeletonize(cloud: Cloud, params: Params | None = None) -> Skeleton:
     flatness = coarse.flatness[nearest(curves.nodes, coarse.nodes)[1]]
     confidence = node_confidence(curves.nodes, curves.parent, curves.radius, flatness, points)
     confidence = confidence * (1 - cloud.seen_through)  # it was fitted on views that agree
-    return Skeleton(
-        curves.nodes, curves.parent, curves.radius, notes + warnings, curves.width, confidence, flatness, sure
-    )
+    notes, sure = plants.notes + notes + warnings, sure * plants.certain
+    return Skeleton(curves.nodes, curves.parent, curves.radius, notes, curves.width, confidence, flatness, sure)
 
 
 def nearest_node(name: str, place: ArrayLike, nodes: Array) -> int:
@@ -213,6 +223,13 @@ def _plant_points(cloud: Cloud) -> Array:
             "Is the cloud empty or the mask wrong?",
         )
     return points
+
+
+def _thinned(points: Array, size: float) -> Array:
+    """Return the points, if they are more than enough no denser than a plant of this size [m] needs."""
+    if len(points) <= ENOUGH_POINTS:
+        return points
+    return np.asarray(voxelgrid_sampling(points, max(size, SMALLEST) / (2 * RESOLUTION)).points())[:, :3]
 
 
 def _plant_size(points: Array) -> float:

@@ -1,0 +1,311 @@
+"""Plants in view: where every stem stands, and which points grow from it. N points, V voxels, C candidates, K plants.
+
+The cloud becomes coarse voxels, a graph. What hangs down or stands is a basin of height in it: its lowest voxel is a
+local minimum, and the basin lasts until it meets a lower one (the merge tree of height, Carr et al. 2003). Which minima
+are feet of stems is a logistic model of how the way up from them looks. All feet at once are the sources of shortest
+paths that prefer stems: every voxel goes to the foot from which it is reached at the least cost, so plants exclude each
+other, and leaves that touch pass on little.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import dijkstra, minimum_spanning_tree
+
+from anther.core.errors import bad_input
+from anther.core.geometry import Array
+from anther.perception.skeleton.support import probability
+from anther.perception.skeleton.voxel_solid import (
+    bridges,
+    components,
+    mark_fragments,
+    nearest,
+    neighbour_edges,
+    point_spacing,
+    solidify,
+    surroundings,
+)
+
+__all__ = ["Plants", "find_plants"]
+
+FITTED = (-18.11, 2.88, 0.75, 4.9, 15.47)
+"""Constant and weights of `_evidence` in the log-odds that a stem stands at a minimum of height:
+`python -m evaluation.perception.fit_feet`."""
+_FINEST = 100
+"""Voxels along the scene's height: stems a thirtieth of it apart keep apart."""
+_BRIDGE = 0.15
+"""Gaps up to this share of the scene's height are bridged, as within one plant."""
+_GAP = 7.0
+"""A way across a gap costs as much as one across the middle of a blade."""
+_BASIN = 0.04
+"""Lowest rise of a basin, of the scene's height: less is roughness of a cut stem or of a blade."""
+_NEAR = 0.08
+"""How far from the nearest point a named root may be, of the scene's height: the foot may be hidden."""
+_KNOWN = 20.0
+"""Odds by which a place that somebody names is likelier a stem's foot than one that nobody names: a guess."""
+_FOOT = 0.15
+"""How far up the way from a minimum is looked at, of the scene's height."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plants:
+    """The plants of one cloud, in order: along x, or along y where they spread more along y.
+
+    Attributes:
+        roots: (K, 3) where the stems stand: the lowest seen point of each [m].
+        sure: (K,) probability that a stem stands there.
+        owner: (N,) plant of each point of the cloud; -1: of none.
+        asked: which one is asked for.
+        root: (3,) where its tree begins [m].
+        certain: probability that a stem stands there and is the one that is meant.
+        notes: what the user should know.
+    """
+
+    roots: Array
+    sure: Array
+    owner: NDArray[np.int64]
+    asked: int
+    root: Array
+    certain: float = 1.0
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.roots)
+
+
+def find_plants(
+    points: Array, root: ArrayLike | None = None, plant: int | None = None, middle: ArrayLike | None = None
+) -> Plants:
+    """Return the plants that stand in points (N, 3), z up [m]; one is asked for.
+
+    Args:
+        points: of all plants.
+        root: where the asked one stands [m]; a stem that was not recognised there counts as one.
+        plant: its number, in the order of `Plants`.
+        middle: without both, the one that stands nearest to this place is asked for, of those about as near the
+            largest; None: to the middle of the points.
+
+    Raises:
+        InputError: `root` is in empty air or between two stems, or there is no such `plant`.
+    """
+    graph = _graph(points)
+    minima = _minima(graph)
+    chance = probability(FITTED, _evidence(graph, minima))
+    named = None if root is None else _named(graph, np.asarray(root, dtype=np.float64), minima, chance)
+    chance = np.where(minima == named, 1.0, chance)  # who names it knows
+    feet = minima[chance >= 0.5]
+    if len(feet) < 2:
+        foot = graph.points[feet if len(feet) else minima[:1]]
+        _check_number(plant, foot)
+        return Plants(foot, np.ones(1), np.zeros(len(points), dtype=np.int64), 0, foot[0])
+    spread = np.ptp(graph.points[feet], axis=0)
+    feet = feet[np.argsort(graph.points[feet, int(spread[1] > spread[0])], kind="stable")]
+    roots, owner = graph.points[feet], _owners(graph, feet, points)
+    _check_number(plant, roots)
+    rival, size = -1, np.bincount(owner[owner >= 0], minlength=len(feet))
+    if named is not None:
+        asked, why = int(np.flatnonzero(feet == named)[0]), "--root names it"
+    elif plant is not None:
+        asked, why = plant, "--plant names it"
+    else:
+        asked, rival = _middle_one(roots, size, points, middle)
+        why = "the one in the middle" if rival < 0 else "the largest of those about as near the middle"
+    sure = np.array([chance[minima == foot][0] for foot in feet])
+    certain, notes = float(sure[asked]), _notes(roots, asked, why, owner)
+    if rival >= 0:
+        certain *= size[asked] / (size[asked] + size[rival])
+        x, y, z = roots[rival]
+        words = f"root: probability {certain:.0%}; the second candidate is {x:.3f},{y:.3f},{z:.3f}"
+        notes += (f"{words} (set it with --root)",)
+    on_it = named is not None and np.linalg.norm(roots[asked] - root) > _NEAR * graph.height
+    start = np.asarray(root, dtype=np.float64) if on_it else roots[asked]
+    return Plants(roots, sure, owner, asked, start, certain, notes)
+
+
+def _check_number(plant: int | None, roots: Array) -> None:
+    if plant is not None and not 0 <= plant < len(roots):
+        given, do = f"{plant}; {len(roots)} stems in view: {_listed(roots)}", "Take one of them, or name --root x,y,z."
+        raise bad_input("plant", given=given, allowed=f"0 to {len(roots) - 1}", do=do)
+
+
+def _listed(roots: Array) -> str:
+    return ", ".join(f"{k} at x, y = {x:.3f}, {y:.3f}" for k, (x, y, _) in enumerate(roots))
+
+
+def _notes(roots: Array, asked: int, why: str, owner: NDArray[np.int64]) -> tuple[str, ...]:
+    words = f"{len(roots)} stems in view: {_listed(roots)} m; plant {asked} is taken ({why})"
+    lost = float(np.mean(owner < 0))
+    none = (f"{lost:.0%} of the points belong to no stem in view",) if lost > 0.02 else ()
+    return (f"{words}; name another with --plant or --root", *none)
+
+
+def _middle_one(roots: Array, size: NDArray[Any], points: Array, middle: ArrayLike | None) -> tuple[int, int]:
+    """Return which plant stands nearest to the middle, the largest of those about as near, and the second; -1: none."""
+    low, high = np.quantile(points, [0.005, 0.995], axis=0)
+    centre = (low + high) / 2 if middle is None else np.asarray(middle, dtype=np.float64)
+    away = np.linalg.norm(roots[:, :2] - centre[:2], axis=1)
+    alike = np.flatnonzero(away <= away.min() + 0.1 * np.ptp(roots[:, :2], axis=0).max())  # a guess
+    alike = alike[np.argsort(-size[alike], kind="stable")]
+    return int(alike[0]), int(alike[1]) if len(alike) > 1 else -1
+
+
+def _named(graph: _Graph, root: Array, minima: NDArray[Any], chance: Array) -> int | None:
+    """Return the foot that a place (3,) [m] names; None where it is no foot, but on the only plant.
+
+    A minimum that is not likely enough to be a foot of its own counts as one where somebody names it.
+
+    Raises:
+        InputError: nothing is near it, two stems are as near, or it is on no stem though several are in view.
+    """
+    feet = minima[chance >= 0.5]
+    roots = graph.points[feet if len(feet) else minima[:1]]
+    away = np.linalg.norm(graph.points - root, axis=1)
+    aside = np.linalg.norm(roots[:, :2] - root[:2], axis=1)
+    voxel, order = int(away.argmin()), np.argsort(aside)
+    near = away[voxel] <= _NEAR * graph.height
+    between = len(roots) > 1 and aside[order[0]] > 0.5 * aside[order[1]]  # twice as near is clear: a guess
+    on_it = away[voxel] <= 2 * graph.height / _FINEST
+    if near and (on_it or not between):
+        if not len(feet):
+            return None
+        below = _below(graph, voxel)
+        if below[feet[order[0]]]:
+            return int(feet[order[0]])
+        lowest = np.flatnonzero(below[minima])[:1]
+        if len(lowest) and (chance[lowest[0]] >= 1 / (1 + _KNOWN) or (on_it and len(feet) > 1)):
+            return int(minima[lowest[0]])
+        if aside[order[0]] <= _NEAR * graph.height and not between:
+            return int(feet[order[0]])
+        if len(feet) == 1:
+            return None
+    where = f"{root.round(3).tolist()}, {away[voxel]:.3g} m from the plant{', between two stems' if between else ''}"
+    listed = "; ".join(", ".join(f"{value:.3f}" for value in place) for place in roots[order[:2]])
+    raise bad_input("root", given=where, allowed=f"on a stem; the nearest stand at {listed} m", do="Name one of them.")
+
+
+def _below(graph: _Graph, voxel: int) -> NDArray[np.bool_]:
+    """Return which voxels (V,) are reached from one without going higher than it."""
+    within = graph.points[:, 2] <= graph.points[voxel, 2]
+    links = graph.links[within[graph.links].all(axis=1)]
+    label = components(len(graph.points), links)
+    return label == label[voxel]
+
+
+def _owners(graph: _Graph, feet: NDArray[Any], points: Array) -> NDArray[np.int64]:
+    """Return the number (N,) of the foot that each point belongs to, -1: to none."""
+    _, _, source = graph.ways(feet)
+    number = np.full(len(graph.points) + 1, -1, dtype=np.int64)
+    number[feet] = np.arange(len(feet))
+    away, voxel = nearest(points, graph.points)
+    return np.where(away <= _BRIDGE * graph.height, number[source[voxel]], -1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Graph:
+    """Occupied voxels (V, 3) [m], links (E, 2) with their costs [m], and how planar the surroundings are (V,)."""
+
+    points: Array
+    links: NDArray[Any]
+    cost: Array
+    flatness: Array
+    height: float
+
+    def ways(self, sources: NDArray[Any]) -> tuple[Array, NDArray[Any], NDArray[Any]]:
+        """Return (V,) the cost of the cheapest way from any source, the voxel before, and the source; inf, -1, -1."""
+        n = len(self.points)
+        graph = sparse.coo_matrix((self.cost, (self.links[:, 0], self.links[:, 1])), (n, n)).tocsr()
+        cost, before, source = dijkstra(graph, directed=False, indices=sources, return_predecessors=True, min_only=True)
+        return cost, np.maximum(before, -1), np.where(np.isfinite(cost), source, -1)
+
+
+def _graph(points: Array) -> _Graph:
+    low, high = np.quantile(points[:, 2], [0.002, 0.998])
+    height = max(float(high - low), 1e-6)
+    voxel = max(height / _FINEST, 1.3 * point_spacing(points))
+    solid = solidify(points, voxel, close=1, fill=0.0)
+    label = components(len(solid.index), neighbour_edges(solid.index))
+    kept = mark_fragments(solid.points, label, 0.05 * height)
+    centres, index = solid.points[kept], solid.index[kept]
+    edges = neighbour_edges(index)
+    links = _links(centres, components(len(centres), edges), _BRIDGE * height)
+    flat, off_middle = surroundings(index, reach=4)
+    flat = np.minimum(2 * flat, 1)
+    dear = 1 + 3 * (flat + np.minimum(off_middle / 0.4, 1) ** 2)
+    factor = np.concatenate([dear[edges].mean(axis=1), np.full(len(links), _GAP)])
+    both = np.concatenate([edges, links])
+    length = np.linalg.norm(centres[both[:, 0]] - centres[both[:, 1]], axis=1)
+    return _Graph(centres, both, length * factor, flat, height)
+
+
+def _links(points: Array, label: NDArray[Any], longest: float) -> NDArray[Any]:
+    """Return (B, 2) links that join every fragment to a neighbour within `longest` [m], whatever stands alone."""
+    found = []
+    while True:
+        links = bridges(points, label, longest)
+        found.append(links)
+        done = np.isin(label, np.concatenate([[0], label[links[:, 1]]])) | (label < 0)
+        if done.all():
+            return np.concatenate(found)
+        label = np.where(done, -1, label)
+        label[~done] = np.unique(label[~done], return_inverse=True)[1]  # the largest that is left is 0 next
+
+
+def _minima(graph: _Graph) -> NDArray[Any]:
+    """Return the voxels (C,) that are minima of height, of basins deep enough, lowest first.
+
+    On the spanning tree whose links meet as low as they can, basins meet as they do in the graph.
+    """
+    z, n = graph.points[:, 2], len(graph.points)
+    meet = z[graph.links].max(axis=1)
+    forest = minimum_spanning_tree(
+        sparse.coo_matrix((meet - z.min() + 1.0, (graph.links[:, 0], graph.links[:, 1])), (n, n)).tocsr()
+    ).tocoo()
+    order = np.argsort(forest.data, kind="stable")
+    lowest, depth, heights = list(range(n)), np.full(n, np.inf), z.tolist()
+
+    def basin(voxel: int) -> int:
+        while lowest[voxel] != voxel:
+            lowest[voxel] = lowest[lowest[voxel]]
+            voxel = lowest[voxel]
+        return voxel
+
+    links = zip(forest.row[order].tolist(), forest.col[order].tolist(), forest.data[order].tolist(), strict=True)
+    for one, two, height in links:
+        low, high = sorted((basin(one), basin(two)), key=lambda voxel: (heights[voxel], voxel))
+        depth[high] = height + z.min() - 1.0 - heights[high]
+        lowest[high] = low
+    found = np.flatnonzero(depth >= _BASIN * graph.height)
+    return found[np.argsort(z[found], kind="stable")]
+
+
+def _evidence(graph: _Graph, feet: NDArray[Any]) -> Array:
+    """Return the evidence (C, 4), each 0 .. 1, larger is better, that a stem stands at each of the voxels `feet` (C,).
+
+    Columns, of what these feet leave to one another: how much what is near is an upright line, (l1 - l2) / l1 of its
+    scatter, blades left out, times the rise of its axis; how little the surroundings of the way up are a plane; how far
+    the plant rises, of the scene's height; how low the foot is.
+    """
+    _, before, owner = graph.ways(feet)
+    z, reach, rows = graph.points[:, 2], _FOOT * graph.height, []
+    for foot in feet:
+        own = np.flatnonzero(owner == foot)
+        top = own[z[own].argmax()]
+        way = [top]
+        while way[-1] != foot:
+            way.append(before[way[-1]])
+        start = [v for v in way if np.linalg.norm(graph.points[v] - graph.points[foot]) <= reach]
+        near = own[np.linalg.norm(graph.points[own] - graph.points[foot], axis=1) <= reach]
+        solid = (1 - graph.flatness[near]) ** 2 + 1e-6
+        values, axes = np.linalg.eigh(np.cov(graph.points[near].T, aweights=solid)) if len(near) > 3 else _BALL
+        line = (values[2] - values[1]) / max(values[2], 1e-12) * abs(axes[2, 2])
+        rise, low = (z[top] - z[foot]) / graph.height, 1 - (z[foot] - z.min()) / graph.height
+        rows.append([line, 1 - graph.flatness[start].mean(), rise, low])
+    return np.clip(np.array(rows).reshape(-1, 4), 0, 1)
+
+
+_BALL = np.ones(3), np.eye(3)

@@ -1,0 +1,107 @@
+"""Several plants in view: each point has one, the asked one is taken whole, what cannot be meant is refused."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from made_plants import simple_plant
+
+from anther.core.errors import InputError
+from anther.core.geometry import Array
+from anther.perception.cloud import Cloud
+from anther.perception.skeleton import Params, Skeleton, find_plants, skeletonize
+from anther.perception.stem import find_stem
+
+FEET = np.array([[-0.2, 0.0, 0.0], [0.0, 0.02, 0.0], [0.17, -0.03, 0.0]])
+"""Where three plants stand whose leaves reach 0.17 m: they touch and cross."""
+
+
+def row(feet: Array = FEET, heights: tuple[float, ...] = (0.5, 0.42, 0.55)) -> tuple[Array, Array]:
+    """Return the points (N, 3) of plants that stand at feet (K, 3), turned, and the plant (N,) of each."""
+    parts = []
+    for k, (foot, height) in enumerate(zip(feet, heights, strict=False)):
+        c, s = np.cos(0.9 * k), np.sin(0.9 * k)
+        parts.append(simple_plant(k, height=height)[::2] @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + foot)
+    return np.concatenate(parts), np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+
+
+@pytest.fixture(scope="module")
+def scene() -> tuple[Array, Array]:
+    return row()
+
+
+def stem_foot_and_line(skeleton: Skeleton) -> tuple[Array, Array]:
+    stem = find_stem(skeleton)
+    return skeleton.nodes[0], skeleton.nodes[stem.node_ids]
+
+
+def test_every_stem_is_found_and_every_organ_goes_to_its_own(scene: tuple[Array, Array]) -> None:
+    points, truth = scene
+    plants = find_plants(points)
+    assert np.linalg.norm(plants.roots - FEET, axis=1).max() < 0.02  # in order, along x
+    assert np.mean(plants.owner == truth) > 0.95
+
+
+def test_the_order_of_the_points_does_not_matter(scene: tuple[Array, Array]) -> None:
+    points, _ = scene
+    order = np.random.default_rng(5).permutation(len(points))
+    one, other = find_plants(points), find_plants(points[order])
+    assert np.array_equal(one.roots, other.roots)
+    assert np.array_equal(one.owner[order], other.owner)
+
+
+@pytest.mark.parametrize("asked", range(3))
+@pytest.mark.parametrize("by", ["root", "number"])
+def test_the_asked_stem_is_traced(scene: tuple[Array, Array], asked: int, by: str) -> None:
+    x, y, z = FEET[asked].tolist()
+    params = Params(root=(x + 0.01, y, z)) if by == "root" else Params(plant=asked)
+    foot, line = stem_foot_and_line(skeletonize(Cloud(scene[0]), params))
+    assert np.linalg.norm(foot - FEET[asked]) < 0.03
+    assert np.linalg.norm(line[:, :2] - FEET[asked, :2], axis=1).max() < 0.04
+    assert np.ptp(line[:, 2]) > 0.3
+
+
+def test_unasked_the_one_in_the_middle_is_taken_and_the_others_are_named(scene: tuple[Array, Array]) -> None:
+    tree = skeletonize(Cloud(scene[0]))
+    assert np.linalg.norm(tree.nodes[0] - FEET[1]) < 0.03
+    (note,) = [note for note in tree.notes if "stems in view" in note]
+    assert "plant 1 is taken" in note
+    at_the_right = skeletonize(Cloud(scene[0]), middle=(0.3, 0.0, 0.2))
+    assert np.linalg.norm(at_the_right.nodes[0] - FEET[2]) < 0.03
+
+
+@pytest.mark.parametrize("root", [None, (0.0, 0.0, 0.0)])
+def test_one_plant_alone_is_looked_at_whole(root: tuple[float, float, float] | None) -> None:
+    points = simple_plant()
+    plants = find_plants(points, root)
+    assert len(plants) == 1
+    assert not plants.owner.any()
+    assert plants.certain == 1
+    assert not plants.notes
+
+
+def test_a_smaller_plant_that_stands_apart_can_be_named() -> None:
+    points, _ = row(np.array([[0.0, 0.0, 0.0], [0.6, 0.0, 0.0]]), (0.5, 0.25))
+    foot, line = stem_foot_and_line(skeletonize(Cloud(points), Params(root=(0.6, 0.0, 0.0))))
+    assert np.linalg.norm(foot - [0.6, 0, 0]) < 0.03
+    assert np.ptp(line[:, 2]) > 0.12
+
+
+@pytest.mark.parametrize(
+    ("params", "said"),
+    [
+        (Params(root=(0.085, -0.1, 0.0)), "between two stems"),
+        (Params(root=(-0.2, -0.3, 0.0)), "m from the plant"),
+        (Params(plant=3), "plant: got 3; 3 stems in view"),
+    ],
+)
+def test_what_names_no_stem_is_refused_and_the_nearest_are_named(
+    scene: tuple[Array, Array], params: Params, said: str
+) -> None:
+    with pytest.raises(InputError, match=re.escape(said)) as refused:
+        skeletonize(Cloud(scene[0]), params)
+    numbers = [float(n) for n in re.findall(r"-?\d+\.\d{3}", str(refused.value))]
+    nearest = FEET[np.argmin(np.linalg.norm(FEET[:, :2] - (params.root or (0.0, 0.0))[:2], axis=1))]
+    assert min(abs(n - nearest[0]) for n in numbers) < 0.02
