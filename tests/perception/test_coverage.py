@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from anther.cli.cell import _camera_seen
+from anther.cli.cell import _describe_camera
 from anther.cli.sample_data import write_samples
 from anther.core.geometry import Intrinsics
 from anther.perception.capture import Capture
@@ -86,6 +86,6 @@ class GreenCamera:
 def test_a_check_of_a_cell_says_what_its_camera_measures_of_the_plant(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("anther.cli.cell.WATCHED", 0.0)
     assert np.array_equal(green_pixels(GreenCamera().read().rgb), PLANT)
-    said = _camera_seen(GreenCamera())  # type: ignore[arg-type]
+    said = _describe_camera(GreenCamera())  # type: ignore[arg-type]
     assert "50% of the plant" in said[-1]
     assert "sheet" in said[-1]

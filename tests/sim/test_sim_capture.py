@@ -33,7 +33,7 @@ from anther.sim.truth import Truth
 CAMERA = d455(256, 144)
 TARGET = (0.72, 0.0, -0.1)
 SHARP = DepthNoise(
-    subpixel=0, quantum=0, window=1, evidence=0, patchiness=0, flying=0, stereo_shadow=False, max_range=50
+    subpixel=0, quantum=0, fattening=0, thin=0, edge_dropped=0, edge_flying=0, stereo_shadow=False, max_range=50
 )
 NONE = CameraErrors(
     pose_rotation=0, pose_translation=0, depth=SHARP, exposure=0, white_balance=0, read_noise=0, shot_noise=0, blur=0

@@ -11,10 +11,10 @@ from anther.perception.masks import LEAST_PIXELS
 
 ENOUGH = 0.6
 """Share of the plant's pixels with a reading below which advice is given: the one real frame of a shrub with thin parts
-and nothing close behind has 0.53, simulated captures that perception reads well 0.75 (evaluation: thin_depth)."""
+and nothing close behind has 0.53, simulated captures that perception reads well 0.75."""
 WINDOW = 9
 """A stereo camera reads about half of a part as wide as its matching window [px]; 12 in the real frame, 9 in the middle
-of the simulated ones (evaluation: thin_depth)."""
+of the simulated ones."""
 NEAR = 0.3
 """Where a D405 and most modes of a D435 still measure [m] (facts: perception, depth sensors)."""
 
