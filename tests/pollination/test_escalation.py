@@ -126,7 +126,7 @@ def test_the_line_is_taken_along_which_the_flowers_move_most(shaken: Shaken, alo
     assert watched.steps[0].direction == pytest.approx(lines[0])
     assert watched.steps[1].direction == pytest.approx(lines[4])
     assert abs(lines[along] @ watched.steps[-1].direction) > np.cos(np.radians(23))
-    assert watched.executed(watched.steps).direction == pytest.approx(watched.steps[-1].direction)
+    assert watched.executed_plan(watched.steps).direction == pytest.approx(watched.steps[-1].direction)
 
 
 @pytest.mark.parametrize("planned", [0.002, 0.3])
@@ -222,8 +222,8 @@ def check_pieces(world: World, watched: Escalation) -> None:
     assert pieces[-1].begin + pieces[-1].seconds <= params.most_seconds + 1e-9
     for piece in pieces:
         assert np.all(piece.amplitudes <= tones.reach.ravel() + 1e-12)
-        for line in watched.lines:
-            assert piece.only(line.tones).reach <= 1.0001 * line.reach
+        for line in watched.directions:
+            assert piece.only(line.active).reach <= 1.0001 * line.reach
         changing = (piece.amplitudes > 0) | (piece.before > 0)
         assert piece.ramp >= 0.5 / piece.frequencies[changing].min() - 1e-9, "half a period of the slowest"
     for piece in pieces[len(tones.probed) :]:
@@ -507,7 +507,7 @@ def test_the_plan_as_carried_out_is_the_last_step(shaken: Shaken) -> None:
     foresight = made_foresight(1)
     world = World(foresight, foresight.vectors[4])
     watched = shaken(world)
-    done, last = watched.executed(watched.steps), watched.steps[-1]
+    done, last = watched.executed_plan(watched.steps), watched.steps[-1]
     assert (done.frequency, done.amplitude) == (last.frequencies[0], last.amplitudes[0])
     assert done.duration == pytest.approx(last.end - last.begin)
     tone = int(np.flatnonzero(done.frequency == TONES)[0])
@@ -521,7 +521,7 @@ def test_the_plan_as_carried_out_is_the_last_step(shaken: Shaken) -> None:
     assert done.predicted_acceleration == pytest.approx(omega2 * done.predicted_amplitude)
     assert done.predicted_acceleration_interval == pytest.approx(omega2 * done.predicted_amplitude_interval)
     assert last.decided in done.reason
-    assert watched.executed(()) is world.plan
+    assert watched.executed_plan(()) is world.plan
 
 
 @pytest.mark.parametrize("seconds", [1.0, 100.0, float("nan")])

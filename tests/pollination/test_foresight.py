@@ -466,7 +466,7 @@ def test_depth_tells_of_fast_tones_only_swings_that_it_cannot_feign() -> None:
     far = np.abs(at.swings.phasors[:FLOWERS, 1, 2]) >= knowledge.LEAST_DEPTH_MOTION
     assert 0 < far.sum() < FLOWERS
     for factor, told_by_depth in ((1.0, True), (FAST / TONES[1], True), (1.01 * FAST / TONES[1], far)):
-        quick = foresight._replace(tones=factor * TONES)
+        quick = foresight._replace(frequencies=factor * TONES)
         assert np.all(np.isfinite(update_answer(quick, at, 1, 0.0).std[:, 2]) == told_by_depth)
 
 

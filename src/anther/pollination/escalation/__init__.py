@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.core.geometry import Array, Intrinsics
-from anther.pollination.decision import Weighed, believed, interval
+from anther.pollination.decision import WorthCurve, believed, interval
 from anther.pollination.escalation._foresight import Foresight, foresee, watch_points
 from anther.pollination.escalation._knowledge import (
     Answer,
@@ -31,7 +31,7 @@ from anther.pollination.escalation._knowledge import (
     update_answer,
 )
 from anther.pollination.escalation._option import SHORTEST, WORDS, Option, Params, limits_of
-from anther.pollination.execution import Line, Step
+from anther.pollination.execution import ShakeDirection, Step
 from anther.pollination.response.points import likeness, sight, swings
 from anther.pollination.response.thresholds import overtones
 from anther.pollination.shake import Params as Limits
@@ -133,11 +133,11 @@ class Escalation:
         self._repeated = False
 
     @property
-    def lines(self) -> tuple[Line, ...]:
+    def directions(self) -> tuple[ShakeDirection, ...]:
         """The directions along which pieces move the pads."""
         tones = self.plan.tones
         return tuple(
-            Line(direction, self._direction_index == d, float(tones.reach[:, d].max()))
+            ShakeDirection(direction, self._direction_index == d, float(tones.reach[:, d].max()))
             for d, direction in enumerate(tones.directions)
         )
 
@@ -160,14 +160,14 @@ class Escalation:
         ramp = self._ramp_seconds(np.flatnonzero(probe.amplitudes))
         return Swing.first(self._frequencies, probe.amplitudes, ramp + probe.seconds + LEAD, ramp)
 
-    def since(self, piece: Swing) -> float:
+    def steady_from(self, piece: Swing) -> float:
         """Return the time from which the current piece is steady [s], from the start of the shake."""
         steady = self._probe_seconds if self._probing else self._watch_seconds(int(piece.amplitudes.argmax()))
         return piece.begin + max(piece.ramp, piece.seconds - LEAD - steady)
 
-    def go_on(self, piece: Swing, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
+    def next_piece(self, piece: Swing, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
         """Return the next piece, chosen from the observation of the current one; the last piece ends at rest."""
-        started, steady = perf_counter(), [s for s in samples if s.time >= samples[0].time + self.since(piece)]
+        started, steady = perf_counter(), [s for s in samples if s.time >= samples[0].time + self.steady_from(piece)]
         self._piece = piece
         observation = self._observe(frames, steady, samples[0].time)
         if not self.steps:
@@ -218,7 +218,7 @@ class Escalation:
         moving = follows.seconds + LEAD if follows.amplitudes.any() else 0.0
         return piece.then(follows.amplitudes, ramp + moving, ramp)
 
-    def executed(self, steps: Sequence[Step]) -> ShakePlan:
+    def executed_plan(self, steps: Sequence[Step]) -> ShakePlan:
         """Return the plan as executed: its last step, with the prior prediction for that step."""
         if not steps:
             return self.plan
@@ -246,10 +246,10 @@ class Escalation:
             reason=f"{self.plan.reason} Watched on the way: {' '.join(step.decided for step in steps)}",
         )
 
-    def _worth_curve(self, tone: int, direction: Array) -> Weighed | None:
+    def _worth_curve(self, tone: int, direction: Array) -> WorthCurve | None:
         """Return the worth by amplitude of the final shake; that of the plan if nothing was observed."""
-        lines = np.abs(self.plan.tones.directions @ direction)
-        number = np.flatnonzero((self._frequency_index == tone) & (self._direction_index == int(lines.argmax())))
+        alignment = np.abs(self.plan.tones.directions @ direction)
+        number = np.flatnonzero((self._frequency_index == tone) & (self._direction_index == int(alignment.argmax())))
         return self._options[int(number[0])].weighed if self._options else self.plan.weighed
 
     @property
@@ -333,14 +333,14 @@ class Escalation:
         )
 
     def _switch_to(self, shake: int) -> NextPiece:
-        option, lines = self._options[shake], self.plan.tones.directions
+        option, directions = self._options[shake], self.plan.tones.directions
         most, seen = (
             option.allowed,
             bool(option.prediction.seen.any()) and all(self._proofs[: len(self.plan.tones.probed)]),
         )
         self._proven_amplitude, self._repeated = option.planned, False
         begin = min(most.amplitude, option.planned * (RAISED if seen else 1.0))
-        turned = np.degrees(np.arccos(min(abs(float(lines[self._direction_index[shake]] @ lines[0])), 1.0)))
+        turned = np.degrees(np.arccos(min(abs(float(directions[self._direction_index[shake]] @ directions[0])), 1.0)))
         words = (
             f"At {self._hertz[shake]:.3g} Hz, {turned:.0f}° from the plan's line, flowers may reach {most.flowers:.3g}"
             f" m/s² with {1e3 * most.amplitude:.2g} mm, more than otherwise; {most.binds} ends it there."

@@ -10,7 +10,7 @@ import numpy as np
 from anther.core.geometry import Array
 from anther.core.records import Range, Record
 from anther.plant.limits import GUSTS, LOADED
-from anther.pollination.decision import COSTS, Weighed, Worth, weighed, worth
+from anther.pollination.decision import COSTS, Worth, WorthCurve, weighed, worth
 from anther.pollination.escalation._knowledge import Prediction
 from anther.pollination.shake import Params as Limits
 
@@ -124,7 +124,7 @@ class Option:
         return worth(prediction.answer, amplitudes, self.hertz, self.held, self.price, prediction.measured)
 
     @property
-    def weighed(self) -> Weighed:
+    def weighed(self) -> WorthCurve:
         """Worth by amplitude, by the present prediction."""
         return weighed(
             self.prediction.answer, self._amplitudes, self.hertz, self.held, self.price, self.prediction.measured
