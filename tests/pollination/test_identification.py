@@ -20,7 +20,7 @@ from anther.pollination.shake import Params as ShakeParams
 from anther.pollination.shake import ShakePlan, plan_shake
 from anther.pollination.shake.observables import branch_of, semi_major
 from anther.pollination.shake.pads import PADS, Pads, grip_rows, pad_nodes
-from anther.pollination.shake.search import Version, answer, deviates, draw_version, gains
+from anther.pollination.shake.search import Version, answer, draw_deviates, draw_version, gains
 from evaluation.prediction.expectation import amplitude_at
 
 
@@ -217,7 +217,7 @@ def test_a_branch_that_is_softer_than_the_others_is_learned_and_no_other_one(
 ) -> None:
     branch = branch_of(known)
     own = int(branch[known.flower_nodes].max())
-    z = np.zeros(deviates(known, 1).shape[1])
+    z = np.zeros(draw_deviates(known, 1).shape[1])
     z[8 + own] = -1.4
     truth = draw_version(known, PADS, z, 0.5)
     assert truth is not None
