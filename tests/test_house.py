@@ -20,28 +20,16 @@ APART = {"sim": {"pollination"}, "history": {"pollination"}}
 """What a room must not import though it comes before: what judges a trial, or remembers it, knows nothing of
 how it was planned. That pollination never imports sim says the order."""
 BEHIND = {
-    "evaluation/judge/frame_chain.py",
-    "evaluation/judge/limit_rods.py",
-    "evaluation/judge/limit_strains.py",
-    "evaluation/judge/second_judge.py",
     "evaluation/perception/colour_images.py",
     "evaluation/perception/fit_confidence.py",
     "evaluation/perception/hand_eye.py",
-    "evaluation/perception/masks.py",
-    "evaluation/perception/real/grown.py",
     "evaluation/perception/registration.py",
     "evaluation/prediction/belief.py",
-    "evaluation/prediction/shaken_plant.py",
-    "evaluation/prediction/vibration_models.py",
     "evaluation/robustness/capture_path.py",
-    "evaluation/robustness/frozen_camera.py",
     "evaluation/robustness/path_judge.py",
     "evaluation/rods/objectivity.py",
-    "evaluation/speed/cell.py",
     "evaluation/speed/count_operations.py",
     "evaluation/trials/arm_readings.py",
-    "evaluation/trials/hard_plants.py",
-    "evaluation/trials/paper_grasp.py",
 }
 """Files of `evaluation` that reach behind a door, for what no user needs."""
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.sim import SimPlant, _plant_mechanics
+from anther.sim import SimPlant, plant_mechanics
 from evaluation.judge.finer_plant import divided
 from evaluation.judge.frame_fe import STANDARD_GRAVITY, Array, carried, scattered
 from evaluation.judge.frame_plant import FramedPlant, beams_of, held_at, meshed
@@ -27,7 +27,7 @@ class HingedPlant(FramedPlant):
     """A plant of rigid pieces, held where a frame would be. Attributes as of `FramedPlant`; its plant is the finer."""
 
     def __init__(
-        self, plant: SimPlant, point: Array, direction: Array, params: _plant_mechanics.Params, *, ordered: bool = True
+        self, plant: SimPlant, point: Array, direction: Array, params: plant_mechanics.Params, *, ordered: bool = True
     ) -> None:
         """Cut a plant.
 
@@ -39,7 +39,7 @@ class HingedPlant(FramedPlant):
             ordered: two crossed hinges turn one after the other, as in the simulation; else at once.
         """
         finer, _ = divided(plant, params.piece)
-        pieces = _plant_mechanics.cut(finer, params)
+        pieces = plant_mechanics.cut(finer, params)
         held = held_at(finer, point)
         starts = {int(k): b for b, k in enumerate(pieces.first)}
         mesh = meshed(finer, np.inf, [*((k, HINGE / finer.length[k]) for k in starts), held])

@@ -15,7 +15,7 @@ from anther.core import Array
 from anther.plant import PEPPER, TOMATO, PlantModel
 from anther.rods import Clamp, Rods, with_gravity_equilibrium
 from anther.sim import Organ, SimPlant
-from anther.sim._pieces import TWISTING
+from anther.sim.pieces import TWISTING
 
 PRIOR = {"tomato": TOMATO, "pepper": PEPPER}
 RIGID = 1e6

@@ -18,7 +18,7 @@ from anther.pollination.shake.observables import Observables, observables, semi_
 from anther.pollination.shake.pads import Pads, grip_rows, pad_nodes
 from anther.pollination.shake.search import Version, gains
 from anther.rods import observed_response
-from anther.sim import Organ, SimPlant, _plant_mechanics
+from anther.sim import Organ, SimPlant, plant_mechanics
 from evaluation.judge.finer_plant import divided
 from evaluation.judge.limit_rods import TrueRods, bare, true_rods
 from evaluation.prediction.shaken_plant import Params, ShakenPlant
@@ -78,7 +78,7 @@ class Shaken:
 
 def shaken(plant: SimPlant, piece: float) -> Shaken:
     """Return a plant shaken in both codes, cut into pieces of at most `piece` [m]."""
-    cut = _plant_mechanics.Params(piece=piece, twist_every=1, stiffest=ROTOR, foliage=ROTOR)
+    cut = plant_mechanics.Params(piece=piece, twist_every=1, stiffest=ROTOR, foliage=ROTOR)
     points, _, arc = plant.stem_centreline()
     point = points[np.argmin(np.abs(arc - HELD_AT * arc[-1]))]
     hinges = ShakenPlant(bare(plant), point, DIRECTION, Params(plant=cut))

@@ -36,7 +36,8 @@ from rich.table import Table
 from scipy.spatial import KDTree
 
 from anther.pollination.shake.observables import semi_major
-from anther.sim import SimPlant, _pieces, _plant_mechanics, grow_pepper, grow_tomato
+from anther.sim import SimPlant, grow_pepper, grow_tomato, plant_mechanics
+from anther.sim.pieces import TWISTING
 from evaluation.harness import finish, options, progress
 from evaluation.judge.frame_chain import HingedPlant
 from evaluation.judge.frame_fe import Array, ComplexArray, hysteretic_response, modal_response
@@ -121,12 +122,12 @@ def difference(found: ComplexArray, reference: ComplexArray) -> Array:
 
 def framed(plant: SimPlant, point: Array, size: float = ELEMENT) -> FramedPlant:
     """Return the plant as a frame in which the judge's organs twist."""
-    return FramedPlant(plant, point, ALONG, size=size, twisting=_pieces.TWISTING)
+    return FramedPlant(plant, point, ALONG, size=size, twisting=TWISTING)
 
 
-def bare_params(piece: float) -> _plant_mechanics.Params:
+def bare_params(piece: float) -> plant_mechanics.Params:
     """Return how the judge cuts into pieces [mm], without rotor inertia."""
-    return _plant_mechanics.Params(piece / 1e3, stiffest=STIFF, foliage=STIFF, twist_every=1)
+    return plant_mechanics.Params(piece / 1e3, stiffest=STIFF, foliage=STIFF, twist_every=1)
 
 
 def modal_motion(frame: FramedPlant) -> ComplexArray:

@@ -33,27 +33,31 @@ from anther.perception import Capture, Masks, cloud, masks
 from anther.perception.masks import FLOWER, PLANT
 from anther.plant import Crop
 from anther.robot.arm.views import Params as ViewParams
-from anther.sim import CaptureTruth, Organ, Scene, SimPlant, _greenhouse, grow, layout, photograph, views_at
-from anther.sim._greenhouse import Setting
+from anther.sim import CaptureTruth, Organ, Scene, SimPlant, grow, layout, photograph, views_at
+from anther.sim.greenhouse import Setting
 from anther.sim.simulated_cell import USUAL_DISTANCE
 from evaluation.harness import CROPS, DATA, finish, options, progress
 from evaluation.perception.colour_images import segment_images
 from evaluation.tables import markdown
 
 CHECK = Path(__file__).with_name("romi_arabidopsis_check.json")
+WHITE_FILM = (236, 238, 238)
 SETTINGS = {
     "daylight": Setting(),
-    "warm": Setting(light=_greenhouse.WARM),
-    "cold": Setting(light=_greenhouse.COLD),
+    "warm": Setting(light=((1.5, 0, 0), (0, 1, 0), (0, 0, 0.33))),
+    "cold": Setting(light=((0.5, 0, 0), (0, 0.95, 0), (0, 0, 1.5))),
     "shade": Setting(sun=False),
-    "dim": Setting(light=_greenhouse.DIM, sun=False),
-    "brown_pot": Setting(pot=_greenhouse.TERRACOTTA),
-    "black_pot": Setting(pot=_greenhouse.BLACK_PLASTIC, soil=(30, 28, 27)),
-    "white_film": Setting(soil=_greenhouse.WHITE_FILM, bench=_greenhouse.WHITE_FILM),
-    "red_led": Setting(light=_greenhouse.RED_LED),
+    "dim": Setting(light=((0.12, 0, 0), (0, 0.12, 0), (0, 0, 0.12)), sun=False),
+    "brown_pot": Setting(pot=(178, 98, 66)),
+    "black_pot": Setting(pot=(42, 42, 45), soil=(30, 28, 27)),
+    "white_film": Setting(soil=WHITE_FILM, bench=WHITE_FILM),
+    "red_led": Setting(light=((0.80, 0, 0.02), (0.06, 0, 0.05), (0.02, 0, 0.32))),
     "stake": Setting(stake=True),
     "greenery": Setting(greenery=True),
 }
+"""Estimates, all: a camera balanced for daylight under lamps of about 3000 K (warm), one balanced for lamps under a
+blue sky (cold), three stops too dark (dim), grow lamps of 660 nm and some 450 nm, whose red and blue leak into the
+green channel (red_led)."""
 QUICK = ("daylight", "warm", "dim", "red_led", "stake")
 BLEEDING = ("plant_kept", "pot_soil_in_cloud", "foot_mm")
 PICTURED = 14  # the view shown in the picture

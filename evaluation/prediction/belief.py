@@ -63,7 +63,7 @@ SHAKEN = np.clip(TONES / 3, 1.0, 5.0)
 BANDS = {"1_14": (0.0, 14.0), "14_20": (14.0, 20.0), "20_40": (20.0, 40.0), "40_120": (40.0, 120.0)}
 """[Hz]."""
 HEIGHTS = (0.3, 0.45, 0.65, 0.8)
-FIRST, DEVELOPMENT = 9620, 520
+FIRST, DEVELOPMENT = 9660, (520, 9620)
 SEEN_WITH = 0.12
 """Error of what a camera sees of a node's motion: relative (films of eight plants)."""
 NEAR = 0.015
@@ -312,8 +312,10 @@ def main() -> None:
     }
     seed = (0, "added to the seeds of all plants")
     args = options(__doc__, quick="two plants", seed=seed, jobs="plants", out="runs/belief", own=own)
-    first, count = DEVELOPMENT if args.development else FIRST, 2 if args.quick else args.plants
-    cases = [{"species": species, "seed": seed} for species, seed in by_turns(count, first + args.seed)]
+    count = 2 if args.quick else args.plants
+    firsts = DEVELOPMENT if args.development else (FIRST,)
+    plants = [plant for first in firsts for plant in by_turns(count // len(firsts), first + args.seed)]
+    cases = [{"species": species, "seed": seed} for species, seed in plants]
     done = [part["values"] for part in run_cases(one_plant, cases, args.out, args.jobs, lambda _: {"values": []})]
     width = min((len(value[3]) for part in done for value in part if value[0] != MOTOR), default=0)
     done = [[v if v[0] == MOTOR else [*v[:3], [*v[3][: width - 1], v[3][-1]]] for v in part] for part in done]

@@ -26,9 +26,9 @@ from anther.core import Array, StageFailure
 from anther.core.checks import check_range
 from anther.core.oscillation import fit_swing
 from anther.pollination.shake.observables import semi_major
-from anther.sim import NOMINAL, Organ, SimPlant, Truth, _plant_mechanics
-from anther.sim._pieces import of_flower_stalks
-from anther.sim._plant_mechanics import PlantMechanics
+from anther.sim import NOMINAL, Organ, SimPlant, Truth, plant_mechanics
+from anther.sim.pieces import of_flower_stalks
+from anther.sim.plant_mechanics import PlantMechanics
 from anther.sim.sway import Air
 from evaluation.judge.finer_plant import divided
 
@@ -64,8 +64,8 @@ class Params:
     settle: float = 1.0
     measure: float = 1.0
     samples: int = 40
-    plant: _plant_mechanics.Params = field(
-        default_factory=lambda: _plant_mechanics.Params(piece=0.025, twist_every=1, foliage=300.0)
+    plant: plant_mechanics.Params = field(
+        default_factory=lambda: plant_mechanics.Params(piece=0.025, twist_every=1, foliage=300.0)
     )
 
 
@@ -140,7 +140,7 @@ class ShakenPlant:
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
         finer, self._part = divided(plant, params.plant.piece)
-        pieces = _plant_mechanics.add_plant(spec, finer, params.plant)
+        pieces = plant_mechanics.add_plant(spec, finer, params.plant)
         held, self.point = _nearest_piece(finer, pieces, np.asarray(point, dtype=np.float64))
         _add_carriage(spec, self.point, self.direction, f"plant_{held}", self._pads, params.timestep)
         self.model: Any = spec.compile()
@@ -293,7 +293,7 @@ class ShakenPlant:
     def _linearised(self) -> tuple[tuple[Array, Array, Array, Array], Array]:
         """Return mass, damping and stiffness (D, D) about rest, and the held piece's Jacobian (5, D), height free.
 
-        Then the factor (D, M) of that part of the damping which the hinges do not have: see `_drag`.
+        Then the factor (D, K) of that part of the damping which the hinges do not have, see `underdamped`.
         """
         m, d = self.model, self.mechanics.dofs
         data = mujoco.MjData(m)
@@ -304,7 +304,10 @@ class ShakenPlant:
         place, turn = np.zeros((3, m.nv)), np.zeros((3, m.nv))
         mujoco.mj_jac(m, data, place, turn, self.point, self._held)
         grip = np.concatenate([place[:2], turn])[:, d]
-        drag = _drag(self.mechanics, mass, stiffness, grip)
+        free = np.linalg.qr(grip.T, mode="complete")[0][:, len(grip) :]
+        values, modes = eigh(free.T @ stiffness @ free, free.T @ mass @ free)
+        slow, lacking = self.mechanics.underdamped(values, free @ modes)
+        drag = mass @ slow * np.sqrt(lacking)
         return (mass, np.diag(m.dof_damping[d]) + drag @ drag.T, stiffness, grip), drag
 
     def _phasors(
@@ -368,26 +371,7 @@ class ShakenPlant:
         return out[:, :, self.mechanics.dofs]
 
 
-def _drag(mechanics: PlantMechanics, mass: Array, stiffness: Array, grip: Array) -> Array:
-    """Return (D, M) the factor L of a damping matrix L L^T that gives each mode the damping ratio of its segments.
-
-    Modes are those of the held plant; the ratio is the mean over the segments by the energy in their springs. Modal
-    damping, C = M X diag(2 z w - c) X^T M with modes X of unit modal mass, c what the hinges damp of them. Modes faster
-    than `flutter`, which the hinges damp enough, are left out.
-    """
-    model, plant = mechanics.model, mechanics.plant
-    free = np.linalg.qr(grip.T, mode="complete")[0][:, len(grip) :]
-    values, modes = eigh(free.T @ stiffness @ free, free.T @ mass @ free)
-    modes = free @ modes
-    energy = model.jnt_stiffness[mechanics.joints][:, None] * modes**2
-    joints = model.body_jntnum[mechanics.bodies]
-    ratio = np.repeat(plant.damping_ratio[mechanics.pieces.first], joints) @ energy / energy.sum(axis=0)
-    lacking = 2 * ratio * np.sqrt(values) - model.dof_damping[mechanics.dofs] @ modes**2
-    slow = lacking > 0
-    return (mass @ modes[:, slow]) * np.sqrt(lacking[slow])
-
-
-def _nearest_piece(plant: SimPlant, pieces: _plant_mechanics.Pieces, point: Array) -> tuple[int, Array]:
+def _nearest_piece(plant: SimPlant, pieces: plant_mechanics.Pieces, point: Array) -> tuple[int, Array]:
     """Return the stem piece whose middle is nearest to a point, and that middle.
 
     The lowest is left out: clamped at its foot it cannot move without turning.

@@ -18,7 +18,7 @@ from anther.pollination import Seen
 from anther.pollination.shake.observables import semi_major
 from anther.rods import Clamp, Rods, least_stiffness, response_map, with_gravity_equilibrium
 from anther.sim import SimPlant
-from anther.sim._pieces import TWISTING
+from anther.sim.pieces import TWISTING
 from evaluation.prediction.known_plant import PRIOR
 from evaluation.prediction.true_rods import Builder
 

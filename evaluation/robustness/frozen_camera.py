@@ -29,8 +29,8 @@ from rich.table import Table
 sys.path.append(str(Path(__file__).parents[2] / "tests" / "support"))
 from made_foresight import FLOWERS, POINTS, TONES, World, made_foresight, made_plan
 
+from anther.plant.limits import GUSTS, LOADED
 from anther.pollination import escalation
-from anther.pollination.escalation._option import limits_of
 from anther.pollination.response.points import Swings
 from anther.pollination.shake.observables import ComplexArray
 from evaluation.harness import finish, in_processes, options
@@ -137,7 +137,9 @@ def shaken(case: Case) -> Outcome:
         if len(step.frequencies) > 1:
             continue
         tone, along = int(np.abs(TONES - step.frequencies[0]).argmin()), np.array(step.direction)
-        limits = limits_of(world.limits, plan.press, step.frequencies[0])
+        slow = step.frequencies[0] <= GUSTS
+        limits = {kind: one.low for kind, one in LOADED.items() if slow or kind != "leaf_load"}
+        limits["grip_force"] = world.limits.held(plan.press)
         loads = world.loads(tone, along)
         share = max(share, *(step.amplitudes[0] * loads[kind] / limit for kind, limit in limits.items()))
         flowers = max(flowers, step.amplitudes[0] * float(np.median(world.flowers(tone, along))))

@@ -18,7 +18,7 @@ import numpy as np
 from anther.core import Array, StageFailure, transform
 from anther.plant import Crop
 from anther.robot import JointTrajectory, Planner
-from anther.robot.arm import _kinematics, sawyer
+from anther.robot.arm import sawyer
 from anther.robot.swing import whole_shake
 from anther.sim import grow
 from anther.sim.cell import Cell
@@ -59,17 +59,13 @@ def motions(cell: Cell) -> tuple[JointTrajectory, JointTrajectory, JointTrajecto
         StageFailure: unreachable.
     """
     planner, goal = Planner(NOTHING, NOTHING), grasp_pose(cell)
-    for q in _kinematics.inverse(sawyer.SAWYER, goal, near=sawyer.READY):
-        try:
-            out = planner.line(q, goal @ transform(np.eye(3), [0, 0, -BACK]))
-            return (
-                planner.move(sawyer.READY, out.positions[-1]),
-                out,
-                planner.swing(q, [0, 1, 0], whole_shake(AMPLITUDE, HERTZ, 2.0), AMPLITUDE),
-            )
-        except StageFailure:
-            continue
-    raise StageFailure("unreachable", "no branch takes the stem a third of its height up. Take another seed.")
+    before = goal @ transform(np.eye(3), [0, 0, -BACK])
+    q = planner.reach(before, goal)
+    if q is None:
+        raise StageFailure("unreachable", "the arm cannot take the stem a third of its height up. Take another seed.")
+    out = planner.line(q, before)
+    shake = planner.swing(q, [0, 1, 0], whole_shake(AMPLITUDE, HERTZ, 2.0), AMPLITUDE)
+    return planner.move(sawyer.READY, out.positions[-1]), out, shake
 
 
 def phases(cell: Cell) -> dict[str, Callable[[], object]]:

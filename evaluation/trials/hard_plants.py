@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from anther.core import Array, transform
 from anther.robot.arm import sawyer
 from anther.sim import Organ, SimPlant
-from anther.sim._growth import supported_youngs
 from anther.sim.cell import Cell
+from anther.sim.growth import supported_youngs
 from anther.sim.plant import OF_SEGMENTS
 
 LEAN = 20.0  # degrees from upright

@@ -12,7 +12,6 @@ from anther.core import Array, StageFailure, transform
 from anther.perception import Skeleton, Stem
 from anther.pollination import Grasp
 from anther.pollination.grasp import STAND_OFF, Params, Reach
-from anther.pollination.grasp._candidates import directions_across, flange_pose
 
 BESIDE = 0.03
 """How far along a branch its direction is taken [m]; branches within twice this of the edge count."""
@@ -43,7 +42,8 @@ def paper_grasp(stem: Stem, skeleton: Skeleton, params: Params | None = None, re
     n = paper_approach(tangent, branches[_beside(branch_arc, start, end, margin=2 * BESIDE)])
     back = transform(np.eye(3), [0, 0, -STAND_OFF])
     for approach, up in ((n, tangent), (n, -tangent), (-n, tangent), (-n, -tangent)):
-        pose = flange_pose(point, up, approach, params.gripper.depth)
+        turn = np.column_stack([up, np.cross(approach, up), approach])
+        pose = transform(turn, point - params.gripper.depth * approach)
         joints = None if reach is None else reach(pose @ back, pose)
         if reach is None or joints is not None:
             return Grasp(
@@ -96,7 +96,9 @@ def paper_approach(tangent: Array, branches: Array) -> Array:
     normals = [*across, *(a + b for a, b in combinations(across, 2)), *(a - b for a, b in combinations(across, 2))]
     candidates = np.array([np.cross(tangent, p) for p in normals if np.linalg.norm(p) > 1e-9]).reshape(-1, 3)
     if len(candidates) == 0:
-        return directions_across(tangent, 1)[0]
+        level = np.cross(tangent, [0.0, 0.0, 1.0])
+        level = np.cross([0.0, 1.0, 0.0], tangent) if np.linalg.norm(level) < 0.1 else level
+        return level / np.linalg.norm(level)
     candidates /= np.linalg.norm(candidates, axis=1, keepdims=True)
     best = candidates[np.argmin(np.abs(candidates @ across.T).max(axis=1))]
     return -best if best @ across.mean(axis=0) > 0 else best

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from anther.rods import Clamp, Rods, natural_frequencies, with_gravity_equilibrium
-from anther.sim import _plant_mechanics
+from anther.sim import plant_mechanics
 from anther.sim.tomato import grow_tomato
 from evaluation.prediction import ablated, ablation
 from evaluation.prediction.shaken_plant import Params, ShakenPlant
 from evaluation.prediction.true_rods import Builder
 from evaluation.prediction.vibration_models import Model, true_model
 
-BENDING = _plant_mechanics.Params(twisting=())
+BENDING = plant_mechanics.Params(twisting=())
 pytestmark = pytest.mark.slow
 
 

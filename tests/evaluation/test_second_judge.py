@@ -10,8 +10,8 @@ import pytest
 from straight_plant import BASE, straight_plant, with_blade
 
 from anther.pollination.shake.observables import semi_major
-from anther.sim import _pieces, _plant_mechanics
-from anther.sim._pieces import mass_properties
+from anther.sim import plant_mechanics
+from anther.sim.pieces import TWISTING, mass_properties
 from anther.sim.plant import Organ, SimPlant
 from evaluation.judge.frame_chain import HingedPlant
 from evaluation.judge.frame_fe import AT, NO_LUMPS, Beams, Frame, Lumps, Shake, hysteretic_response, modal_response
@@ -151,9 +151,9 @@ def test_a_resonance_is_as_high_as_damping_allows_in_both_models() -> None:
 
 def judged(plant: SimPlant, hertz: Any) -> tuple[Any, Any]:
     """Return the flowers' amplitudes by the simulation and by the frame, per metre of grip."""
-    fine = Params(plant=_plant_mechanics.Params(0.004, stiffest=3000, foliage=3000, twist_every=1))
+    fine = Params(plant=plant_mechanics.Params(0.004, stiffest=3000, foliage=3000, twist_every=1))
     shaken = ShakenPlant(plant, BASE + 0.25 * UP, ALONG, fine)
-    frame = FramedPlant(plant, shaken.point, ALONG, size=0.02, twisting=_pieces.TWISTING)
+    frame = FramedPlant(plant, shaken.point, ALONG, size=0.02, twisting=TWISTING)
     found = semi_major(frame.flowers(modal_response(frame.frame, frame.shake, hertz, damped_below=60)))
     return semi_major(shaken.linear(hertz)), found
 
@@ -171,7 +171,7 @@ def leaning_plant() -> SimPlant:
 
 def test_the_judge_is_its_own_pieces_in_the_frames_code() -> None:
     """Equal pieces and loss factors: masses, gravity, order of hinges are alike. Without their order they are not."""
-    plant, params = leaning_plant(), _plant_mechanics.Params(0.025, stiffest=3000, foliage=3000, twist_every=1)
+    plant, params = leaning_plant(), plant_mechanics.Params(0.025, stiffest=3000, foliage=3000, twist_every=1)
     shaken = ShakenPlant(plant, BASE + 0.25 * UP, ALONG, Params(plant=params))
     judged = shaken.linear(FREQUENCIES, loss_factor=loss_factor(plant))
     ordered, at_once = (
@@ -184,7 +184,7 @@ def test_the_judge_is_its_own_pieces_in_the_frames_code() -> None:
 
 def test_ever_shorter_pieces_become_the_frame() -> None:
     plant = leaning_plant()
-    whole = lossy_motion(FramedPlant(plant, BASE + 0.25 * UP, ALONG, size=0.005, twisting=_pieces.TWISTING))
+    whole = lossy_motion(FramedPlant(plant, BASE + 0.25 * UP, ALONG, size=0.005, twisting=TWISTING))
     eight, four, two, one = (
         lossy_motion(HingedPlant(plant, BASE + 0.25 * UP, ALONG, bare_params(mm))) for mm in (8.0, 4.0, 2.0, 1.0)
     )

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from straight_plant import BASE, chain, plant_of, straight_plant
 
 from anther.pollination.shake.observables import semi_major
-from anther.sim import _plant_mechanics
+from anther.sim import plant_mechanics
 from anther.sim.pepper import grow_pepper
 from anther.sim.tomato import grow_tomato
 from anther.sim.truth import Truth
@@ -78,7 +78,7 @@ def test_the_linear_swing_is_where_a_small_steady_shake_is_at_the_same_time(pads
     assert swung - shaken.plant.flower_position == pytest.approx(linear, abs=5e-3 * found.amplitude.max())
 
 
-FINELY = Params(plant=_plant_mechanics.Params(piece=0.005, twist_every=1, stiffest=1e5))
+FINELY = Params(plant=plant_mechanics.Params(piece=0.005, twist_every=1, stiffest=1e5))
 
 
 @pytest.mark.parametrize(("pads", "theory"), [((np.inf, np.inf), 12.0), ((1e9, 1e-6), 3.0), ((200.0, 1e9), 12.0)])
@@ -150,7 +150,7 @@ def test_frequencies_have_converged() -> None:
     place = plant.stem_centreline()[0][4]
 
     def lowest(**cut: Any) -> Any:
-        params = Params(plant=_plant_mechanics.Params(**cut))
+        params = Params(plant=plant_mechanics.Params(**cut))
         return ShakenPlant(plant, place, SIDEWAYS, params).mechanics.frequencies[:8]
 
     usual, exact = ShakenPlant(plant, place, SIDEWAYS).mechanics.frequencies[:8], lowest(piece=0.0125, twist_every=1)

@@ -24,9 +24,9 @@ from anther.history import (
     count_trials,
     each_trial,
     merge,
+    open_reader,
     read_outcomes,
     read_trials,
-    reading,
     record_note,
     record_outcome,
     record_trial,
@@ -144,7 +144,7 @@ def test_notes_go_over_once_each_with_its_visit_though_written_at_once(tmp_path:
         connection.execute("UPDATE notes SET recorded = (SELECT min(recorded) FROM notes)")
     assert merge(offline, where) == (4, 0)
     assert merge(offline, where) == (0, 4)
-    with reading(where) as session:
+    with open_reader(where) as session:
         assert session is not None
         rows = session.execute(
             select(VisitRow.time, Note.text).join(Note, Note.visit_id == VisitRow.id).order_by(VisitRow.time)
@@ -173,7 +173,7 @@ def test_however_many_there_are_they_come_in_order(where: str, monkeypatch: pyte
 
 def test_who_reads_cannot_write(where: str) -> None:
     record_trial(visit("a", "r", 0), where)
-    with reading(where) as session:
+    with open_reader(where) as session:
         assert session is not None
         with pytest.raises(SQLAlchemyError, match=r"read-?only"):
             session.execute(insert(Plant).values(species="tomato", label="b"))
@@ -182,7 +182,7 @@ def test_who_reads_cannot_write(where: str) -> None:
 
 def test_a_reader_that_takes_long_holds_up_no_writer(where: str) -> None:
     record_trial(visit("a", "r", 0), where)
-    with reading(where) as session:
+    with open_reader(where) as session:
         assert session is not None
         assert session.get(Plant, 1) is not None  # its transaction has begun
         begin = time.monotonic()

@@ -28,15 +28,15 @@ from anther.history import (
     add_missing,
     find_plants,
     find_visit,
+    hide_password,
+    open_reader,
     overview,
     read_outcomes,
     read_trials,
-    reading,
     record_outcome,
     record_trial,
-    shown,
 )
-from anther.history._database import _engine, writing
+from anther.history._database import _engine, open_writer
 from anther.history._jobs import Job, add_jobs, note_jobs, read_jobs
 from anther.plant import GraspRecord, ShakeRecord, Visit
 from anther.plant.model import Material
@@ -248,7 +248,7 @@ def test_jobs_of_a_sweep(where: str) -> None:
     add_jobs(jobs, where, uid="v", folder="runs/other", function="trial")
     assert read_jobs(where, "u") == [jobs[0], done, jobs[2]]
     assert read_jobs(where, "none") == []
-    with reading(where) as session:
+    with open_reader(where) as session:
         assert session is not None
         second, first = overview.sweeps(session)
     assert (first.folder, first.function, first.jobs) == ("runs/night", "trial", {"waiting": 2, "done": 1})
@@ -270,7 +270,7 @@ def test_who_reads_cannot_write(where: str) -> None:
     record_trial(full(), where)
 
     def spoil() -> None:
-        with reading(where) as session:
+        with open_reader(where) as session:
             assert session is not None
             session.execute(text("UPDATE plants SET species = 'spoilt'"))
             session.commit()
@@ -282,7 +282,7 @@ def test_who_reads_cannot_write(where: str) -> None:
 
 def test_a_commit_is_on_the_disk_when_it_returns(tmp_path: Path) -> None:
     """SQLite flushes the write-ahead log at every commit (2, FULL); else a power cut takes the last visits."""
-    with writing(tmp_path / "h.sqlite") as session:
+    with open_writer(tmp_path / "h.sqlite") as session:
         assert session.execute(text("PRAGMA synchronous")).scalar() == 2
 
 
@@ -335,8 +335,8 @@ def test_without_psycopg_the_message_says_what_to_install(monkeypatch: pytest.Mo
 
 
 def test_passwords_are_not_shown() -> None:
-    assert shown("postgresql://me:secret@host/db") == "postgresql+psycopg://me:***@host/db"
-    assert shown(Path("runs/history.sqlite")) == "runs/history.sqlite"
+    assert hide_password("postgresql://me:secret@host/db") == "postgresql+psycopg://me:***@host/db"
+    assert hide_password(Path("runs/history.sqlite")) == "runs/history.sqlite"
 
 
 @given(st.sampled_from(["species", "plant"]), st.sampled_from(["", "x" * 201]))

@@ -22,7 +22,7 @@ import pytest
 from anther.cli import sweep as sweep_command
 from anther.cli.main import main
 from anther.core.errors import InputError
-from anther.history import overview, reading, sweep
+from anther.history import open_reader, overview, sweep
 from anther.history._jobs import Job
 from anther.history.sweep import _running, _working
 from anther.history.sweep._working import Disk, Store, place
@@ -78,7 +78,7 @@ def test_every_row_is_run_once_and_the_folder_goes_on(rows, scheduler: str, tmp_
     assert sweep.run(squared, rows, folder, scheduler=scheduler, quiet=True)[:3] == jobs
     assert runs(tmp_path) == [0, 1, 2, 3]
     assert list((folder / "under_way").iterdir()) == []
-    with reading(folder / "history.sqlite") as session:
+    with open_reader(folder / "history.sqlite") as session:
         assert session is not None
         (noted,) = overview.sweeps(session)
     assert (noted.jobs, noted.function.endswith("squared"), noted.folder) == ({"done": 4}, True, str(folder))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -18,12 +19,13 @@ from anther.perception.capture import Capture
 from anther.perception.masks import BACKGROUND, FLOWER, PLANT, Params, segment
 from anther.perception.masks._cells import stake_cells
 from anther.perception.masks._light import GREEN, Light, green_rule
-from anther.sim._greenhouse import BLACK_PLASTIC, DIM, RED_LED, WARM, WHITE_FILM, Setting
 from anther.sim.capture import CaptureTruth, capture_from_poses, orbit_poses
+from anther.sim.greenhouse import Setting
 from anther.sim.pepper import grow_pepper
 from anther.sim.plant import Organ
 from anther.sim.render import Scene, d455
 from evaluation.perception.colour_images import segment_images
+from evaluation.perception.masks import SETTINGS
 
 WORKSPACE = Box(np.array([0.32, -0.4, -0.48]), np.array([1.12, 0.4, 0.5]))
 
@@ -43,9 +45,9 @@ def overlap(labels: np.ndarray, truth: CaptureTruth) -> float:
 @pytest.mark.parametrize(
     "setting",
     [
-        Setting(light=WARM),
-        Setting(light=DIM, sun=False),
-        Setting(pot=BLACK_PLASTIC, soil=WHITE_FILM, bench=WHITE_FILM),
+        SETTINGS["warm"],
+        SETTINGS["dim"],
+        replace(SETTINGS["white_film"], pot=SETTINGS["black_pot"].pot),
     ],
     ids=["warm", "dim", "black pot, white film"],
 )
@@ -59,7 +61,7 @@ def test_plant_is_found_and_pot_is_not_in_every_light(setting: Setting) -> None:
 
 
 def test_in_red_light_geometry_decides() -> None:
-    capture, truth = seen(Setting(light=RED_LED))
+    capture, truth = seen(SETTINGS["red_led"])
     masks = segment(capture, WORKSPACE)
     assert masks.source == "geometry; light without green"
     assert overlap(masks.labels, truth) > 0.6  # of six views; with few views some leaves pass for the ground
@@ -68,7 +70,7 @@ def test_in_red_light_geometry_decides() -> None:
 
 
 def test_a_stake_and_a_string_are_no_plant() -> None:
-    capture, truth = seen(Setting(stake=True))
+    capture, truth = seen(SETTINGS["stake"])
     labels = segment(capture, WORKSPACE).labels
     stake = (truth.organ == Organ.BENCH) & (capture.depth > 0) & (truth.depth < 0.75)  # the bench is farther
     assert stake.sum() > 1000
@@ -80,7 +82,7 @@ def test_the_default_setting_changes_nothing() -> None:
     plant, camera, pose = grow_pepper(11), d455(320, 180), orbit_poses(1, (0.72, 0, -0.1))[0]
     image = Scene.of_plant(plant).render(camera, pose)
     assert np.array_equal(image.rgb, Scene.of_plant(plant, Setting()).render(camera, pose).rgb)
-    dark = Scene.of_plant(plant, Setting(light=DIM)).render(camera, pose)
+    dark = Scene.of_plant(plant, Setting(light=SETTINGS["dim"].light)).render(camera, pose)
     assert dark.rgb.max() < 0.5 * image.rgb.max()
     assert np.array_equal(dark.depth, image.depth)
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from anther.core.errors import InputError, StageFailure
-from anther.perception.cloud import Cloud
+from anther.perception.cloud import Cloud, Support
 from anther.perception.masks import FLOWER, PLANT
 from anther.perception.skeleton import Skeleton
 from anther.perception.stem import BRANCH, STEM, Stem
@@ -24,6 +24,7 @@ from anther.pollination.grasp import (
     ROOT_STRAIN,
     STAND_OFF,
     STROKE_MARGIN,
+    SUPPORT_CLEARANCE,
     TOWARD_TIPS,
     Grasp,
     Params,
@@ -171,6 +172,60 @@ def test_opens_half_where_it_is_narrow_and_wide_where_it_is_not():
     best = plan_grasps(stem, skeleton, narrow, reach=reach)[0]
     assert best.opening == pytest.approx(0.024, abs=1e-6)
     assert best.approach[0] > 0.9
+
+
+def beside(plant, radius, *azimuths, gap=0.0, top=0.2):
+    """A plant of `make_plant` with upright rods from its foot to a height [m], so far from the stem's surface."""
+    stem, skeleton, cloud = plant
+    off = float(skeleton.radius[0]) + gap + radius
+    feet = [np.array([0.72 + off * np.cos(a), off * np.sin(a), -0.3]) for a in azimuths]
+    kind = "string" if radius < 0.003 else "stake"
+    axes = [np.linspace(foot, [*foot[:2], top], 50) for foot in feet]
+    rods = [Support(kind, axis, radius, axis) for axis in axes]
+    return stem, skeleton, replace(cloud, supports=tuple(rods))
+
+
+def test_only_the_stem_is_between_the_pads_beside_a_pole():
+    plant = make_plant(branches=())
+    assert plan_grasps(*plant)[0].point[2] < 0, "without the pole"
+    for g in plan_grasps(*beside(plant, 0.004, 0.0, top=0.0)):
+        assert g.point[2] > 0
+        assert g.clearance >= SUPPORT_CLEARANCE
+
+
+def test_a_pole_behind_the_stem_stays_outside_the_pads():
+    for g in plan_grasps(*beside(make_plant(branches=()), 0.004, 0.0, gap=0.012)):
+        assert g.approach[0] > 0.5, "towards the pole, which is beyond the tips"
+
+
+def test_where_a_pole_touches_all_along_no_grasp_is_free():
+    with pytest.raises(StageFailure, match="a support between the pads") as failure:
+        plan_grasps(*beside(make_plant(branches=()), 0.004, 0.0))
+    assert failure.value.kind == "no_grasp_found"
+
+
+def test_gripper_strikes_no_string():
+    """Strings 27 mm to either side along y: there the fingers are when the pads close along y."""
+    for g in plan_grasps(*beside(make_plant(branches=()), 0.0015, np.pi / 2, -np.pi / 2, gap=0.02)):
+        assert g.clearance >= SUPPORT_CLEARANCE
+
+
+def test_a_string_is_held_with_the_stem_only_if_no_place_is_bare_and_both_thicknesses_are_told():
+    plant = make_plant(branches=())
+    held = plan_grasps(*beside(plant, 0.0015, 0.0))[0]
+    assert "stem 8.0 mm thick" in held.reason
+    assert "held together with a string 3.0 mm thick" in held.reason
+    bare = plan_grasps(*beside(plant, 0.0015, 0.0, top=0.0))[0]
+    assert "string" not in bare.reason
+    assert bare.point[2] > 0
+
+
+def test_stem_and_string_together_must_fit_between_the_pads():
+    thick = make_plant(branches=(), radius=0.0165)  # alone 1 mm thinner than the stroke allows
+    around = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    plan_grasps(*thick)
+    with pytest.raises(StageFailure, match="thicker than the stroke"):
+        plan_grasps(*beside(thick, 0.0015, *around))
 
 
 def test_keeps_away_from_flowers():

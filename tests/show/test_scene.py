@@ -21,7 +21,7 @@ from anther.show.film import save_film, with_robot
 from anther.show.log import _scene
 from anther.show.pictures.plant import draw_layers
 from anther.show.style import quantity
-from anther.show.viewer import _entitled
+from anther.show.viewer import _add_title
 from anther.show.viewer._scene import build_scene
 
 
@@ -69,7 +69,7 @@ def test_the_log_draws_lines_balls_arrows_and_solids() -> None:
 
 
 def test_the_written_page_has_a_legend_and_says_that_the_scene_opens() -> None:
-    page = _entitled("<title>Viser</title><body><div id=root></div></body>", "tomato & co", "red: stem")
+    page = _add_title("<title>Viser</title><body><div id=root></div></body>", "tomato & co", "red: stem")
     assert "<title>Anther: tomato &amp; co</title>" in page
     assert "red: stem" in page[page.index("<body>") : page.index("<div id=root>")]
     assert "The scene opens" in page

@@ -86,6 +86,7 @@ def test_the_side_camera_of_a_cell_has_its_truth_s_clock() -> None:
 def test_nominal_camera_errors_are_the_usual_ones_and_the_truth_scales_those_of_the_poses() -> None:
     usual, wide = camera_errors(NOMINAL), camera_errors(replace(NOMINAL, pose_error=3.0, exposure_spread=0.2))
     assert usual == CameraErrors()
+    assert camera_errors(replace(NOMINAL, depth_window=11.7)).depth.window == 11
     assert wide.pose_rotation == pytest.approx(3 * usual.pose_rotation)
     assert wide.pose_translation == pytest.approx(3 * usual.pose_translation)
     assert wide == replace(wide, depth=usual.depth, read_noise=usual.read_noise, exposure=0.2)

@@ -15,12 +15,11 @@ from straight_plant import BASE, chain, plant_of, straight_plant, with_blade
 from anther.core.errors import StageFailure
 from anther.robot.arm import sawyer
 from anther.robot.devices import JointTrajectory
-from anther.sim import _growth, _plant_mechanics
-from anther.sim._motor import PARTS
-from anther.sim._plant_mechanics import leaf_boxes
-from anther.sim.cell import LOG_EVERY, Cell, Params, mujoco
+from anther.sim import growth, plant_mechanics
+from anther.sim.cell import FINE, LOG_EVERY, Cell, Params, mujoco
 from anther.sim.pepper import grow_pepper
 from anther.sim.plant import Organ, SimPlant
+from anther.sim.plant_mechanics import leaf_boxes
 from anther.sim.robot import SimArm
 from anther.sim.tomato import grow_tomato
 
@@ -124,12 +123,12 @@ def test_a_plant_too_soft_to_stand_is_refused() -> None:
 
 def test_the_cut_keeps_mass_organs_and_order() -> None:
     plant = straight_plant()
-    pieces = _plant_mechanics.cut(plant, _plant_mechanics.Params(piece=0.1))
+    pieces = plant_mechanics.cut(plant, plant_mechanics.Params(piece=0.1))
     assert len(pieces.first) < len(plant.start) / 2
     assert np.all(pieces.parent < np.arange(len(pieces.parent)))
     for b in range(len(pieces.first)):
         assert len(set(plant.organ[pieces.body == b])) == 1
-    cell = Cell(plant, params=Params(plant=_plant_mechanics.Params(piece=0.1)))
+    cell = Cell(plant, params=Params(plant=plant_mechanics.Params(piece=0.1)))
     mass = cell.model.body_mass[cell.mechanics.bodies].sum()
     assert mass == pytest.approx(plant.mass.sum() + plant.lump_mass.sum(), rel=1e-9)
 
@@ -150,7 +149,7 @@ def test_a_bar_with_a_heavy_arm_twists_as_theory_says_and_bending_strain_does_no
     m = cell.model
     qpos = cell.data.qpos.copy()
     up = [m.body_jntadr[b] + 2 for b in cell.mechanics.bodies if m.body_jntnum[b] == 3]
-    assert len(up) == 20 // _plant_mechanics.Params().twist_every
+    assert len(up) == 20 // plant_mechanics.Params().twist_every
     qpos[m.jnt_qposadr[up]] = 0.3
     assert cell.mechanics.strain(qpos).max() == pytest.approx(0, abs=1e-12)
 
@@ -171,7 +170,7 @@ def test_a_rod_of_one_piece_bends_under_a_weight_at_its_end_as_beam_theory_says(
 @pytest.mark.parametrize("grow", [grow_tomato, grow_pepper])
 def test_a_grown_plant_is_fine_enough_and_swings_as_one_cut_finer(grow, monkeypatch) -> None:
     coarse = grow(11)
-    monkeypatch.setattr(_growth, "LONGEST", 0.015)
+    monkeypatch.setattr(growth, "LONGEST", 0.015)
     fine = grow(11)
     assert coarse.length.max() <= 0.05 + 1e-9
     assert fine.length.max() <= 0.015 + 1e-9
@@ -262,7 +261,7 @@ def test_a_plant_that_is_held_is_stepped_finely_and_is_damped_less_for_it(
 
     monkeypatch.setattr(Cell, "_step", spied)
     record = SimArm(cell).follow(JointTrajectory.standstill(cell.joints, 0.05))
-    assert set(steps) == {cell.params.timestep / (PARTS if held else 1)}
+    assert set(steps) == {cell.params.timestep / (FINE if held else 1)}
     assert len(record.times) == pytest.approx((cell.time - before) / cell.params.timestep), "a row for each outer step"
     whole = cell.model.dof_damping[cell.mechanics.dofs].sum()
     assert (damping[0] < 0.9 * whole) == held

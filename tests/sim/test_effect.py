@@ -20,8 +20,8 @@ from anther.pollination.response import Response
 from anther.show.report import write_report
 from anther.show.results import RunResults
 from anther.show.summary import _truth, _verdict, summarise
-from anther.sim._pieces import Params, cut, of_flower_stalks
 from anther.sim.judge import COSTS, Harm, Verdict, net_fruit, pollen_freed
+from anther.sim.pieces import Params, cut, of_flower_stalks
 from anther.sim.plant import Organ
 from anther.sim.truth import DOSE_EXPONENT, DOSE_MEASURES, DOSE_MIDDLE, HALF_DOSE, TOLERANCE, tolerances
 

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from anther.core.errors import InputError
-from anther.sim.capture import DepthNoise, noisy_depth
+from anther.sim.capture import DepthNoise, camera_errors, noisy_depth
 from anther.sim.render import d455
+from anther.sim.truth import NOMINAL, Truth, draw
 
 CAMERA = d455(640, 360)
 IDEAL = DepthNoise(
-    subpixel=0, quantum=0, fattening=0, thin=0, edge_dropped=0, edge_flying=0, stereo_shadow=False, max_range=50
+    subpixel=0, quantum=0, window=1, evidence=0, patchiness=0, flying=0, stereo_shadow=False, max_range=50
 )
 SMOOTH = DepthNoise(quantum=0)
 
@@ -69,34 +72,62 @@ def test_without_errors_the_exact_depth_is_read() -> None:
     np.testing.assert_allclose(read(depth, IDEAL), depth, rtol=1e-6)
 
 
-def test_bars_look_fat_by_one_to_two_pixels_a_side() -> None:
-    params = DepthNoise(edge_dropped=0, edge_flying=0, stereo_shadow=False)
-    width = (read(bar(10), params)[5:-5] < 0.65).sum(axis=1)
-    assert width.min() >= 12
-    assert width.max() <= 14
-    assert 12.2 < width.mean() < 13.8
+def test_bars_look_fat_where_they_show_more_texture_than_what_is_behind() -> None:
+    def width(contrast: float) -> float:
+        params = DepthNoise(evidence=0, contrast=contrast, flying=0, stereo_shadow=False)
+        return float((read(bar(20), params)[5:-5] < 0.65).sum(axis=1).mean())
+
+    assert width(1.0) == pytest.approx(20, abs=1)
+    assert width(0.5) < 19
+    assert 21 < width(2.0) < 24
 
 
-def test_thin_bars_are_lost_and_thick_ones_are_not() -> None:
-    assert (np.abs(read(bar(2)) - 0.6) < 0.02).sum() == 0
-    thick = np.abs(read(bar(8))[:, 300:308] - 0.6) < 0.02
-    assert thick.mean() > 0.9
+@pytest.mark.parametrize("window", [3, 5, 7, 9, 11])
+def test_a_bar_narrower_than_half_the_window_is_lost_to_what_is_behind(window: int) -> None:
+    even = DepthNoise(window=window, evidence=0, patchiness=0, contrast=1, flying=0, stereo_shadow=False)
+
+    def right(width: int) -> float:
+        return float((np.abs(read(bar(width), even)[20:-20, 300 : 300 + width] - 0.6) < 0.02).mean())
+
+    assert right(window // 2) == 0
+    assert right(window // 2 + 1) > 0
+    assert right(2 * window) == 1
 
 
-def test_bars_of_middling_width_are_lost_in_patches() -> None:
-    found = (np.abs(read(bar(4)) - 0.6) < 0.02).any(axis=1).mean()
-    assert 0.5 < found < 0.99
+def test_a_bar_close_before_a_wall_is_read_where_one_far_before_it_is_lost() -> None:
+    params = DepthNoise(evidence=0.2, contrast=1)
+    right = [(np.abs(read(bar(3, 0.6, far), params)[20:-20, 300:303] - 0.6) < 0.02).mean() for far in (0.65, 0.8, 4.0)]
+    assert right[0] > 0.5 > right[1] >= right[2]
 
 
-def test_edges_have_holes_and_flying_pixels() -> None:
-    params = DepthNoise(stereo_shadow=False)
-    reading = read(bar(20), params)
-    flying = (reading > 0.66) & (reading < 1.1)
-    assert 20 < flying.sum() < 0.5 * CAMERA.height * 4
-    holes = reading == 0
-    assert holes.sum() > 100
-    assert not holes[:, :290].any()
-    assert not holes[:, 335:].any()
+def test_less_is_read_of_thin_bars_and_the_more_evidence_is_asked() -> None:
+    def seen(width: int, evidence: float) -> float:
+        reading = read(bar(width), DepthNoise(evidence=evidence, contrast=1, patchiness=1))
+        return float((np.abs(reading[5:-5, 300 : 300 + width] - 0.6) < 0.03).mean())
+
+    found = [[seen(width, evidence) for width in (2, 4, 6, 9, 20)] for evidence in (0.1, 0.4, 0.8)]
+    assert np.all(np.diff(found, axis=1) >= -0.02)
+    assert np.all(np.diff(found, axis=0) <= 0.02)
+    assert found[0][-1] > 0.9
+    assert found[0][0] < 0.1
+
+
+def test_edges_have_holes_and_flying_pixels_and_nothing_else_has() -> None:
+    reading = read(bar(20), DepthNoise(evidence=0.3, patchiness=0.2, stereo_shadow=False))
+    flying, holes = (reading > 0.66) & (reading < 1.1), reading == 0
+    assert flying[:, 285:335].sum() == flying.sum() > 20
+    assert holes[:, 285:335].sum() == holes.sum() > 100
+
+
+def test_the_wide_truth_reads_less_of_thin_parts_than_the_nominal_camera() -> None:
+    def seen(truth: Truth, seed: int) -> float:
+        reading = read(bar(5), camera_errors(truth).depth, seed)
+        return float((np.abs(reading[:, 300:305] - 0.6) < 0.03).mean())
+
+    wide = [seen(draw(seed, "depth of thin parts"), seed) for seed in range(30)]
+    assert max(wide) <= seen(NOMINAL, 0)
+    assert np.ptp(wide) > 0.3
+    assert np.median(wide) < 0.5
 
 
 def test_what_the_second_imager_cannot_see_is_not_read() -> None:
@@ -104,7 +135,7 @@ def test_what_the_second_imager_cannot_see_is_not_read() -> None:
     depth = wall(far)
     depth[:, 300:500] = near
     hidden = CAMERA.fx * 0.095 * (1 / near - 1 / far)
-    params = DepthNoise(edge_dropped=0, edge_flying=0, fattening=0)
+    params = replace(IDEAL, stereo_shadow=True, max_range=6)
     reading = read(depth, params)[5:-5]
     holes = (reading[:, 100:300] == 0).sum(axis=1)
     np.testing.assert_allclose(holes, hidden, atol=3)
@@ -125,7 +156,9 @@ def test_nonsense_parameters_are_refused(value: float) -> None:
     with pytest.raises(InputError):
         DepthNoise(subpixel=value + 1)
     with pytest.raises(InputError):
-        DepthNoise(edge_dropped=value)
+        DepthNoise(flying=value)
+    with pytest.raises(InputError, match="odd"):
+        DepthNoise(window=4)
 
 
 def test_a_depth_image_of_the_wrong_size_is_refused() -> None:

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from anther.core.errors import InputError
 from anther.core.geometry import small_transform, transform, transform_points
-from anther.sim._growth import SELF_SUPPORT, Growth, buckling_factor, pedicel_radius
+from anther.sim.growth import SELF_SUPPORT, Growth, buckling_factor, pedicel_radius
 from anther.sim.pepper import grow_pepper
 from anther.sim.plant import GRAVITY, POT_AXIS, SOIL_Z, Organ, SimPlant
 from anther.sim.tomato import grow_tomato

@@ -10,11 +10,11 @@ from straight_plant import BASE, chain, plant_of, straight_plant
 
 from anther.core.errors import InputError
 from anther.pollination.shake.observables import semi_major
-from anther.sim._growth import buckling_factor
-from anther.sim._pieces import Params
-from anther.sim._plant_mechanics import alone
+from anther.sim.growth import buckling_factor
 from anther.sim.pepper import grow_pepper
+from anther.sim.pieces import Params
 from anther.sim.plant import Organ, SimPlant
+from anther.sim.plant_mechanics import alone
 from anther.sim.sway import swaying
 from anther.sim.tomato import grow_tomato
 from anther.sim.true_plant import SLOWEST, as_true, branches

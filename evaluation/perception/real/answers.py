@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components
 
 from anther.cli.skeletonize import best_grasps
 from anther.core import AntherError, Array
-from anther.perception import Cloud, Skeleton, Stem, find_stem, skeletonize
+from anther.perception import Cloud, Skeleton, Stem, find_stem, find_supports, skeletonize
 from anther.pollination import Grasp
 
 
@@ -107,6 +107,7 @@ def anther(cloud: Cloud) -> Seen:
     """
     begin = time.process_time()
     try:
+        cloud = find_supports(cloud)
         skeleton = skeletonize(cloud)
         stem = find_stem(skeleton)
         grasp = best_grasps(stem, skeleton, cloud)[0][0]

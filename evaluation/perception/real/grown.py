@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from anther.core import Array
 from anther.perception import Cloud
 from anther.sim import Organ, SimPlant, grow_pepper, grow_tomato
-from anther.sim._growth import arc, ripple
-from anther.sim._mesh import Mesh, blade, tube, unit
+from anther.sim.growth import arc, ripple
+from anther.sim.mesh import Mesh, blade, tube, unit
 from evaluation.perception.real.plants import Labelled
 
 Parts = list[tuple[Mesh, bool]]

@@ -20,8 +20,6 @@ from anther.core.geometry import Array, Intrinsics, inverse
 from anther.robot.calibration import HandEye
 
 SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp"}
-BENT = 0.3
-"""Distortion from which on the other commands need undistorted images [px]."""
 
 
 def run(args: Args) -> int:
@@ -34,7 +32,7 @@ def run(args: Args) -> int:
 
     if args.check:
         return check(args.cell, yes=args.yes)
-    board = _needed(args, "board")
+    board = _require(args, "board")
     return live(args.cell, board, out=args.out, intrinsics=args.intrinsics, by_hand=args.by_hand, yes=args.yes)
 
 
@@ -67,10 +65,10 @@ def _check_options(args: Args) -> None:
             allowed = "with " + " or ".join(f"--{other}" for other, names in WAYS.items() if name in names)
             raise bad_input(_option(name), given=f"it with --{way}", allowed=allowed, do="Leave one of them out.")
     for name in NEEDED[way]:
-        _needed(args, name)
+        _require(args, name)
 
 
-def _needed(args: Args, name: str) -> Any:
+def _require(args: Args, name: str) -> Any:
     if getattr(args, name) is None:
         raise InputError(f"options: {_option(name)} is missing. See: anther calibrate --help")
     return getattr(args, name)
@@ -86,9 +84,9 @@ def _from_files(args: Args) -> None:
     from anther.show.pictures import save_figure
     from anther.show.pictures.estimates import draw_calibration
 
-    folder, out = _needed(args, "images"), args.out or Path()
+    folder, out = _require(args, "images"), args.out or Path()
     free(*(out / name for name in ("calibration.json", "calibration.png")), overwrite=args.overwrite)
-    board, poses = calibration.parse_board(_needed(args, "board")), calibration.read_poses(_needed(args, "poses"))
+    board, poses = calibration.parse_board(_require(args, "board")), calibration.read_poses(_require(args, "poses"))
     given = _given_intrinsics(args, folder)
     names, notes = _names(folder, poses)
     corners, size = _find(folder, names, board)
@@ -182,7 +180,7 @@ def _camera_notes(args: Args, views: Any, intrinsics: Intrinsics, distortion: Ar
 
     notes, bend = [], largest_distortion(intrinsics, distortion)
     covered = image_coverage(np.concatenate(views.corners.pixels), intrinsics)
-    if bend > BENT:
+    if bend > 0.3:
         notes.append(f"the lens bends the image's border by {bend:.1f} px: undistort images before anther reconstruct")
     if args.estimate_intrinsics and covered < COVERED:
         notes.append(f"the corners cover {covered:.0%} of the image: move the board into its corners too")

@@ -16,11 +16,6 @@ if TYPE_CHECKING:
     from anther.robot.cells import CellFile
     from anther.robot.devices import Arm, Camera, JointTrajectory
 
-FARTHEST = 10.0
-"""A jog goes no further than this [degrees]."""
-WATCHED = 1.0
-"""So long a camera is recorded to see its rate [s]."""
-
 
 def run(args: Args) -> int:
     """Do it; return 0, or 1 where a part is missing."""
@@ -44,10 +39,10 @@ def check(file: CellFile) -> int:
 
     table, missing = Table("part", "driver", "what it sees", title=str(file.source.path), title_justify="left"), 0
     looks = (
-        ("arm", file.arm, partial(_arm_seen, file=file)),
-        ("gripper", file.gripper, _gripper_seen),
-        ("wrist camera", file.wrist_camera, _camera_seen),
-        ("side camera", file.side_camera, _camera_seen),
+        ("arm", file.arm, partial(_describe_arm, file=file)),
+        ("gripper", file.gripper, _describe_gripper),
+        ("wrist camera", file.wrist_camera, _describe_camera),
+        ("side camera", file.side_camera, _describe_camera),
         ("shaker", file.shaker, lambda motor: [f"stroke {1e3 * motor.stroke:.2f} mm"]),
     )
     with own_cell(file) as keep:
@@ -111,7 +106,7 @@ def jog(file: CellFile, joint: int | None, degrees: float) -> int:
     from anther.robot.cells import own_cell
     from anther.robot.safety import GuardedArm
 
-    check_range("by", abs(degrees), 0.01, FARTHEST, "degrees")
+    check_range("by", abs(degrees), 0.01, 10.0, "degrees")
     limits = file.safety_limits()
     last = len(limits.joint_lower) - 1
     joint = last if joint is None else joint
@@ -156,7 +151,7 @@ def _small_motion(file: CellFile, arm: Arm, joint: int, way: float) -> JointTraj
     return planner.move(here, there)
 
 
-def _arm_seen(arm: Any, file: CellFile) -> list[str]:
+def _describe_arm(arm: Any, file: CellFile) -> list[str]:
     q, limits = arm.joints(), file.safety_limits()
     margin = np.rad2deg(np.minimum(q - limits.joint_lower, limits.joint_upper - q).min())
     flange = file.model.forward(q)[:3, 3]
@@ -169,25 +164,30 @@ def _arm_seen(arm: Any, file: CellFile) -> list[str]:
     ]
 
 
-def _gripper_seen(gripper: Any) -> list[str]:
+def _describe_gripper(gripper: Any) -> list[str]:
     state = gripper.state()
     held = "holds something" if state.is_gripping else "holds nothing"
     told = f"presses with {state.force:.1f} N" if math.isfinite(state.force) else "does not tell its force"
     return [f"{1e3 * state.opening:.1f} of {1e3 * gripper.stroke:.1f} mm open, {held}, {told}"]
 
 
-def _camera_seen(camera: Camera) -> list[str]:
+def _describe_camera(camera: Camera) -> list[str]:
+    from anther.perception.coverage import describe_depth
+    from anther.perception.masks import green_pixels
+
     before = time.monotonic()
     frame, lens = camera.read(), camera.intrinsics
     took, late = time.monotonic() - before, time.monotonic() - frame.time
     camera.start(30.0)
-    time.sleep(WATCHED)
+    time.sleep(1.0)
     frames = camera.stop()
     rate = (len(frames) - 1) / (frames[-1].time - frames[0].time) if len(frames) > 1 else float("nan")
     near = frame.depth[frame.depth > 0]
+    plant = describe_depth(frame.depth, green_pixels(frame.rgb), lens.fx)
     return [
         f"{lens.width} x {lens.height} px, f {lens.fx:.1f} px; depth in {len(near) / frame.depth.size:.0%} of it",
         f"a frame after {1e3 * took:.0f} ms, {1e3 * late:.0f} ms old by its stamp; {rate:.1f} a second",
+        *filter(None, [plant]),
     ]
 
 

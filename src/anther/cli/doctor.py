@@ -64,7 +64,7 @@ def run(args: Args) -> int:
             compile_all()
     core, extras = _requirements()
     looked = [_python(), _packages(core), *(_extra(name, needs) for name, needs in extras.items())]
-    looked += [_gpu(), _compiled(), _cameras(), _disk(Path.cwd())]
+    looked += [_gpu(), _examine_kernels(), _cameras(), _disk(Path.cwd())]
     if args.json:
         print(json.dumps([finding._asdict() for finding in looked], indent=2))
     else:
@@ -101,7 +101,7 @@ def installed_version(package: str) -> str | None:
         return None
 
 
-def _lacking(needs: list[Requirement]) -> list[str]:
+def _find_missing(needs: list[Requirement]) -> list[str]:
     """Return which packages are missing or of another version than is needed."""
     lacking = []
     for need in needs:
@@ -116,7 +116,7 @@ def _lacking(needs: list[Requirement]) -> list[str]:
 def _packages(needs: list[Requirement]) -> Examined:
     from anther import __version__
 
-    lacking = _lacking(needs)
+    lacking = _find_missing(needs)
     if not needs:
         return Examined("Anther", "wrong", f"{__version__}, not installed", "Install it: pip install anther")
     if lacking:
@@ -125,7 +125,7 @@ def _packages(needs: list[Requirement]) -> Examined:
 
 
 def _extra(name: str, needs: list[Requirement]) -> Examined:
-    what, lacking = FOR.get(name, ""), _lacking(needs)
+    what, lacking = FOR.get(name, ""), _find_missing(needs)
     if not lacking:
         return Examined(f"[{name}]", "ok", what)
     found = f"{what}: not installed: {', '.join(lacking)}"
@@ -138,7 +138,7 @@ def _gpu() -> Examined:
     return Examined("GPU", "ok", "an NVIDIA driver; network masks use it where torch does")
 
 
-def _compiled() -> Examined:
+def _examine_kernels() -> Examined:
     """Compiled code is kept in numba's folder: without one every first command of a process takes a minute."""
     from anther.core import libraries
 

@@ -14,9 +14,6 @@ from anther.core.errors import bad_input
 from anther.history import read_outcomes, read_trials
 from anther.history.fruit_set import NAMES, PRIORS, FruitSet, counts_of, fit
 
-ACCELERATIONS = (0.0, 10.0, 25.0, 50.0, 100.0, 200.0)
-"""At which the table gives P(set) [m/s2]: from nothing to a bee's buzz."""
-
 
 def run(args: Args) -> None:
     """Fit and print; draw when asked to."""
@@ -41,7 +38,7 @@ def run(args: Args) -> None:
 
 def summary(learned: FruitSet) -> dict[str, Any]:
     """Return what is believed, each as [median, 5 %, 95 %], beside the prior."""
-    before = fit([], learned.prior)
+    before, accelerations = fit([], learned.prior), (0.0, 10.0, 25.0, 50.0, 100.0, 200.0)  # up to a bee's buzz
     return {
         "counts": len(learned.counts),
         "flowers": sum(c.flowers for c in learned.counts),
@@ -50,9 +47,9 @@ def summary(learned: FruitSet) -> dict[str, Any]:
         **{name: learned.interval(name) for name in NAMES},
         **{f"{name}_prior": before.interval(name) for name in NAMES},
         **{f"{name}_learned": learned.learned(name) for name in NAMES[:4]},
-        "probability": {f"{a:g}": learned.probability(a) for a in ACCELERATIONS},
-        "added": {f"{a:g}": learned.added(a) for a in ACCELERATIONS},
-        "probability_prior": {f"{a:g}": before.probability(a) for a in ACCELERATIONS},
+        "probability": {f"{a:g}": learned.probability(a) for a in accelerations},
+        "added": {f"{a:g}": learned.added(a) for a in accelerations},
+        "probability_prior": {f"{a:g}": before.probability(a) for a in accelerations},
     }
 
 

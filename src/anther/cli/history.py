@@ -21,10 +21,10 @@ from anther.history import (
     count_trials,
     each_trial,
     export,
+    hide_password,
     merge,
     read_outcomes,
     read_trials,
-    shown,
     starting_material,
 )  # fmt: skip
 from anther.plant.visit import Result, Visit
@@ -62,7 +62,7 @@ def _list(args: Args, which: dict[str, Any], outcomes: Sequence[Outcome]) -> Non
     trials = read_trials(args.history, **which, last=max(args.last, 0))
     count = count_trials(args.history, **which)
     if not count and not outcomes:
-        return console.print(f"{shown(args.history)}: no trial or outcome, or none that fits.")
+        return console.print(f"{hide_password(args.history)}: no trial or outcome, or none that fits.")
     if trials:
         console.print(_trials(trials, console.width))
     if count > len(trials):
@@ -70,30 +70,30 @@ def _list(args: Args, which: dict[str, Any], outcomes: Sequence[Outcome]) -> Non
     if outcomes:
         console.print(_outcomes(outcomes[-args.last :]))
     for species in sorted({t.species for t in trials}):
-        console.print(_believed(args, species), highlight=False)
+        console.print(_belief_line(args, species), highlight=False)
     return None
 
 
-def _trials(trials: Sequence[Visit], width: int) -> Table:
+def _trials(trials: Sequence[Visit], width: int, wide: int = 140) -> Table:
     """Return the table of trials; in a narrow terminal with the columns that tell how each went."""
-    columns = COLUMNS if width >= WIDE else {name: COLUMNS[name] for name in NARROW}
+    columns = COLUMNS if width >= wide else {name: COLUMNS[name] for name in NARROW}
     more = (
         ""
-        if width >= WIDE
-        else f"; from {WIDE} columns on: {', '.join(name for name in COLUMNS if name not in NARROW)}"
+        if width >= wide
+        else f"; from {wide} columns on: {', '.join(name for name in COLUMNS if name not in NARROW)}"
     )
-    box = HEAVY_HEAD if width >= WIDE else SIMPLE_HEAD
+    box = HEAVY_HEAD if width >= wide else SIMPLE_HEAD
     table = Table(*columns, title=f"trials{more}", title_justify="left", box=box)
     for trial in trials:
         table.add_row(*(cell(trial) for cell in columns.values()))
     return table
 
 
-def _held(trial: Visit) -> str:
+def _grasp_cell(trial: Visit) -> str:
     return "" if trial.grasp is None or trial.grasp.arc_length is None else f"{100 * trial.grasp.arc_length:.1f}"
 
 
-def _shaken(trial: Visit) -> str:
+def _shake_cell(trial: Visit) -> str:
     return "" if trial.shake is None else f"{1000 * trial.shake.amplitude:.2f} mm, {trial.shake.frequency:.1f} Hz"
 
 
@@ -117,15 +117,13 @@ COLUMNS: dict[str, Callable[[Visit], str]] = {
     "crop": lambda trial: trial.species,
     "plant": lambda trial: trial.plant,
     "result": lambda trial: trial.result_words,
-    "grasp [cm]": _held,
-    "shake": _shaken,
+    "grasp [cm]": _grasp_cell,
+    "shake": _shake_cell,
     "flowers [mm]": _motion,
     "E after [MPa]": _stiff,
     "run": lambda trial: trial.run or "",
 }
 NARROW = ("visit", "time (UTC)", "plant", "result", "shake")
-WIDE = 140
-"""A terminal of so many columns shows all of them."""
 
 
 def _outcomes(outcomes: Sequence[Outcome]) -> Table:
@@ -136,7 +134,7 @@ def _outcomes(outcomes: Sequence[Outcome]) -> Table:
     return table
 
 
-def _believed(args: Args, species: str) -> str:
+def _belief_line(args: Args, species: str) -> str:
     """Return what the next trial would begin with."""
     plant = "a plant not shaken before" if args.plant is None else args.plant
     belief = starting_material(species, plant, args.history)

@@ -31,8 +31,6 @@ from anther.show.pictures import save_figure
 from anther.show.pictures.estimates import Pluck, draw_material_test
 
 WRITTEN = ("identify.json", "material.json", "identify.png")
-GIVEN_ERROR, GIVEN_DENSITY_ERROR = 0.01, 0.05
-"""Relative standard error of a frequency and of a density (the prior's spread) that are given without one [-]."""
 
 
 def run(args: Args) -> None:
@@ -68,7 +66,7 @@ def _material_test(args: Args, plucks: tuple[FreeVibration, ...]) -> MaterialTes
     _refuse_contradictions(args)
     if args.frequency is not None:
         check_range("frequency", args.frequency, 1e-3, 1e4, "Hz")
-        error = args.frequency_error if args.frequency_error is not None else GIVEN_ERROR * args.frequency
+        error = args.frequency_error if args.frequency_error is not None else 0.01 * args.frequency
         check_range("frequency_error", error, 0, args.frequency / 2, "Hz")
         plucks = (FreeVibration(args.frequency, 0.0, error, np.inf),)
     stem = _stem(args)
@@ -84,7 +82,7 @@ def _material_test(args: Args, plucks: tuple[FreeVibration, ...]) -> MaterialTes
     density = None
     if args.density is not None:
         check_range("density", args.density, 10, 5000, "kg/m3")
-        error = args.density_error if args.density_error is not None else GIVEN_DENSITY_ERROR * args.density
+        error = args.density_error if args.density_error is not None else 0.05 * args.density
         density = args.density, check_range("density_error", error, 0, args.density / 2, "kg/m3")
     return MaterialTest(
         stem, orientation, density=density, plucks=plucks, errors=args.errors or InstrumentErrors(), **measured

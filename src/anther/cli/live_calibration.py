@@ -52,20 +52,8 @@ from anther.robot.safety import GuardedArm, GuardedCamera
 from anther.show.pictures import save_figure
 from anther.show.pictures.estimates import draw_calibration
 
-SLOW = 0.2
-"""Share of the arm's speeds at most, whatever the cell allows: somebody stands beside it."""
-STILL = 0.005
-"""Joints that differ by more before and after a picture moved meanwhile [rad]."""
-KNOWN = float(np.deg2rad(1)), 0.01
-"""Standard errors of the camera's place from which on the arm goes far around the board [rad], [m]."""
-TRUSTED = 7
-"""After so many views it does so in any case: all small turns have been made."""
-MISSED = 4
-"""So often the board may not be seen where it was expected, one time after the other."""
-CHECKED, LEAST = 4, 3
-"""Views that a check takes, and that must show the board: three tell camera from board."""
-THERE = 0.01
-"""An arm within this of a place of the calibration stays where it is [rad]."""
+CHECKED = 4
+"""Views that a check takes; three must show the board, to tell camera from board."""
 
 
 @dataclass(slots=True)
@@ -98,13 +86,13 @@ class Eye:
     arm: Arm
     camera: Camera
 
-    def look(self) -> tuple[NDArray[Any], Array]:
-        """Return a grey image (H, W) uint8 and the joints (J,) [rad] that it was taken from."""
+    def look(self, still: float = 0.005) -> tuple[NDArray[Any], Array]:
+        """Return a grey image (H, W) uint8 and the joints (J,) [rad] of an arm that stands, but for `still` [rad]."""
         before, image = self.arm.joints(), cv2.cvtColor(self.camera.read().rgb, cv2.COLOR_RGB2GRAY)
         after = self.arm.joints()
-        if (moved := float(np.abs(after - before).max())) > STILL:
+        if (moved := float(np.abs(after - before).max())) > still:
             went = f"the arm moved by {moved:.3f} rad while the picture was taken"
-            raise DeviceError(f"{went}; allowed: {STILL:g}. Hold it still.")
+            raise DeviceError(f"{went}; allowed: {still:g}. Hold it still.")
         return image, (before + after) / 2
 
     def go(self, motion: JointTrajectory) -> None:
@@ -114,7 +102,9 @@ class Eye:
 
     def planner(self, T_base_board: Array, centre: Array) -> Planner:
         """Return a planner of slow motions around a board; see `board_planner`."""
-        motion = motion_params(min(self.file.limits.speed_ratio, SLOW))
+        motion = motion_params(
+            min(self.file.limits.speed_ratio, 0.2)
+        )  # whatever the cell allows: somebody stands there
         boxes = list(self.file.keep_out)
         planner = board_planner(T_base_board, centre, boxes, self.file.arm_space, motion, self.file.model)
         if not planner.world.free(self.arm.joints()):
@@ -158,7 +148,7 @@ def live(
                 more = f"To go on with them: the same command with --out {folder}"
                 print(f"{len(taken)} views are kept in {folder}. {more}")
             raise
-    return _concluded(cell, taken, found, ask)
+    return _conclude(cell, taken, found, ask)
 
 
 def first_look(eye: Eye, taken: Taken, ask: Asking) -> None:
@@ -199,9 +189,9 @@ def gather(eye: Eye, taken: Taken, ask: Asking, *, by_hand: bool = False) -> Han
             missed.append(expected)
             in_a_row += 1
             print(f"the board is not seen. {explain_missing_board(image, parse_board(taken.board))}")
-            if in_a_row >= MISSED and not by_hand:
+            if in_a_row >= 4 and not by_hand:
                 do = "Correct its T_flange_cam in the cell file roughly, give the board more room, or use --by-hand."
-                raise StageFailure("device_fault", f"{MISSED} views did not show the board where it should be. {do}")
+                raise StageFailure("device_fault", f"{in_a_row} views did not show the board where it should be. {do}")
             continue
         in_a_row = 0
         taken.add(image, view, joints, eye.file.model.forward(joints))
@@ -214,14 +204,15 @@ def gather(eye: Eye, taken: Taken, ask: Asking, *, by_hand: bool = False) -> Han
 def _by_arm(eye: Eye, taken: Taken, found: HandEye | None, missed: list[Array], ask: Asking) -> Array | None:
     """Let the arm go to the next view; return T_board_cam (4, 4) there as expected, or None where that is all.
 
-    The arm makes large motions only once the camera's place is known well enough for them.
+    The arm makes large motions only once the camera's place is known to 1 degree and 1 cm (standard errors), or after
+    seven views: then all small turns have been made.
     """
-    sure = found is not None and found.rotation_error < KNOWN[0] and found.translation_error < KNOWN[1]
-    known = found is not None and (sure or len(taken) >= TRUSTED)
+    sure = found is not None and found.rotation_error < np.deg2rad(1) and found.translation_error < 0.01
+    known = found is not None and (sure or len(taken) >= 7)
     T_flange_cam = found.T_flange_cam if found is not None and known else eye.file.T_flange_cam
     seen_at = taken.flange[-1] @ T_flange_cam @ taken.T_cam_board[-1]
     T_base_board = found.T_base_board if found is not None and known else seen_at
-    options = _ranked(taken, missed, known=known)
+    options = _rank_places(taken, missed, known=known)
     planner, limits = eye.planner(T_base_board, parse_board(taken.board).centre), eye.file.safety_limits()
     reached = find_first_reachable(planner, limits, eye.arm.joints(), T_base_board @ options @ inverse(T_flange_cam))
     if reached is None:
@@ -235,7 +226,7 @@ def _by_arm(eye: Eye, taken: Taken, found: HandEye | None, missed: list[Array], 
     return expected
 
 
-def _ranked(taken: Taken, missed: list[Array], *, known: bool) -> Array:
+def _rank_places(taken: Taken, missed: list[Array], *, known: bool) -> Array:
     """Return T_board_cam (C, 4, 4) of possible views, the one least like those before first."""
     centre, before = parse_board(taken.board).centre, inverse(taken.T_cam_board)
     options = candidates(before[0], centre, taken.intrinsics, known=known)
@@ -245,7 +236,7 @@ def _ranked(taken: Taken, missed: list[Array], *, known: bool) -> Array:
 
 def _by_hand(eye: Eye, taken: Taken, found: HandEye | None, missed: list[Array], ask: Asking) -> Array | None:
     """Ask a person to move the arm; return T_board_cam as asked for, or None where that is all."""
-    expected = _ranked(taken, missed, known=True)[0]
+    expected = _rank_places(taken, missed, known=True)[0]
     do = "Move the arm about there, let go, press Enter (done: end): "
     answer = ask.answer(f"view {len(taken) + 1}: {_way_in_words(taken, expected)}. {do}")
     return None if answer == "done" else expected
@@ -283,7 +274,7 @@ def _tell(taken: Taken, found: HandEye | None) -> None:
     print(f"{len(taken):2} of about {ENOUGH}: {seen} | {cover} | {known}")
 
 
-def _concluded(cell: Path, taken: Taken, found: HandEye | None, ask: Asking) -> int:
+def _conclude(cell: Path, taken: Taken, found: HandEye | None, ask: Asking) -> int:
     """Write the result; into the cell file too, where nothing lacks and nobody objects. Return the exit code."""
     missing = lacks(taken, found)
     if found is not None:
@@ -321,7 +312,7 @@ def check(cell: Path, *, yes: bool = False) -> int:
         return 2
     print(f"{len(places)} views in {time.monotonic() - begin:.0f} s")
     anew = f"Calibrate again: anther calibrate --live --cell {cell} --board {record.board}"
-    if len(places) < LEAST:
+    if len(places) < CHECKED - 1:
         print(
             f"{CHECKED - len(places)} of {CHECKED} views do not show the board: does it stand where it stood, in light?"
         )
@@ -343,8 +334,8 @@ def _look_again(eye: Eye, record: Record, today: Taken, ask: Asking) -> list[int
     chosen = spread(inverse(record.T_cam_board), CHECKED, nearest, centre, today.intrinsics)
     planner, motions = eye.planner(record.found.T_base_board, centre), list[JointTrajectory]()
     for there in record.joints[chosen]:
-        near = np.abs(there - here).max() < THERE
-        motions.append(JointTrajectory.standstill(here, THERE) if near else planner.move(here, there))
+        near = np.abs(there - here).max() < 0.01  # rad
+        motions.append(JointTrajectory.standstill(here, 0.01) if near else planner.move(here, there))
         here = motions[-1].positions[-1]
     seconds = sum(motion.duration for motion in motions)
     if not ask.may(f"Go to {len(chosen)} views in {seconds:.0f} s?"):

@@ -23,9 +23,6 @@ from threading import current_thread, main_thread
 from types import ModuleType
 from typing import Any, get_type_hints
 
-COLLECT_EVERY = 100_000
-"""Garbage is looked for after so many new objects: Python's 700 costs a fifth of the time of `anther skeletonize`."""
-
 CONTROL = re.compile(r"(\x1b\[[0-9;]*m)|[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 """Colours (group 1), and all else that a terminal obeys but tabs and the ends of lines."""
 
@@ -58,7 +55,7 @@ ACTIONS = {
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return the exit code; without `argv`, that of this process, which ends with it."""
     if argv is None:
-        gc.set_threshold(COLLECT_EVERY)
+        gc.set_threshold(100_000)  # Python's 700 costs a fifth of the time of `anther skeletonize`
         _print_plainly()
         atexit.register(_leave_garbage)
     words = list(sys.argv[1:] if argv is None else argv)
@@ -77,7 +74,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"anther: no command '{words[0]}'; allowed: {', '.join(COMMANDS)}. See: anther --help", file=sys.stderr)
         return 2
     own = 2 if words[1:] and words[1] in ACTIONS.get(words[0], ()) else 1
-    with _terminated_as_interrupted():
+    with _treat_termination_as_interrupt():
         return _run(" ".join(words[:own]), words[own:])
 
 
@@ -106,7 +103,7 @@ def _leave_garbage() -> None:
 
 
 @contextmanager
-def _terminated_as_interrupted() -> Iterator[None]:
+def _treat_termination_as_interrupt() -> Iterator[None]:
     """A service that is stopped (SIGTERM) ends as with Ctrl-C: the arm at rest, the pads open, all recorded."""
     if current_thread() is not main_thread():
         yield
@@ -120,7 +117,7 @@ def _terminated_as_interrupted() -> Iterator[None]:
 
 def do(name: str, words: list[str]) -> int:
     """Do one command, and return its exit code; errors are raised."""
-    args = _parsed(name, words)
+    args = _parse(name, words)
     return int(_module(name).run(args) or 0)
 
 
@@ -152,7 +149,7 @@ def _run(name: str, words: list[str]) -> int:
         return 130
 
 
-def _parsed(name: str, words: list[str]) -> Any:
+def _parse(name: str, words: list[str]) -> Any:
     """Return what a command is asked; nothing heavy is imported unless a stage's parameter is among it."""
     import tyro
 

@@ -21,12 +21,8 @@ from anther.pollination.shake import VIBRATING_GRIPPER, arm_shaker
 from anther.show.pictures import save_figure
 from anther.show.pictures.rods import draw_grip_response
 
-AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-LISTED = 12
+AXES = dict(zip("xyz", np.eye(3), strict=True))
 WRITTEN = ("response_map.json", "response_map.csv", "response_map.png")
-BASE = 0.05
-"""Length of main stem above the root that is left out [m], at most a quarter of it: next to the soil a small shake is a
-long lever, which no stem bears."""
 
 
 def run(args: Args, plant: SourcePlant) -> None:
@@ -46,7 +42,7 @@ def run(args: Args, plant: SourcePlant) -> None:
         flowers,
         hertz,
         amplitude,
-        directions=None if args.axis in (None, "best") else np.array([AXES[args.axis]]),
+        directions=None if args.axis in (None, "best") else AXES[args.axis][None],
         pads=args.rods.pads,
         actuator=VIBRATING_GRIPPER if args.actuator == "gripper" else arm_shaker(),
     )
@@ -79,7 +75,8 @@ def _grips(args: Args, plant: SourcePlant) -> NDArray[Any]:
         nodes = np.unique([plant.node(number) for number in args.mapping.grips])
     else:
         stem = plant.stem_nodes
-        low = min(BASE, 0.25 * float(distance[stem].max(initial=0.0)))
+        # next to the soil a small shake is a long lever, which no stem bears
+        low = min(0.05, 0.25 * float(distance[stem].max(initial=0.0)))
         free = np.setdiff1d(stem[distance[stem] >= low], plant.clamp.nodes)
         if not len(free):
             raise bad_input("grips", given="none", allowed="a stem that is seen and free", do="Name --grips.")
@@ -141,7 +138,7 @@ def _print(args: Args, result: dict[str, Any], title: str) -> None:
         table.add_row("acceleration", f"mean {mean:.3g} m/s² ({least:.3g} to {most:.3g}) over {len(nodes)} flowers")
     if result["beyond_limits_share"]:
         table.add_row("not allowed", f"{result['beyond_limits_share']:.0%} of the map: beyond what `anther plan` keeps")
-    if len(nodes) <= LISTED:
+    if len(nodes) <= 12:
         table.add_row("flowers at nodes", " ".join(str(node) for node in nodes))
     table.add_row("natural frequencies", ", ".join(f"{f:.3g}" for f in result["natural_frequencies_hz"]) + " Hz")
     table.add_row("their damping ratios", ", ".join(f"{ratio:.3f}" for ratio in result["damping_ratios"]))

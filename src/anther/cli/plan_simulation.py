@@ -61,7 +61,7 @@ def _nodes(args: Args, plant: SourcePlant) -> tuple[int, int]:
 
 
 def _drive(args: Args, grip: int, also: tuple[int, ...]) -> Shake:
-    asked, axis = args.simulation, np.array(AXES[args.axis or "x"])
+    asked, axis = args.simulation, AXES[args.axis or "x"]
     amplitude, frequency = 0.004 if args.amplitude is None else args.amplitude, asked.frequency
     match asked.waveform:
         case "chirp":

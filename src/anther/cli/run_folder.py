@@ -18,7 +18,7 @@ from anther.cli.doctor import installed_version
 from anther.core.errors import AntherError, bad_input, missing_extra
 from anther.core.files import existing, made_folder, read_object, write_json
 from anther.core.runs import FILES, PROGRESS, Run
-from anther.history import add_missing, record_trial, shown
+from anther.history import add_missing, hide_password, record_trial
 from anther.plant.visit import Visit
 from anther.robot.devices import Tap, no_tap
 from anther.show.results import ARM, EXECUTED, FILM, PARAMS, SUMMARY, TIMING, RunResults, read_run
@@ -179,7 +179,7 @@ def remember(visit: Visit, folder: Path, history: str) -> str | None:
     try:
         record_trial(visit, history)
     except AntherError as error:
-        how = f"anther history {shown(history)} --add {folder}"
+        how = f"anther history {hide_password(history)} --add {folder}"
         return f"the trial is not in the history yet. {error} It is kept in {folder / SUMMARY}; add it with: {how}"
     return None
 

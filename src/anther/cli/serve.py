@@ -9,11 +9,9 @@ from anther.cli.args.serve import Args
 from anther.core.checks import check_range
 from anther.core.errors import MissingExtra, bad_input
 from anther.core.files import existing
-from anther.history import count_trials, shown
+from anther.history import count_trials, hide_password
 
 LOCALHOST = "127.0.0.1"
-SHORTEST = 16
-"""Characters of a token."""
 
 
 def run(args: Args) -> None:
@@ -28,15 +26,15 @@ def run(args: Args) -> None:
             "anther history serve needs FastAPI. Install it with: pip install 'anther[serve]'"
         ) from error
     token = None if args.token is None else existing(args.token).read_text(encoding="utf-8").strip()
-    if token is not None and len(token) < SHORTEST:
-        allowed = f"{SHORTEST} or more, e.g. of: openssl rand -hex 16"
+    if token is not None and len(token) < 16:
+        allowed = "16 or more, e.g. of: openssl rand -hex 16"
         raise bad_input("token", given=f"{len(token)} characters", allowed=allowed, do="Write a longer one.")
     visits = count_trials(args.history)
     local = args.host in (LOCALHOST, "localhost", "::1")
-    with _listening(args.host, args.port) as listener:
+    with _listen(args.host, args.port) as listener:
         port = listener.getsockname()[1]
         name = f"[{args.host}]" if ":" in args.host else args.host
-        print(f"{shown(args.history)}: {visits} visits at http://{name}:{port}/ (Ctrl-C ends)")
+        print(f"{hide_password(args.history)}: {visits} visits at http://{name}:{port}/ (Ctrl-C ends)")
         reader = "only this computer" if local else "everybody who reaches this computer"
         print(f"{reader} can read it; notes: {'with the token' if token else 'none can be written'}", flush=True)
         app = make_app(args.history, existing(args.runs), token, local=local)
@@ -45,7 +43,7 @@ def run(args: Args) -> None:
             uvicorn.Server(config).run(sockets=[listener])
 
 
-def _listening(host: str, port: int) -> socket.socket:
+def _listen(host: str, port: int) -> socket.socket:
     """Return a socket that listens there."""
     try:
         return socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)

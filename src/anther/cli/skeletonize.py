@@ -17,6 +17,7 @@ from anther.perception.formats.skeletons import write_skeleton
 from anther.perception.skeleton import Params, Skeleton, skeletonize
 from anther.perception.stem import Params as StemParams
 from anther.perception.stem import Stem, find_stem
+from anther.perception.supports import find_supports, notes_beside
 from anther.plant.imported import with_known_places
 from anther.pollination.grasp import Grasp, plan_grasps, save_grasps
 from anther.pollination.grasp import Params as GraspParams
@@ -30,7 +31,7 @@ GRASP = ("point", "tangent", "approach", "arc_length", "stem_diameter", "clearan
 def run(args: Args) -> None:
     """Read, skeletonise, find stem and grasp, write and print them."""
     out = room_for(args, WRITTEN)
-    cloud = read_cloud(args.cloud, args.units, args.up, plant=args.plant)
+    cloud = find_supports(read_cloud(args.cloud, args.units, args.up, plant=args.plant))
     params, known = with_known_places(args.root, args.stem_tip, args.params or Params(), args.stem or StemParams())
     skeleton = skeletonize(cloud, params)
     stem = find_stem(skeleton, known, flowers_at=flower_centres(cloud))
@@ -43,6 +44,7 @@ def run(args: Args) -> None:
         stem.save(out / WRITTEN[2])
         save_grasps(out / WRITTEN[3], grasps)  # all, best first
         save_figure(draw_plant(cloud, skeleton, stem, grasps[0]), out / WRITTEN[4])
+    notes = (*notes_beside(cloud, skeleton, stem), *notes)
     result = summary(cloud, skeleton, stem, grasps[0], notes) | {"seconds": process_seconds(), "out": out}
     print(json_text(result).rstrip() if args.json else _text(result))
 

@@ -133,13 +133,13 @@ def _value(args: type, name: str, text: str, number: int) -> Any:
     if hint is Path:
         return text if "://" in text else str(Path(text).absolute())
     try:
-        return _parsed(hint, text)
+        return _parse_value(hint, text)
     except InputError as error:
         raise InputError(f"row {number}, column '{name}': {error}") from None
 
 
 @cache
-def _parsed(hint: Any, text: str) -> Any:
+def _parse_value(hint: Any, text: str) -> Any:
     """Return a cell as the command line would read it."""
     several = tuple in [get_origin(h) for h in (hint, *get_args(hint))]
     said = StringIO()
@@ -164,12 +164,12 @@ def _arguments(args: Any, row: Mapping[str, Any]) -> Any:
     for name, given in row.items():
         is_path = _hint(type(args), name) is Path
         value = tuple(given) if isinstance(given, list) else Path(given) if is_path else given
-        args = _changed(args, name.split("."), value)
+        args = _replace_at(args, name.split("."), value)
     return args
 
 
-def _changed(what: Any, path: Sequence[str], value: Any) -> Any:
-    inner = value if len(path) == 1 else _changed(getattr(what, path[0]), path[1:], value)
+def _replace_at(what: Any, path: Sequence[str], value: Any) -> Any:
+    inner = value if len(path) == 1 else _replace_at(getattr(what, path[0]), path[1:], value)
     return replace(what, **{path[0]: inner})
 
 

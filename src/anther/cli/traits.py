@@ -24,6 +24,7 @@ from anther.perception.skeleton import Params, skeletonize
 from anther.perception.stem import Params as StemParams
 from anther.perception.stem import find_stem
 from anther.perception.stem.confidence import doubt
+from anther.perception.supports import find_supports
 from anther.perception.traits import LEVELS, CloudTraits, Limb, measure, measure_cloud, organs_of
 from anther.plant.imported import with_known_places
 from anther.show.pictures import save_figure
@@ -90,7 +91,7 @@ def run(args: Args) -> int:
         console.print(f"not read: {', '.join(left_out[:5])}{' ...' if len(left_out) > 5 else ''}")
     for path in found:
         name = str(path.relative_to(folder))
-        rows.append(_measured(args, path, name))
+        rows.append(_measure_plant(args, path, name))
         row = rows[-1]
         told = f"not measured: {row['failure']}"
         if not row["failure"]:
@@ -159,7 +160,7 @@ def growth(rows: Sequence[dict[str, Any]]) -> Iterator[dict[str, Any]]:
                 yield {"plant_id": name, "from": old["date"], "to": new["date"], "days": days} | change
 
 
-def _measured(args: Args, path: Path, name: str) -> dict[str, Any]:
+def _measure_plant(args: Args, path: Path, name: str) -> dict[str, Any]:
     """Return what is known of one plant, measured now unless it was before, from this file with these options."""
     place = args.out / "plants" / name
     kept = place / "traits.json"
@@ -183,7 +184,7 @@ def _measured(args: Args, path: Path, name: str) -> dict[str, Any]:
 
 
 def _row(args: Args, path: Path, place: Path) -> dict[str, Any]:
-    cloud = read_cloud(path, args.units, args.up)
+    cloud = find_supports(read_cloud(path, args.units, args.up))
     params, known = _stages(args)
     skeleton = skeletonize(cloud, params)
     stem = organs_of(find_stem(skeleton, known, flowers_at=flower_centres(cloud)), args.species)
@@ -197,7 +198,7 @@ def _row(args: Args, path: Path, place: Path) -> dict[str, Any]:
     row = {
         "points": len(cloud.points),
         "notes": "; ".join((*cloud.notes, *skeleton.notes, *stem.notes, *traits.notes)),
-        "limb_rows": [_known(limb._asdict()) for limb in traits.limbs],
+        "limb_rows": [_drop_unknown(limb._asdict()) for limb in traits.limbs],
         "limbs": len(traits.limbs),
         "tips": traits.tips,
         **measure_cloud(cloud)._asdict(),
@@ -219,10 +220,10 @@ def _row(args: Args, path: Path, place: Path) -> dict[str, Any]:
         "stem_confidence": traits.stem_confidence,
         "stem_doubt": "; ".join(doubt(stem.confidence)),
     }
-    return _known(row)
+    return _drop_unknown(row)
 
 
-def _known(row: dict[str, Any]) -> dict[str, Any]:
+def _drop_unknown(row: dict[str, Any]) -> dict[str, Any]:
     return {name: None if isinstance(value, float) and np.isnan(value) else value for name, value in row.items()}
 
 

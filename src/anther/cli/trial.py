@@ -15,7 +15,7 @@ from anther.cli.run_folder import TrialLog, finish, open_run, parameters, rememb
 from anther.core.checks import check_range
 from anther.core.errors import StageFailure, bad_input
 from anther.core.runs import WHERE_IT_STOPPED, stage_under_way
-from anther.history import Belief, earlier_shake, facts_prior, shown, starting_material
+from anther.history import Belief, earlier_shake, facts_prior, hide_password, starting_material
 from anther.plant.visit import Visit
 from anther.pollination.pipeline import Done, Params, mask_finder, pollinate
 from anther.pollination.shake import with_preset
@@ -60,11 +60,14 @@ def run(args: Args) -> int:
         given, allowed = f"'{args.restart_from}'", "a stage up to 'execution'"
         raise bad_input("restart-from", given=given, allowed=allowed, do=do)
     file = _file(args)
-    args = replace(_resolved(args, file), params=_params(args, file))
+    args = replace(_resolve(args, file), params=_params(args, file))
     find_masks = mask_finder(args.masks, args.models, args.params, cache=None)
     belief, began = _belief(args), datetime.now(UTC)
     earlier = None if args.material == "facts" else earlier_shake(args.plant, _label(args), args.history)
-    history, args = args.history, replace(args, history=shown(args.history))  # parameters are kept: no password there
+    history, args = (
+        args.history,
+        replace(args, history=hide_password(args.history)),
+    )  # parameters are kept: no password there
     cell, done, verdict, failure, notes = None, None, None, None, ()
     with ExitStack() as machines, open_run(out, args, SAME) as run:
         log = machines.enter_context(TrialLog(run, wanted=args.log))
@@ -122,7 +125,7 @@ def _file(args: Args) -> CellFile | None:
     return read_simulated(args.cell)
 
 
-def _resolved(args: Args, file: CellFile | None) -> Args:
+def _resolve(args: Args, file: CellFile | None) -> Args:
     """Return the arguments with the arm, and in the simulated cell the distance, that they leave open."""
     if file is None:
         from anther.robot.arm.arms import simulated_arm

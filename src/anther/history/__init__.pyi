@@ -1,7 +1,7 @@
 """The public names of the room, and where they stand; `__init__.py` finds them when they are asked for."""
 
 from ._beliefs import Belief, earlier_shake, facts_prior, starting_material
-from ._database import reading, shown
+from ._database import hide_password, open_reader
 from ._export import export
 from ._records import Outcome
 from ._trials import (
@@ -33,13 +33,13 @@ __all__ = [
     "find_plants",
     "find_visit",
     "fit",
+    "hide_password",
     "merge",
+    "open_reader",
     "read_outcomes",
     "read_trials",
-    "reading",
     "record_note",
     "record_outcome",
     "record_trial",
-    "shown",
     "starting_material",
 ]

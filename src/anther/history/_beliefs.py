@@ -10,7 +10,7 @@ from sqlalchemy import exists, func, select
 from sqlalchemy.orm import Session
 
 from anther.core.checks import check_array
-from anther.history._database import DEFAULT, reading
+from anther.history._database import DEFAULT, open_reader
 from anther.history._records import material_of
 from anther.history._tables import GraspRow, Plant, ResponseRow, ShakeRow, VisitRow
 from anther.plant.belief import EarlierShake
@@ -51,7 +51,7 @@ def starting_material(species: str, plant: str, where: Path | str = DEFAULT) -> 
     reason says how old it is. Another plant has the facts' prior.
     """
     facts = facts_prior(species)
-    with reading(where) as session:
+    with open_reader(where) as session:
         own, count = (None, 0) if session is None else _own(session, species, plant)
     if own is None or own.material is None:
         known = species if species in CROPS else f"{species}, taken as tomato's: nothing is known of it"
@@ -72,7 +72,7 @@ def earlier_shake(species: str, plant: str, where: Path | str = DEFAULT) -> Earl
         ShakeRow.waveform == "sine",
         exists().where(ResponseRow.visit_id == VisitRow.id, ResponseRow.measured_amplitude.is_not(None)),
     )
-    with reading(where) as session:
+    with open_reader(where) as session:
         found: Any = None if session is None else session.execute(query.limit(1)).first()
         if found is None:
             return None

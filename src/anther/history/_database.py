@@ -28,7 +28,7 @@ INSTALL = "pip install 'anther[postgresql]'"
 
 
 @contextmanager
-def reading(where: Path | str) -> Iterator[Session | None]:
+def open_reader(where: Path | str) -> Iterator[Session | None]:
     """Yield a session that reads the history, brought to the newest version; None when there is no such file.
 
     The database itself refuses it to write. Readers never wait for writers, nor writers for readers.
@@ -37,18 +37,18 @@ def reading(where: Path | str) -> Iterator[Session | None]:
     if url.database is not None and url.drivername == "sqlite" and not Path(url.database).exists():
         yield None
         return
-    with _opened(url, write=False) as session, _cells_understood(url):
+    with _open_session(url, write=False) as session, _cells_understood(url):
         yield session
 
 
 @contextmanager
-def writing(where: Path | str) -> Iterator[Session]:
+def open_writer(where: Path | str) -> Iterator[Session]:
     """Yield a session that writes, and commit at the end: all or, on an error or a crash, nothing of it is there.
 
     A SQLite file and its folder are made when they are missing. Writers wait for each other, up to `PATIENCE` seconds.
     """
     url = _url(where)
-    with _opened(url, write=True) as session:
+    with _open_session(url, write=True) as session:
         yield session
         session.commit()
 
@@ -58,7 +58,7 @@ def insert(session: Session, table: Any) -> Any:
     return (postgresql if session.get_bind().dialect.name == "postgresql" else sqlite).insert(table)
 
 
-def shown(where: Path | str) -> str:
+def hide_password(where: Path | str) -> str:
     """Return the history's place for people and files: without a password."""
     return _place(_url(where))
 
@@ -70,9 +70,9 @@ def _url(where: Path | str) -> URL:
     try:
         url = make_url(where)
     except (ArgumentError, ValueError) as error:  # ValueError: a port that is no number
-        raise _refused("history", where.split(":")[0] + "://...", "Check the address.") from error
+        raise _address_error("history", where.split(":")[0] + "://...", "Check the address.") from error
     if url.get_backend_name() not in ("postgresql", "postgres", "sqlite"):
-        raise _refused("history", url.render_as_string(), "Other databases were never tested.")
+        raise _address_error("history", url.render_as_string(), "Other databases were never tested.")
     return _file(url) if url.get_backend_name() == "sqlite" else url.set(drivername="postgresql+psycopg")
 
 
@@ -80,18 +80,18 @@ def _file(url: URL) -> URL:
     """Return the URL of a SQLite file: not one in memory, a folder or a pipe, which would be waited for."""
     name = url.database or ""
     if not name or name.startswith(":") or (Path(name).exists() and not Path(name).is_file()):
-        raise _refused("history", f"'{name}'", "Name a file, e.g. runs/history.sqlite.")
+        raise _address_error("history", f"'{name}'", "Name a file, e.g. runs/history.sqlite.")
     return url.set(drivername="sqlite")
 
 
-def _refused(what: str, given: str, do: str) -> InputError:
+def _address_error(what: str, given: str, do: str) -> InputError:
     return bad_input(what, given=given, allowed="a SQLite file, or postgresql://USER:PASSWORD@HOST/DATABASE", do=do)
 
 
 @contextmanager
-def _opened(url: URL, *, write: bool) -> Iterator[Session]:
+def _open_session(url: URL, *, write: bool) -> Iterator[Session]:
     try:
-        engine = _engine(_anchored(url), PATIENCE)
+        engine = _engine(_anchor_path(url), PATIENCE)
         with Session(engine.execution_options(write=write), expire_on_commit=False) as session:
             with _cells_understood(url):
                 if version(session.connection()) != HEAD:
@@ -102,10 +102,10 @@ def _opened(url: URL, *, write: bool) -> Iterator[Session]:
     except (SQLAlchemyError, OSError) as error:
         if isinstance(error, AntherError):
             raise
-        raise _explained(url, error) from error
+        raise _explain(url, error) from error
 
 
-def _anchored(url: URL) -> URL:
+def _anchor_path(url: URL) -> URL:
     """Return the address with a SQLite file's whole path, its folder made: an engine outlives a change of folder."""
     if url.drivername != "sqlite" or not url.database:
         return url
@@ -176,7 +176,7 @@ def _begin_postgresql(connection: Any) -> None:
         connection.exec_driver_sql("SET TRANSACTION READ ONLY")
 
 
-def _explained(url: URL, error: Exception) -> InputError:
+def _explain(url: URL, error: Exception) -> InputError:
     cause = " ".join(str(getattr(error, "orig", None) or error).split())
     held = f"Another program has held it for more than {PATIENCE:.0f} s. Nothing was changed: try again."
     space = "Nothing was changed: free some space and try again."
@@ -189,4 +189,4 @@ def _explained(url: URL, error: Exception) -> InputError:
         "connection": "Is the server running, and does it accept you?",
     }
     do = next((text for word, text in advice.items() if word in cause), "Check path, free space and rights.")
-    return _refused(f"trial history {_place(url)}", cause, do)
+    return _address_error(f"trial history {_place(url)}", cause, do)

@@ -11,7 +11,7 @@ from typing import Any, Literal
 from sqlalchemy import bindparam, select, update
 from sqlalchemy.orm import Session
 
-from anther.history._database import insert, reading, writing
+from anther.history._database import insert, open_reader, open_writer
 from anther.history._tables import Sweep, SweepJob
 
 State = Literal["waiting", "done", "poison"]
@@ -42,7 +42,7 @@ class Job:
 
 def add_jobs(jobs: Iterable[Job], where: Path | str, *, uid: str, folder: str, function: str) -> None:
     """Note jobs that are to be run; those that are noted already stay as they are."""
-    with writing(where) as session:
+    with open_writer(where) as session:
         named = {"folder": folder, "function": function, "began": datetime.now(UTC)}
         session.execute(insert(session, Sweep).values(uid=uid, **named).on_conflict_do_nothing())
         sweep = _sweep(session, uid)
@@ -57,7 +57,7 @@ def note_jobs(jobs: Sequence[Job], where: Path | str, *, uid: str) -> None:
         return
     now = datetime.now(UTC)
     names = ("state", "tries", "reason", "result", "seconds")
-    with writing(where) as session:
+    with open_writer(where) as session:
         of_job = (SweepJob.sweep_id == _sweep(session, uid), SweepJob.key == bindparam("of"))
         statement = update(SweepJob).where(*of_job).values({name: bindparam(name) for name in (*names, "ended")})
         rows = [{"of": job.key, "ended": now, **{name: getattr(job, name) for name in names}} for job in jobs]
@@ -68,7 +68,7 @@ def read_jobs(where: Path | str, uid: str) -> list[Job]:
     """Return the jobs of a sweep, in the order they were added; none when there is no such sweep or file."""
     columns = [getattr(SweepJob, name) for name in Job.__slots__]
     query = select(*columns).join(Sweep, Sweep.id == SweepJob.sweep_id).where(Sweep.uid == uid).order_by(SweepJob.id)
-    with reading(where) as session:
+    with open_reader(where) as session:
         return [] if session is None else [Job(*row) for row in session.execute(query)]
 
 

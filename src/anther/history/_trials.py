@@ -18,7 +18,7 @@ from sqlalchemy import func, select, tuple_
 from sqlalchemy.orm import Session
 
 from anther.core.errors import bad_input
-from anther.history._database import DEFAULT, insert, reading, shown, writing
+from anther.history._database import DEFAULT, hide_password, insert, open_reader, open_writer
 from anther.history._records import Outcome, material_of, numbers
 from anther.history._tables import FruitSetRow, GraspRow, Note, Plant, ResponseRow, ShakeRow, VisitRow, with_result
 from anther.plant.visit import MOTIONS, GraspRecord, ShakeRecord, Visit
@@ -38,13 +38,13 @@ def record_trial(record: Visit, where: Path | str = DEFAULT) -> int:
         record: the visit.
         where: a SQLite file, or postgresql://USER:PASSWORD@HOST/DATABASE.
     """
-    with writing(where) as session:
+    with open_writer(where) as session:
         return add(session, record)[0]
 
 
 def add_missing(record: Visit, where: Path | str = DEFAULT) -> int | None:
     """Add a trial that could not be recorded when it ended; None if the history has it already."""
-    with writing(where) as session:
+    with open_writer(where) as session:
         number, new = add(session, record)
         return number if new else None
 
@@ -92,8 +92,8 @@ def read_trials(where: Path | str = DEFAULT, *, last: int | None = None, **which
         last: only so many, the last ones.
         which: see `Which`.
     """
-    query = _chosen(select(VisitRow), which).order_by(VisitRow.time.desc(), VisitRow.id.desc()).limit(last)
-    with reading(where) as session:
+    query = _filter_visits(select(VisitRow), which).order_by(VisitRow.time.desc(), VisitRow.id.desc()).limit(last)
+    with open_reader(where) as session:
         return [] if session is None else [_visit_of(visit) for visit in session.scalars(query)][::-1]
 
 
@@ -102,10 +102,10 @@ def each_trial(where: Path | str = DEFAULT, **which: Unpack[Which]) -> Iterator[
 
     Every batch is read by itself: nothing is held while whoever asked is busy with the last one.
     """
-    query, place = _chosen(select(VisitRow), which).order_by(VisitRow.time, VisitRow.id).limit(BATCH), None
+    query, place = _filter_visits(select(VisitRow), which).order_by(VisitRow.time, VisitRow.id).limit(BATCH), None
     while True:
         further = query if place is None else query.where(tuple_(VisitRow.time, VisitRow.id) > place)
-        with reading(where) as session:
+        with open_reader(where) as session:
             batch = [] if session is None else [_visit_of(visit) for visit in session.scalars(further)]
         yield from batch
         if len(batch) < BATCH:
@@ -115,12 +115,12 @@ def each_trial(where: Path | str = DEFAULT, **which: Unpack[Which]) -> Iterator[
 
 def count_trials(where: Path | str = DEFAULT, **which: Unpack[Which]) -> int:
     """Return how many trials `read_trials` would."""
-    query = _chosen(select(func.count(VisitRow.id)), which)
-    with reading(where) as session:
+    query = _filter_visits(select(func.count(VisitRow.id)), which)
+    with open_reader(where) as session:
         return 0 if session is None else session.scalar(query) or 0
 
 
-def _chosen(query: Any, which: Which) -> Any:
+def _filter_visits(query: Any, which: Which) -> Any:
     """Ask a query of visits only of some."""
     query = _of_plant(query.join(VisitRow.plant), which.get("species"), which.get("plant"))
     since, until, result = (which.get(name) for name in ("since", "until", "result"))
@@ -140,7 +140,7 @@ def record_outcome(outcome: Outcome, where: Path | str = DEFAULT) -> int:
     Raises:
         InputError: the visit is not one of this plant; or see `record_trial`.
     """
-    with writing(where) as session:
+    with open_writer(where) as session:
         plant = _plant_of(session, outcome.species, outcome.plant).id
         if outcome.visit is not None:
             visit = session.get(VisitRow, outcome.visit)
@@ -161,7 +161,7 @@ def record_note(visit: int, words: str, where: Path | str = DEFAULT) -> int:
     """
     if not 0 < len(words.strip()) <= 2000:
         raise bad_input("note", given=f"{len(words)} characters", allowed="a text of 1 to 2000", do="Say it briefly.")
-    with writing(where) as session:
+    with open_writer(where) as session:
         if session.get(VisitRow, visit) is None:
             do = "`anther history` lists them."
             raise bad_input("visit", given=f"{visit}", allowed="a visit of the history", do=do)
@@ -177,7 +177,7 @@ def read_outcomes(
     """Return the counts that hold, by date; none when the file does not exist."""
     query = _of_plant(select(FruitSetRow).join(FruitSetRow.plant), species, plant).order_by(FruitSetRow.date)
     query = query.order_by(FruitSetRow.recorded, FruitSetRow.id)
-    with reading(where) as session:
+    with open_reader(where) as session:
         rows = [] if session is None else list(session.scalars(query))
         last = {(row.plant_id, row.visit_id, row.date): row for row in rows}
         return [
@@ -189,13 +189,13 @@ def read_outcomes(
 def find_plants(label: str, where: Path | str = DEFAULT, *, species: str | None = None) -> list[tuple[str, str]]:
     """Return (species, label) of every plant in the history with this label."""
     query = _of_plant(select(Plant), species, label).order_by(Plant.species)
-    with reading(where) as session:
+    with open_reader(where) as session:
         return [] if session is None else [(p.species, p.label) for p in session.scalars(query)]
 
 
 def find_visit(number: int, where: Path | str = DEFAULT) -> Visit | None:
     """Return one visit, or None."""
-    with reading(where) as session:
+    with open_reader(where) as session:
         visit = None if session is None else session.get(VisitRow, number)
         return None if visit is None else _visit_of(visit)
 
@@ -275,18 +275,18 @@ def merge(source: Path | str, where: Path | str = DEFAULT) -> Merged:
     Raises:
         InputError: one of them is no history, cannot be read, or cannot be written. What was taken until then stays.
     """
-    with reading(source) as session:
+    with open_reader(source) as session:
         if session is None:
-            given = f"{shown(source)}, which is not there"
+            given = f"{hide_password(source)}, which is not there"
             raise bad_input("history to merge", given=given, allowed="a history", do="Check the path.")
     new = total = 0
     for batch in _batches(source):
-        with writing(where) as session:
+        with open_writer(where) as session:
             # in the order of plants, so that two merges at once lock them in the same order
             ordered = sorted(batch, key=lambda record: (record.species, record.plant, record.time))
             new += sum(add(session, record)[1] for record in ordered)
         total += len(batch)
-    with reading(source) as here, writing(where) as there:
+    with open_reader(source) as here, open_writer(where) as there:
         assert here is not None
         for added in (*_counts(here, there), *_notes(here, there)):
             new, total = new + added, total + 1
@@ -296,7 +296,7 @@ def merge(source: Path | str, where: Path | str = DEFAULT) -> Merged:
 def _batches(source: Path | str) -> Iterator[Sequence[Visit]]:
     last = 0
     while True:
-        with reading(source) as session:
+        with open_reader(source) as session:
             rows = session.scalars(select(VisitRow).where(VisitRow.id > last).order_by(VisitRow.id).limit(BATCH)).all()  # type: ignore[union-attr]
             batch = [_visit_of(row) for row in rows]
         if not batch:

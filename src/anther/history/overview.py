@@ -77,7 +77,7 @@ def days(session: Session, since: date, until: date) -> list[Tally]:
     found = []
     for k in range((until - since).days + 1):
         day = since + timedelta(days=k)
-        row = session.execute(_between(select(*_TALLY), day, day)).one()
+        row = session.execute(_filter_dates(select(*_TALLY), day, day)).one()
         if row[0]:
             found.append(Tally(day, *row))
     return found
@@ -85,18 +85,20 @@ def days(session: Session, since: date, until: date) -> list[Tally]:
 
 def robots(session: Session, since: date, until: date) -> list[Tally]:
     """Return the visits of each robot on some days, by the robots' names."""
-    query = _between(select(VisitRow.robot, *_TALLY), since, until).group_by(VisitRow.robot).order_by(VisitRow.robot)
+    query = (
+        _filter_dates(select(VisitRow.robot, *_TALLY), since, until).group_by(VisitRow.robot).order_by(VisitRow.robot)
+    )
     return [Tally(*row) for row in session.execute(query)]
 
 
 def failures(session: Session, since: date, until: date) -> list[Tally]:
     """Return the visits that failed on some days by the kind of failure, "" where none was named, most first."""
     kind = func.coalesce(VisitRow.failure, "")
-    query = _between(select(kind, *_TALLY), since, until).where(VisitRow.held_unharmed.is_(False)).group_by(kind)
+    query = _filter_dates(select(kind, *_TALLY), since, until).where(VisitRow.held_unharmed.is_(False)).group_by(kind)
     return [Tally(*row) for row in session.execute(query.order_by(func.count().desc(), kind))]
 
 
-def _between(query: Any, since: date, until: date) -> Any:
+def _filter_dates(query: Any, since: date, until: date) -> Any:
     begin, end = (datetime.combine(day, time(), UTC) for day in (since, until + timedelta(days=1)))
     return query.where(VisitRow.time >= begin, VisitRow.time < end)
 
@@ -132,7 +134,7 @@ def visits(
     query = select(*of_visit, VisitRow.acceleration_ms2, VisitRow.plant_id, Plant.species, Plant.label, *shake)
     query = query.join(Plant, Plant.id == VisitRow.plant_id).outerjoin(ShakeRow, ShakeRow.visit_id == VisitRow.id)
     if day is not None:
-        query = _between(query, day, day)
+        query = _filter_dates(query, day, day)
     if plant is not None:
         query = query.where(VisitRow.plant_id == plant)
     if result is not None:
@@ -145,7 +147,7 @@ def visits(
 
 def last_day(session: Session, before: date) -> date | None:
     """Return the last day up to `before` with a visit, or None."""
-    query = _between(select(VisitRow.time), date(1970, 1, 1), before).order_by(VisitRow.time.desc()).limit(1)
+    query = _filter_dates(select(VisitRow.time), date(1970, 1, 1), before).order_by(VisitRow.time.desc()).limit(1)
     moment = session.scalar(query)
     return None if moment is None else moment.date()
 

@@ -9,6 +9,7 @@ from .formats.skeletons import read_skeleton, write_skeleton
 from .masks import Masks, segment
 from .skeleton import Skeleton, skeletonize
 from .stem import Stem, find_stem
+from .supports import find_supports
 from .traits import measure
 
 __all__ = [
@@ -20,6 +21,7 @@ __all__ = [
     "Stem",
     "find_flowers",
     "find_stem",
+    "find_supports",
     "flower_centres",
     "fuse",
     "measure",

@@ -12,6 +12,7 @@ from anther.core.choices import Crop as Crop  # noqa: PLC0414 - the door gives i
 from anther.core.geometry import Array
 
 GRAVITY = 9.81
+"""Of the earth [m/s2]."""
 GUSTS = 5.0
 """Up to here a leaf's load counts [Hz]: what petioles bear in units of their leaf's weight was measured slowly, and
 gusts that load them last a second (facts: pollination 2 and 6). Of faster shakes the strain of their bases counts,

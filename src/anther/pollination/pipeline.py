@@ -21,6 +21,7 @@ from anther.perception.flowers import Flowers
 from anther.perception.masks import Masks, by_words, without_ground
 from anther.perception.skeleton import Skeleton
 from anther.perception.stem import Stem
+from anther.perception.supports import find_supports, notes_beside
 from anther.plant import model as plant
 from anther.plant.belief import EarlierShake
 from anther.plant.model import Material, PlantModel
@@ -131,13 +132,20 @@ def perceive(
     with cause_named(capture):
         labels = run.stage("masks", Masks.load, lambda advance: find_masks(capture, workspace, advance))
         fused = run.stage(
-            "cloud", Cloud.load, lambda advance: cloud.fuse(capture, labels, workspace, params.cloud, progress=advance)
+            "cloud",
+            Cloud.load,
+            lambda advance: find_supports(cloud.fuse(capture, labels, workspace, params.cloud, progress=advance)),
         )
         tree = run.stage("skeleton", Skeleton.load, lambda _: skeleton.skeletonize(fused, params.skeleton))
         centres = flowers.flower_centres(fused)
-        main = run.stage("stem", Stem.load, lambda _: stem.find_stem(tree, params.stem, flowers_at=centres))
+        main = run.stage("stem", Stem.load, lambda _: _main_stem(fused, tree, centres, params))
     found = run.stage("flowers", Flowers.load, lambda _: flowers.find_flowers(fused, tree, main, centres=centres))
     return Seen(labels, fused, tree, main, found)
+
+
+def _main_stem(fused: Cloud, tree: Skeleton, flowers_at: Array, params: Params) -> Stem:
+    main = stem.find_stem(tree, params.stem, flowers_at=flowers_at)
+    return replace(main, notes=(*main.notes, *notes_beside(fused, tree, main)))
 
 
 _UNSEEN = ("no_plant_found", "no_stem_found", "no_grasp_found")

@@ -1,8 +1,8 @@
 """The public names of the room, and where they stand; `__init__.py` finds them when they are asked for."""
 
 from ._equilibrium import equilibrium, least_stiffness, standing, stands, with_gravity_equilibrium
-from ._linear import Modes, base_response, natural_frequencies
-from ._loads import History, Loads
+from ._linear import base_response, natural_frequencies
+from ._loads import Loads
 from ._motion import (
     RIGID,
     Burst,
@@ -10,17 +10,15 @@ from ._motion import (
     Clamp,
     Drive,
     FunctionDrive,
-    Motion,
     Rocking,
     SampledDrive,
     Springs,
     unit_direction,
 )
 from ._response import Observed, displacements, frequency_response, observed_response, response_map, steady_motion
-from ._rods import GRAVITY, Array, Discretisation, NaturalShape, Rods, Section
+from ._rods import GRAVITY, Array, NaturalShape, Rods, Section
 from ._simulation import Trajectory, simulate
 from ._strains import joints, strain_changes
-from ._vectors import compiled
 
 __all__ = [
     "GRAVITY",
@@ -29,13 +27,9 @@ __all__ = [
     "Burst",
     "Chirp",
     "Clamp",
-    "Discretisation",
     "Drive",
     "FunctionDrive",
-    "History",
     "Loads",
-    "Modes",
-    "Motion",
     "NaturalShape",
     "Observed",
     "Rocking",
@@ -45,7 +39,6 @@ __all__ = [
     "Springs",
     "Trajectory",
     "base_response",
-    "compiled",
     "displacements",
     "equilibrium",
     "frequency_response",

@@ -54,7 +54,7 @@ def new_blocks(n: int, dtype: Any = np.float64) -> Blocks:
 
 def new_lanes() -> Array:
     """Return an empty buffer for the springs' lanes."""
-    return np.zeros(_springs.ROWS * LANES)
+    return np.zeros((_springs.MOMENT_F + 1) * LANES)  # the last row
 
 
 @compiled

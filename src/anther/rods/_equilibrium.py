@@ -183,14 +183,13 @@ def equilibrium(rods: Rods, clamp: Clamp, *, gravity: ArrayLike = GRAVITY, loads
     return loaded_state(rods, model, frames, clamp.free(rods), loads)[1].x
 
 
-RAMP, FOLLOWED = 8, 100
-"""Steps in which a torque grows, and in which its couples of forces may then turn along with the edges."""
-
-
-def loaded_state(rods: Rods, model: Model, frames: Frames, free: Any, loads: Loads | None) -> tuple[Model, State]:
+def loaded_state(
+    rods: Rods, model: Model, frames: Frames, free: Any, loads: Loads | None, ramp: int = 8
+) -> tuple[Model, State]:
     """Return the constants with the loads in their weight, and the state at rest under them.
 
-    A torque is a couple of forces and a moment that spins the edge; with the edge these turn, until nothing moves.
+    A torque is a couple of forces and a moment that spins the edge. It grows in `ramp` steps; then the forces turn with
+    the edge until nothing moves.
 
     Raises:
         StageFailure: kind "no_convergence", as of `static_state`.
@@ -198,8 +197,8 @@ def loaded_state(rods: Rods, model: Model, frames: Frames, free: Any, loads: Loa
     if loads is None:
         return model, static_state(model, frames, rods.nodes, free)
     x, moved = rods.nodes, np.inf
-    for k in range(1 if not loads.turns else RAMP + FOLLOWED):
-        share = min(1.0, (k + 1) / RAMP) if loads.turns else 1.0
+    for k in range(ramp + 100 if loads.turns else 1):
+        share = min(1.0, (k + 1) / ramp) if loads.turns else 1.0
         loaded = model._replace(weight=model.weight + share * loads.on(rods, x))
         state = static_state(loaded, frames, x, free)
         moved, x, frames = float(np.abs(state.x - x).max()), state.x, state.frames
@@ -209,17 +208,13 @@ def loaded_state(rods: Rods, model: Model, frames: Frames, free: Any, loads: Loa
     raise StageFailure("no_convergence", f"rods: no equilibrium under a torque, the last step moved {moved:.2g} m.")
 
 
-LARGEST_TWIST = 0.45
-"""Twist of a joint [rad] at which averaged curvature makes bending 5 % too soft: cos^2(twist / 2)."""
-
-
-def warn_of_twist(model: Model, twist: Array) -> None:
-    """Warn where a joint is twisted (N,) [rad] so far that it bends too easily."""
+def warn_of_twist(model: Model, twist: Array, largest: float = 0.45) -> None:
+    """Warn where a joint is twisted (N,) [rad] so far that it bends more than 5 % too easily, by cos^2(twist / 2)."""
     most = float(np.abs(np.where(model.joint[:, 0] > 0, twist, 0)).max())
-    if most > LARGEST_TWIST:
+    if most > largest:
         warnings.warn(
             f"rods: a joint is twisted by {most:.2g} rad, where it bends {100 * (1 - np.cos(most / 2) ** 2):.0f} % too "
-            f"easily; up to {LARGEST_TWIST} rad it is 5 %. Use shorter edges.",
+            f"easily; up to {largest} rad it is 5 %. Use shorter edges.",
             stacklevel=3,
         )
 

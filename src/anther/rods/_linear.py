@@ -132,13 +132,6 @@ def dense(model: Model, blocks: Blocks) -> Any:
     return product(model, blocks, np.eye(n).reshape(-1, 4, n)).reshape(n, n)
 
 
-CONVERGED, ROUNDED = 1e-8, 1e-4
-"""What is left of a mode after K^-1 M, over what K^-1 M makes of it: wanted, and accepted where rounding forbids that.
-
-The error of the squared frequency is that squared, over the relative distance to the next one.
-"""
-
-
 class Modes(NamedTuple):
     """The lowest K modes of N nodes.
 
@@ -205,6 +198,9 @@ def _damping_of(system: Linear, vectors: Array) -> Array:
 def _lowest(stiffness: Tangent, mass: Operator, count: int) -> tuple[Array, Array]:
     """Return (K,) squared angular frequencies and (K, N, 4) vectors with v^T M v = 1.
 
+    What is left of a mode after K^-1 M, over what K^-1 M makes of it, falls to 1e-8; to 1e-4 where rounding forbids
+    more. The error of the squared frequency is that squared, over the relative distance to the next one.
+
     Raises:
         StageFailure: kind "no_convergence".
     """
@@ -224,8 +220,8 @@ def _lowest(stiffness: Tangent, mass: Operator, count: int) -> tuple[Array, Arra
         inverse, mix = values[: -count - 1 : -1], mix[:, : -count - 1 : -1].T
         left = mix @ images - inverse[:, None] * (mix @ basis)
         errors.append(float(np.max(np.sqrt(np.abs(np.sum(left * mass(left), axis=1))) / inverse)))
-        rounded = len(errors) > 3 and errors[-1] > errors[-4] / 2 and errors[-1] < ROUNDED
-        if len(inverse) == count and (errors[-1] < CONVERGED or rounded or len(block) == 0):
+        rounded = len(errors) > 3 and errors[-1] > errors[-4] / 2 and errors[-1] < 1e-4
+        if len(inverse) == count and (errors[-1] < 1e-8 or rounded or len(block) == 0):
             return 1 / inverse, (mix @ basis).reshape(-1, *free.shape)
         if len(block) == 0:
             break

@@ -25,12 +25,6 @@ from anther.rods._vectors import (
     transport,
 )
 
-SOFTER = 1.2
-"""A last edge may be this much softer than the one before it for the latter's joint to stay well above 0."""
-
-NO_TWIST = 1e-2
-"""EI / GJ of rods that cannot twist: their twist is this share of what it would be at EI = GJ."""
-
 
 class Edges(NamedTuple):
     """Which edges meet in the joint of edge j, and how: the first fields of `Model`, and the kinks."""
@@ -136,7 +130,7 @@ def _edge_tensors(rods: Rods, m1: Array) -> Array:
 def _compliances(rods: Rods) -> tuple[Array, Array, Array]:
     """Return (N,) length / EI1, length / EI2, length / GJ of every edge [rad/(N m)]; of the unused edge 0 of edge 1."""
     section = rods.sections
-    E, G = np.asarray(rods.youngs), np.asarray(rods.youngs) / (2 * np.maximum(rods.bend_over_twist, NO_TWIST))
+    E, G = np.asarray(rods.youngs), np.asarray(rods.youngs) / (2 * np.maximum(rods.bend_over_twist, 1e-2))
     stiff = np.stack([E * section.bend_1, E * section.bend_2, G * section.torsion])
     compliances = np.concatenate([np.ones((3, 1)), rods.lengths[1:] / stiff[:, 1:]], axis=1)
     first, second, twist = compliances
@@ -184,7 +178,8 @@ def _shares(rods: Rods, near: NDArray[Any], jointed: NDArray[Any]) -> tuple[Arra
     tips = np.flatnonzero(lumps & (children == 0) & jointed)
     before, bend = parent[tips], np.mean(_compliances(rods)[:2], axis=0)
     share = bend[tips] / bend[before]
-    plain = (on[before] == tips) & (before > 0) & jointed[before] & (share < SOFTER)
+    # a last edge much softer than the one before it would leave the latter's joint no compliance
+    plain = (on[before] == tips) & (before > 0) & jointed[before] & (share < 1.2)
     own[tips[plain]] += 3 / 8
     own[before[plain]] -= 3 / 8 * share[plain]
     siblings = near != parent

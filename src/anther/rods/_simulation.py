@@ -36,12 +36,6 @@ PREDICTORS = ("inertia", "guess displacement", "none")
 NEWTON_LIMIT = 30
 """Newton iterations of a step before it is split."""
 
-HALVINGS = 8
-"""A step that Newton cannot solve, or that creates energy, is split in two, and its parts again, this many times."""
-
-BALANCED = 4
-"""Energy is watched down to this many splits: a drive that starts with a jump puts some in, however small the step."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory(Stored):
@@ -308,7 +302,7 @@ class _Run:
         self._record(grip, out, 0)
         done, residual = self._advance(grip, self.settings, 0, steps, every, out, times)
         while done < steps:
-            self._split(done * dt, dt, residual, HALVINGS)
+            self._split(done * dt, dt, residual)
             done += 1
             if done % every == 0:
                 self._record(grip, out, done // every)
@@ -322,8 +316,11 @@ class _Run:
         record(self.model, grip, self.state, self.work, out, row)
         out.energy[row] += np.sum(self.around.own[:, :3] * self.state.x)
 
-    def _split(self, t0: float, dt: float, residual: float, halvings: int) -> None:
-        """Take one step of length dt as two halves, splitting these again where needed."""
+    def _split(self, t0: float, dt: float, residual: float, halvings: int = 8) -> None:
+        """Take one step of length dt as two halves, and these likewise where needed, up to `halvings` times.
+
+        The smallest parts may create energy: a drive that starts with a jump puts some in, however small the step.
+        """
         self.splits += 1
         if halvings == 0:
             raise StageFailure(
@@ -331,7 +328,7 @@ class _Run:
                 f"rods: Newton's method failed at t = {t0:.6g} s with a residual of {residual:.3g} N, also with the "
                 f"step split down to {dt:.2g} s. Use a smaller time step, a smaller amplitude, or stiffer rods.",
             )
-        half = self.settings._replace(dt=dt / 2, balance=halvings > HALVINGS - BALANCED)
+        half = self.settings._replace(dt=dt / 2, balance=halvings > 4)
         for start in (t0, t0 + dt / 2):
             ends = np.array([start, start + dt / 2])
             done, residual = self._advance(self.grip(ends), half, 0, 1, 0, new_output(0, 0), ends)

@@ -35,24 +35,23 @@ from anther.rods._vectors import (
     twist_angle,
 )
 
-EDGE_E, EDGE_F, DIRECTOR_E, DIRECTOR_F, SPEED_E, SPEED_F = 0, 3, 6, 9, 12, 15  # three rows each
-SPIN_E, SPIN_F, TWIST = 18, 19, 20
-JOINT, VISCOUS, CURVATURE_1, CURVATURE_2, NATURAL_TWIST = 21, 27, 28, 29, 30  # JOINT has six rows
-STRETCH, LENGTH, START_F = 31, 32, 33  # START_F has three rows
-"""Input rows of the lanes, of a spring between edges e and f: geometry, then material."""
+EDGE_E, EDGE_F, DIRECTOR_E, DIRECTOR_F, SPEED_E, SPEED_F, START_F = range(0, 21, 3)
+SPIN_E, SPIN_F, TWIST, VISCOUS, CURVATURE_1, CURVATURE_2, NATURAL_TWIST, STRETCH, LENGTH = range(21, 30)
+JOINT, EE, FF, FE = range(30, 54, 6)
+FORCE_E, FORCE_F, SPIN_E_E, SPIN_E_F, SPIN_F_E, SPIN_F_F, SPINS = range(57, 78, 3)
+MOMENT_E, MOMENT_F = range(78, 80)
+"""Rows of the lanes, of a spring between edges e and f.
 
-FORCE_E, FORCE_F, MOMENT_E, MOMENT_F = 36, 39, 42, 43
-EE, FF, FE = 44, 50, 56  # symmetric: 00, 01, 11, 02, 12, 22; FE has nine rows: rows of f, columns of e
-SPIN_E_E, SPIN_E_F, SPIN_F_E, SPIN_F_F = 65, 68, 71, 74  # spin of one against the vector of the other
-SPINS = 77  # of e with e, e with f, f with f
-ROWS = 80
-"""Output rows: gradient and Hessian by the vectors and the spins of both edges."""
+Up to JOINT what is put in, from EE on gradient and Hessian by the vectors and the spins of both edges. JOINT, EE and FF
+are symmetric: 00, 01, 11, 02, 12, 22; FE has rows of f, columns of e. SPIN_E_F is the spin of e against the vector of
+f; SPINS are e with e, e with f, f with f.
+"""
 
-SINE, COSINE = 36, 37
+SINE, COSINE = range(36, 38)
 """Output rows for the twist: its sine and cosine."""
 
-OLD_EDGE, NEW_EDGE, OLD_DIRECTOR, TURN, NEW_DIRECTOR = 0, 3, 6, 9, 10
-"""Rows for moving the frame of an edge: four inputs, one output."""
+OLD_EDGE, NEW_EDGE, OLD_DIRECTOR, NEW_DIRECTOR, TURN = range(0, 15, 3)
+"""Rows for moving the frame of an edge; NEW_DIRECTOR is the output."""
 
 
 class Bent(NamedTuple):

@@ -29,14 +29,6 @@ LARGEST_TURN = 0.5
 Beyond it Newton can converge to a solution in which an edge has flipped over. The step is split instead.
 """
 
-GROWTH = 4.0
-"""Line search: a correction after which the residual is this many times larger is halved, up to HALVED times."""
-
-HALVED = 6
-
-CREATED = 1e-3
-"""Share of the elastic and kinetic energy that a midpoint step may create out of nothing (`_step`)."""
-
 
 class State(NamedTuple):
     """Positions (N, 3) [m], velocities and edge spin rates (N, 4) [m/s, rad/s], and material frames."""
@@ -199,7 +191,7 @@ def implicit_step(model: Model, free: Any, old: State, work: Work, h: float, set
                     correction[j, i] = new.x[j, i] - old.x[j, i]
             turned = _largest_turn(parent, old.x, correction)
             return (iteration if turned < LARGEST_TURN else -most), residual
-        if not residual <= GROWTH * before and halved < HALVED:
+        if not residual <= 4 * before and halved < 6:  # line search
             share, halved = 0.5 * share, halved + 1
             _move(new.x, turn, correction, -share)
             continue
@@ -335,7 +327,7 @@ def _step(model: Model, free: Any, grip: Grip, state: State, work: Work, setting
         _drive_speed(grip, work.mid, step, settings.dt)
     stored, total = energies(model, work.mid)
     created = total - work.energy[0] - gained
-    if settings.midpoint and settings.balance and created > CREATED * max(stored, work.energy[1]):
+    if settings.midpoint and settings.balance and created > 1e-3 * max(stored, work.energy[1]):
         return -used, residual
     work.energy[0], work.energy[1] = total, stored
     work.energy[2] += gained

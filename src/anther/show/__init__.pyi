@@ -1,7 +1,6 @@
 """The public names of the room, and where they stand; `__init__.py` finds them when they are asked for."""
 
 from .log import Log
-from .pictures import save_figure
 from .pictures.plant import draw_plant
 from .pictures.report import draw_plan
 from .results import read_run
@@ -12,6 +11,5 @@ __all__ = [
     "draw_plan",
     "draw_plant",
     "read_run",
-    "save_figure",
     "summarise",
 ]

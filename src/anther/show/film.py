@@ -19,14 +19,15 @@ from anther.robot.devices import Frame, Robot
 from anther.show.scene import hand, limbs
 from anther.show.style import GRIPPER_COLOR, ROBOT_COLOR, rgb
 
-SECONDS, WIDTH, SLOWER = 1.5, 420, 2.0
-"""Of the film's last frames, its width [px], and times slower than it was."""
-QUALITY = 80
-"""Of WebP, 0..100: no palette, so that nothing is dithered."""
 
+def save_film(path: Path, frames: Sequence[Frame], *, seconds: float = 1.5, width: int = 420) -> None:
+    """Write the end of a recording as an animated WebP that plays at half the speed; nothing of fewer than two frames.
 
-def save_film(path: Path, frames: Sequence[Frame], *, seconds: float = SECONDS) -> None:
-    """Write the end of a recording, in order of time, as an animated WebP; nothing of fewer than two frames.
+    Args:
+        path: of the file.
+        frames: in order of time.
+        seconds: of the recording's end.
+        width: of the film [px].
 
     Raises:
         InputError: the file cannot be written.
@@ -34,12 +35,12 @@ def save_film(path: Path, frames: Sequence[Frame], *, seconds: float = SECONDS) 
     last = [frame for frame in frames if frame.time >= frames[-1].time - seconds]
     if len(last) < 2:
         return
-    height = round(WIDTH * last[0].rgb.shape[0] / last[0].rgb.shape[1])
-    pictures = [Image.fromarray(frame.rgb).resize((WIDTH, height), Image.Resampling.LANCZOS) for frame in last]
-    apart = round(1000 * SLOWER * (last[-1].time - last[0].time) / (len(last) - 1))
+    height = round(width * last[0].rgb.shape[0] / last[0].rgb.shape[1])
+    pictures = [Image.fromarray(frame.rgb).resize((width, height), Image.Resampling.LANCZOS) for frame in last]
+    apart = round(1000 * 2.0 * (last[-1].time - last[0].time) / (len(last) - 1))
     style: dict[str, Any] = {"save_all": True, "append_images": pictures[1:], "duration": apart, "loop": 0}
     with written(path, "a folder that can be written"):
-        pictures[0].save(path, "WEBP", quality=QUALITY, method=4, **style)
+        pictures[0].save(path, "WEBP", quality=80, method=4, **style)
 
 
 def with_robot(frames: Sequence[Frame], trial: Trial, robot: Robot, arm: ArmModel) -> list[Frame]:

@@ -36,10 +36,6 @@ PALETTE = (
 )  # fmt: skip
 
 
-SHOWN = 5
-"""Grasps that are listed, besides the one that was carried out."""
-
-
 def write_report(path: Path, results: RunResults) -> None:
     """Write the report of a run to one HTML file that needs nothing else."""
     title = escape(f"Anther: {results.title}")
@@ -57,12 +53,12 @@ def write_report(path: Path, results: RunResults) -> None:
 
 def _image(draw: Callable[[bool], Figure], alt: str) -> str:
     """Return a figure as an embedded picture, drawn (narrow or not) for a desk's screen and for a phone's."""
-    wide, narrow = (_embedded(draw(on_phone), 2.0 if on_phone else 1.0) for on_phone in (False, True))
+    wide, narrow = (_embed(draw(on_phone), 2.0 if on_phone else 1.0) for on_phone in (False, True))
     media = f"<source media='(max-width:{NARROW}px)' srcset='{narrow}'>"
     return f"<picture>{media}<img alt='{escape(alt)}' src='{wide}'></picture>"
 
 
-def _embedded(figure: Figure, finer: float) -> str:
+def _embed(figure: Figure, finer: float) -> str:
     """Return a figure as a PNG within an address, and free its memory."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=110 * finer, bbox_inches="tight", pad_inches=0.05)
@@ -140,11 +136,12 @@ def _plant(results: RunResults) -> str:
     return text + _image(lambda narrow: draw_layers(layers, results.grasp, narrow=narrow), alt)
 
 
-def _grasp(results: RunResults) -> str:
+def _grasp(results: RunResults, most: int = 5) -> str:
+    """Return the table of the best grasps, and of the one that was carried out."""
     if not results.grasps:
         return ""
     held = results.held_rank
-    listed = [(rank, g) for rank, g in enumerate(results.grasps) if rank < SHOWN or rank == held]
+    listed = [(rank, g) for rank, g in enumerate(results.grasps) if rank < most or rank == held]
     rows = [
         [
             f"{rank + 1}{' (carried out)' if rank == held else ''}",
@@ -162,7 +159,7 @@ def _grasp(results: RunResults) -> str:
     if any(g.clearance < 0 for _, g in listed):
         text += f" {CLEARANCE}"
     text += f"</p>{_list(results.attempts)}"
-    return f"{text}{_table(header, rows, chosen=None if held is None else min(held, SHOWN))}"
+    return f"{text}{_table(header, rows, chosen=None if held is None else min(held, most))}"
 
 
 CLEARANCE = (
@@ -272,7 +269,7 @@ def _motion(results: RunResults) -> str:
             acceleration,
         ]
         for i, ((low, high), (amplitude, acceleration)) in enumerate(
-            zip(shake.predicted_amplitude_interval, _measured(results, measured), strict=True)
+            zip(shake.predicted_amplitude_interval, _measured_rows(results, measured), strict=True)
         )
     ]
     low, high = shake.predicted_amplitude_interval.T
@@ -317,7 +314,7 @@ MEASURED_AND_TRUE = (
 )
 
 
-def _measured(results: RunResults, felt: Array) -> Iterator[tuple[str, str]]:
+def _measured_rows(results: RunResults, felt: Array) -> Iterator[tuple[str, str]]:
     """Yield each flower's measured amplitude and acceleration (F,) [m/s2] in words, from one and the same source.
 
     A flower that was lost after the last step has what that step says; of a single frequency, its amplitude follows.

@@ -24,6 +24,7 @@ from anther.perception.cloud import Cloud
 from anther.perception.flowers import flower_centres
 from anther.perception.skeleton import Skeleton, skeletonize
 from anther.perception.stem import Stem, find_stem
+from anther.perception.supports import find_supports
 from anther.pollination import grasp
 from anther.robot.arm.gripper_shape import GripperShape
 from anther.robot.arm.planner import Planner
@@ -34,14 +35,10 @@ from anther.robot.drivers.ros2 import Node
 from anther.robot.safety import check_trajectory
 
 NAME = "anther"
-FRESH = 1.0
-"""Joints that were heard so long ago are not where the arm is [s]."""
 THINNEST = 1e-3
 """Radius of the thinnest cylinder of a planning scene [m]."""
 BOX, CYLINDER = 1, 3
 """As shape_msgs/SolidPrimitive and visualization_msgs/Marker both number them."""
-LINE_LIST = 5
-GREEN, BROWN = (0.2, 0.6, 0.2, 1.0), (0.6, 0.45, 0.3, 0.4)
 Shape = tuple[int, tuple[float, ...], Array]
 """Kind, dimensions as shape_msgs/SolidPrimitive has them [m], pose (4, 4) in the base frame."""
 
@@ -65,8 +62,8 @@ class PlantAnswers:
             allowed = f"the plant within {file.workspace.lower} .. {file.workspace.upper} m"
             raise bad_input("cloud", given=given, allowed=allowed, do="Is it in metres, in the arm's base frame?")
         self.file, self.arm = file, file.model
-        self.cloud = Cloud(
-            points[inside], None, None if colours is None else colours[inside], obstacles=points[~inside]
+        self.cloud = find_supports(
+            Cloud(points[inside], None, None if colours is None else colours[inside], obstacles=points[~inside])
         )
         self._found: tuple[Skeleton, Stem] | None = None
         self._grasp: tuple[grasp.Grasp, Planner] | None = None
@@ -238,7 +235,7 @@ class PlantNode:
 
     def _start(self) -> tuple[Array, bool]:
         """Return the joints (J,) that a way begins at [rad], and whether they were heard."""
-        if self._joints is None or time.monotonic() - self._joints[0] > FRESH:
+        if self._joints is None or time.monotonic() - self._joints[0] > 1.0:  # s
             return self._file.model.ready, False
         return self._joints[1], True
 
@@ -258,7 +255,9 @@ class PlantNode:
 
     def _show(self, tree: Skeleton | None) -> None:
         """Publish the scene: keep-out boxes, and the plant where it is known."""
-        markers = [self._marker("keep_out", i, shape, BROWN) for i, shape in enumerate(boxes(self._file))]
+        markers = [
+            self._marker("keep_out", i, shape, (0.6, 0.45, 0.3, 0.4)) for i, shape in enumerate(boxes(self._file))
+        ]
         if tree is not None:
             markers.append(self._lines(tree))
         self._out["scene"].publish(self._node.make("visualization_msgs/msg/MarkerArray", markers=markers))
@@ -273,11 +272,13 @@ class PlantNode:
 
     def _lines(self, tree: Skeleton) -> Any:
         make = self._node.make
-        points = [_point(make, p) for p in tree.nodes[tree.edges].reshape(-1, 3)]
-        told = {"header": self._header(), "ns": "skeleton", "type": LINE_LIST, "points": points}
+        points = [_point(make, p) for p in tree.nodes[tree.edges].reshape(-1, 3)]  # of type 5, a list of lines
+        told = {"header": self._header(), "ns": "skeleton", "type": 5, "points": points}
         scale = make("geometry_msgs/msg/Vector3", x=0.003, y=0.0, z=0.0)
         whole = self._pose(np.eye(4))
-        return make("visualization_msgs/msg/Marker", **told, scale=scale, pose=whole, color=self._colour(GREEN))
+        return make(
+            "visualization_msgs/msg/Marker", **told, scale=scale, pose=whole, color=self._colour((0.2, 0.6, 0.2, 1.0))
+        )
 
     def _colour(self, rgba: tuple[float, ...]) -> Any:
         return self._node.make("std_msgs/msg/ColorRGBA", **dict(zip("rgba", rgba, strict=True)))
@@ -337,16 +338,14 @@ def _point(make: Callable[..., Any], place: Array) -> Any:
     return make("geometry_msgs/msg/Point", **dict(zip("xyz", map(float, place), strict=True)))
 
 
-FLOAT32 = 7
-"""sensor_msgs/PointField's number of it."""
-KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", FLOAT32: "f4", 8: "f8"}
+KINDS = dict(enumerate(("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8"), start=1))
 """sensor_msgs/PointField's datatype -> numpy's."""
 
 
 def cloud_message(make: Callable[..., Any], header: Any, points: Array) -> Any:
     """Return a sensor_msgs/PointCloud2 of points (N, 3) [m]."""
     fields = [
-        make("sensor_msgs/msg/PointField", name=name, offset=4 * i, datatype=FLOAT32, count=1)
+        make("sensor_msgs/msg/PointField", name=name, offset=4 * i, datatype=7, count=1)  # of 4 bytes, KINDS[7]
         for i, name in enumerate("xyz")
     ]
     data = array("B", np.ascontiguousarray(points, dtype="<f4").tobytes())

@@ -37,14 +37,8 @@ ORGANS = {
 }
 """Organ -> its layer's name, colour, and how thick its lines are drawn [m]."""
 ORGAN_COLORS = {organ: colour for organ, (_, colour, _) in ORGANS.items()}
-APPROACH = 0.1
-"""Length of the arrow that ends at a grasp [m]."""
-EXAGGERATION = 20.0
-"""A shake's amplitude is drawn so much longer than it is."""
 FLOWER_RADIUS = 0.008
 """Radius that a flower is drawn with [m]."""
-PATH = 50
-"""Pieces of a line along which a motion is drawn."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,10 +75,13 @@ class Layer:
 
 
 def cloud(found: Cloud) -> list[Layer]:
-    """Return the plant's points, and those of pot and bench if there are any."""
+    """Return the plant's points, and those of pot and bench, and of supports, if there are any."""
     layers = [Layer("cloud", style.CLOUD_COLOR, points=found.points, colours=found.colors)]
     if len(found.obstacles):
         layers.append(Layer("pot and bench", style.POT_COLOR, points=found.obstacles))
+    if found.supports:
+        points = np.concatenate([support.points for support in found.supports])
+        layers.append(Layer("supports", style.SUPPORT_COLOR, points=points))
     return layers
 
 
@@ -119,22 +116,22 @@ def flowers(found: Flowers) -> Layer:
 
 def grasps(name: str, ranked: Sequence[Grasp], colour: str = style.GRASP_COLOR) -> Layer:
     """Return an arrow along the approach of each grasp, which ends at the stem, and the line on which pads close."""
-    arrows = np.array([[g.point - APPROACH * g.approach, g.point] for g in ranked])
+    arrows = np.array([[g.point - 0.1 * g.approach, g.point] for g in ranked])
     across = np.array([g.T_world_flange[:3, 1] for g in ranked]) * np.array([[g.opening / 2] for g in ranked])
     ends = np.stack([arrows[:, 1] - across, arrows[:, 1] + across], axis=1)
     return Layer(name, colour, arrows=arrows, lines=ends, width=0.004, shown=name == "grasp")
 
 
-def shaking(plan: ShakePlan) -> Layer:
-    """Return an arrow along the shake at the grasp, `EXAGGERATION` times as long as its amplitude."""
-    end = plan.grasp.point + EXAGGERATION * plan.amplitude * plan.direction
-    name = f"shake, {EXAGGERATION:.0f} times as long"
+def shaking(plan: ShakePlan, exaggeration: float = 20.0) -> Layer:
+    """Return an arrow along the shake at the grasp, so many times as long as its amplitude."""
+    end = plan.grasp.point + exaggeration * plan.amplitude * plan.direction
+    name = f"shake, {exaggeration:.0f} times as long"
     return Layer(name, style.SHAKE_COLOR, arrows=np.array([[plan.grasp.point, end]]))
 
 
 def motion(trajectory: JointTrajectory, forward: Callable[[Array], Array]) -> Layer:
     """Return the way of the flange in a motion of the arm with these kinematics."""
-    rows = np.unique(np.linspace(0, len(trajectory.times) - 1, PATH).astype(int))
+    rows = np.unique(np.linspace(0, len(trajectory.times) - 1, 50).astype(int))
     way = forward(trajectory.positions[rows])[:, :3, 3]
     return Layer("motion", style.SHAKE_COLOR, lines=_chain(way), width=0.003)
 

@@ -7,6 +7,7 @@ import math
 INK, GREEN, MAGENTA, ORANGE = "#1d2a22", "#2f7d4f", "#c2389a", "#d9772b"
 STEM_COLOR, BRANCH_COLOR, TRUSS_COLOR, LEAF_COLOR = "#b3261e", "#1f6fb2", "#d97706", "#2e8540"
 FLOWER_COLOR, GRASP_COLOR, SHAKE_COLOR, PREDICTED_COLOR = "#e0a100", MAGENTA, "#2866e6", "#f03cc8"
+SUPPORT_COLOR = "#7b3fb5"
 ROBOT_COLOR, GRIPPER_COLOR, POT_COLOR, VIEW_COLOR, CLOUD_COLOR = "#a5a8af", "#464850", "#787878", "#5a6eaa", "#9db89f"
 """What is what in every picture, scene and log."""
 NARROW = 640

@@ -67,7 +67,7 @@ def _verdict(done: Done | None, verdict: Verdict | None, failure: StageFailure |
         return {"held": False, "held_unharmed": False, **why}
     trial = done.trial
     if verdict is None:  # a real plant
-        slipped, felt = _slipped(trial), _felt(done)
+        slipped, felt = _slip_words(trial), _felt(done)
         held = trial.finished and not slipped
         why = ("slipped", slipped) if trial.finished and slipped else (trial.failure, trial.stop_reason)
         told = {
@@ -88,7 +88,7 @@ def _verdict(done: Done | None, verdict: Verdict | None, failure: StageFailure |
     }
 
 
-def _slipped(trial: Trial) -> str:
+def _slip_words(trial: Trial) -> str:
     """Return how the gripper felt that it lost what it held, or never had it; empty if it did not."""
     states = [GripperState(opening, force, bool(holds)) for opening, force, holds in trial.gripper[:2].tolist()]
     return lost_grip(*states) if len(states) == 2 and states[0].is_gripping else "nothing was gripped"
@@ -118,7 +118,7 @@ def _done(done: Done | None) -> dict[str, Any]:
     )
     return (
         motions
-        | _watched(done)
+        | _camera_results(done)
         | {
             "grasp": GraspRecord(
                 grasp.arc_length, grasp.stem_diameter, grasp.confidence, None, tuple(grasp.pose7.tolist())
@@ -140,7 +140,7 @@ def _shake(plan: ShakePlan, duration: float) -> ShakeRecord:
     return ShakeRecord(plan.frequency, plan.amplitude, duration, "sine", tuple(plan.direction.tolist()))
 
 
-def _watched(done: Done) -> dict[str, Any]:
+def _camera_results(done: Done) -> dict[str, Any]:
     """How the shake was raised, step by step; or why the plan alone was carried out."""
     if not len(done.trial.shake_times):
         return {}

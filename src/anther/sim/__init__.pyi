@@ -1,7 +1,6 @@
 """The public names of the room, and where they stand; `__init__.py` finds them when they are asked for."""
 
 from .capture import CaptureTruth, camera_errors, capture_from_poses, capture_views, orbit_poses
-from .cell_file import read_simulated, simulate
 from .pepper import grow_pepper
 from .plant import Organ, SimPlant
 from .render import Scene
@@ -32,8 +31,6 @@ __all__ = [
     "layout",
     "orbit_poses",
     "photograph",
-    "read_simulated",
     "robot_of",
-    "simulate",
     "views_at",
 ]

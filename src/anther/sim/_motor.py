@@ -12,20 +12,19 @@ from anther.core.geometry import Array
 from anther.robot.devices import LEAD, ArmRecord, ArmSample, DeviceError, MoreSwing, Watch
 from anther.robot.swing import Swing
 from anther.sim import arm_model
-from anther.sim._plant_mechanics import mujoco
-from anther.sim.cell import Cell
+from anther.sim.cell import FINE, Cell
+from anther.sim.plant_mechanics import mujoco
 
 CYCLE = 0.01
 """s between the readings that a watcher sees: joint_states' default rate (facts: sawyer 5)."""
 
 
-FORCE_NOISE = 1e-3
-"""Of a measured force [N]: no sensor reads the same to the last bit for long. Real ones are worse by far."""
-
-
 def sensed_force(cell: Cell) -> Array:
-    """Return (3,) the contact force as a sensor at the wrist reads it, world [N]; the same at the same time."""
-    return contact_vector(cell) + FORCE_NOISE * np.random.default_rng(round(1e6 * cell.time)).normal(size=3)
+    """Return (3,) the contact force as a sensor at the wrist reads it, world [N]; the same at the same time.
+
+    Its noise is 1 mN, so that it never reads the same to the last bit for long; real ones are worse by far.
+    """
+    return contact_vector(cell) + 1e-3 * np.random.default_rng(round(1e6 * cell.time)).normal(size=3)
 
 
 def contact_force(cell: Cell) -> float:
@@ -46,15 +45,6 @@ def contact_vector(cell: Cell) -> Array:
         scenery_first = cell.model.geom(contact.geom[0]).name.startswith(("segment_", "blade_", "pot", "bench"))
         total += (1 if scenery_first else -1) * contact.frame.reshape(3, 3).T @ force[:3]
     return total
-
-
-PARTS = 4
-"""Of the cell's timestep while a plant is held. Tomato 10 at 27 Hz: in steps of 1, 0.5, 0.25 ms its flowers swing 34,
-12 and 3 % less than in steps of 0.125 ms (hinges' least damping, and pads that yield more than they should)."""
-STOP = 0.02
-"""In which the motor comes to rest [s]."""
-BEHIND = 0.5e-3
-"""By which the motor's place may differ from its command [m]."""
 
 
 class SimMotor:
@@ -79,7 +69,7 @@ class SimMotor:
             DeviceError: a piece needs more than the motor's stroke or force, or the coil does not follow; it stops.
         """
         start, measured = self.cell.time, list[Array]()
-        with self.cell.finer(PARTS):
+        with self.cell.finer(FINE):
             try:
                 self._pieces(first, watch, more, measured)
             except BaseException:
@@ -91,10 +81,10 @@ class SimMotor:
         return ArmRecord(start + dt * np.arange(1.0, len(q) + 1), np.tile(self.cell.arm_command, (len(q), 1)), q)
 
     def stop(self) -> None:
-        """Bring the pads to rest in `STOP`, and hold."""
-        dt, (place, speed) = self.cell.timestep, self.cell.motor_command
-        curve = CubicHermiteSpline([0, STOP], [place, 0], [speed, 0])
-        t = dt * np.arange(1, round(STOP / dt) + 1)
+        """Bring the pads to rest in 20 ms, and hold."""
+        seconds, dt, (place, speed) = 0.02, self.cell.timestep, self.cell.motor_command
+        curve = CubicHermiteSpline([0, seconds], [place, 0], [speed, 0])
+        t = dt * np.arange(1, round(seconds / dt) + 1)
         self._run(np.column_stack([curve(t), curve(t, 1), curve(t, 2)]), None)
         self._rest(None)
 
@@ -154,7 +144,7 @@ class SimMotor:
         measured = cell.run(q, np.zeros_like(q), np.full(len(q), cell.grip_command), motor=rows)
         behind = abs(float(cell.carriage_at()) - rows[-1, 0])
         if watch:
-            if behind > BEHIND:
+            if behind > 0.5e-3:
                 raise DeviceError(f"the motor does not follow: {1e3 * behind:.2g} mm behind. Is the stem too stiff?")
             self._felt.append(sensed_force(cell))
             force = float(np.linalg.norm(np.mean(self._felt, axis=0)))

@@ -21,20 +21,9 @@ from anther.sim.truth import NOMINAL, Truth
 mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
 
 FINGER_MASS = 0.04  # kg, our estimate
-FINGER_ARMATURE = 0.3  # kg, drive inertia seen at a finger, our estimate
-PAD_MASS = 0.004  # kg, 16 x 7 x 37 mm of silicone
-PAD_DAMPING = (0.15, 10.0)  # ratio at a frequency [Hz]: silicone loses a third of its strain energy in a swing; a guess
 PAD_WAYS = ("x", "z", "turn")  # in which a pad gives way on its finger, see `add_arm`
-FLEX_DAMPING = 0.05  # ratio of each joint's spring with its motor still, at neutral; a guess
-FASTEST = (
-    150.0  # Hz: springs carry so much rotor inertia that none swings faster, since each step takes them explicitly
-)
 GRIP_FORCE = 10.0
 """Of the gripper, usually at most [N]: about 30 % of 35 N (facts: sawyer 3)."""
-GRIP_STIFFNESS = 40e3
-"""Of the gripper's position servo [N/m]."""
-PAD_SOFTNESS = 0.004
-"""Time constant of pad contact [s]."""
 COIL_FORCE = 25.0
 """Of the motor's voice coil at most [N]."""
 CARRIAGE_MASS = 0.12
@@ -43,8 +32,6 @@ SPRING = 2e3
 """Of the flexures that centre it [N/m]: alone with the fingers it swings at 16 Hz."""
 DAMPING = 2.0
 """Of flexures and slide [N s/m]: 5 % of critical."""
-BANDWIDTH = 100.0
-"""Of its position servo [Hz]."""
 STOP = 2e-3
 """Either way, where it strikes [m]."""
 
@@ -95,7 +82,7 @@ def add_arm(
             actuator.gainprm[0] = 1.0
     grip = spec.add_actuator(name="grip", target="left_finger", trntype=mujoco.mjtTrn.mjTRN_JOINT)
     # one motor drives both fingers through the coupling, so it carries twice a finger's force
-    grip.set_to_position(kp=2 * GRIP_STIFFNESS, kv=2 * 0.005 * GRIP_STIFFNESS)
+    grip.set_to_position(kp=2 * 40e3, kv=2 * 0.005 * 40e3)  # N/m, N s/m
     grip.forcelimited, grip.forcerange = 1, [-2 * grip_force, 2 * grip_force]
     if coil_force:
         _add_coil(spec)
@@ -125,7 +112,7 @@ def tune_servos(model: Any, arm: ArmModel, truth: Truth) -> None:
         if np.isfinite(truth.joint_stiffness):
             flex = model.joint(flex_name(arm.joints[i])).dofadr[0]
             stiffness = truth.joint_stiffness * arm.stiffness[i]
-            model.dof_damping[flex] = 2 * FLEX_DAMPING * np.sqrt(stiffness * mass[flex, flex])
+            model.dof_damping[flex] = 2 * 0.05 * np.sqrt(stiffness * mass[flex, flex])  # a guess
 
 
 def _add_link(parent: Any, arm: ArmModel, i: int, truth: Truth, bits: dict[str, int]) -> Any:
@@ -166,7 +153,7 @@ def _add_gripper(spec: Any, wrist: Any, arm: ArmModel, coil_force: float, truth:
         finger = holder.add_body(name=f"{side}_finger", gravcomp=1)
         _inertial(finger, FINGER_MASS, (0, 0.01 * sign, pad_z), (2e-5, 2e-5, 4e-6, 0, 0, 0))
         joint = finger.add_joint(name=f"{side}_finger", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, sign, 0])
-        joint.range, joint.limited, joint.armature = [0, tool.stroke / 2], 1, FINGER_ARMATURE
+        joint.range, joint.limited, joint.armature = [0, tool.stroke / 2], 1, 0.3  # kg: our estimate
         back = tool.pad[1] + tool.thickness / 2
         stick = Solid(
             f"{side}_stick",
@@ -177,7 +164,7 @@ def _add_gripper(spec: Any, wrist: Any, arm: ArmModel, coil_force: float, truth:
         backing, centre = _pad_holder(finger, side, np.array([0, sign * tool.pad[1] / 2, pad_z]), tool.pad, truth)
         pad = _box(backing, f"{side}_pad", centre, np.array(tool.pad) / 2, bits)
         pad.condim, pad.priority, pad.friction = 4, 1, [truth.pad_friction * (1 - wear), 0.003, 0.0001]
-        pad.solref, pad.solimp = [PAD_SOFTNESS, 1.0], [0.95, 0.99, 0.001, 0.5, 2]
+        pad.solref, pad.solimp = [0.004, 1.0], [0.95, 0.99, 0.001, 0.5, 2]
     coupling = spec.add_equality(
         name="fingers", type=mujoco.mjtEq.mjEQ_JOINT, name1="left_finger", name2="right_finger"
     )
@@ -186,11 +173,12 @@ def _add_gripper(spec: Any, wrist: Any, arm: ArmModel, coil_force: float, truth:
 
 
 def _pad_holder(
-    finger: Any, side: str, centre: Array, size: tuple[float, float, float], truth: Truth
+    finger: Any, side: str, centre: Array, size: tuple[float, float, float], truth: Truth, mass: float = 0.004
 ) -> tuple[Any, Array]:
     """Return the body that carries a pad, and the pad's centre (3,) in it [m]: a finger, or its own on springs.
 
-    Along the closing axis the pad is fixed: there the contact itself is soft.
+    Along the closing axis the pad is fixed: there the contact itself is soft. It weighs `mass` [kg], as 16 x 7 x 37 mm
+    of silicone do, which lose a third of their strain energy in a swing at 10 Hz: a guess.
     """
     springs = [
         (name, kind, axis, stiffness / 2)  # two pads side by side
@@ -207,11 +195,11 @@ def _pad_holder(
     ]
     if not springs:
         return finger, centre
-    finger.mass -= PAD_MASS
+    finger.mass -= mass
     pad = finger.add_body(name=f"{side}_pad", pos=centre, gravcomp=1)
     x, y, z = np.square(size)
-    _inertial(pad, PAD_MASS, (0, 0, 0), (*(PAD_MASS / 12 * np.array([y + z, x + z, x + y])), 0, 0, 0))
-    ratio, frequency = PAD_DAMPING
+    _inertial(pad, mass, (0, 0, 0), (*(mass / 12 * np.array([y + z, x + z, x + y])), 0, 0, 0))
+    ratio, frequency = 0.15, 10.0
     for name, kind, axis, stiffness in springs:
         joint = pad.add_joint(name=f"{side}_pad_{name}", type=kind, axis=axis)
         joint.stiffness, joint.armature = [stiffness, 0, 0], _least_inertia(stiffness)
@@ -233,7 +221,7 @@ def _add_carriage(flange: Any, force: float) -> Any:
 
 def _add_coil(spec: Any) -> None:
     """Add the voice coil: a critically damped servo in place and in speed, and a force on top, limited together."""
-    mass, omega = CARRIAGE_MASS + 2 * FINGER_MASS, 2 * np.pi * BANDWIDTH
+    mass, omega = CARRIAGE_MASS + 2 * FINGER_MASS, 2 * np.pi * 100.0  # Hz
     gains = {"position": mass * omega**2 - SPRING, "velocity": 2 * mass * omega - DAMPING, "force": 1.0}
     for kind, gain in gains.items():
         actuator = spec.add_actuator(name=f"motor_{kind}", target="motor", trntype=mujoco.mjtTrn.mjTRN_JOINT)
@@ -249,8 +237,8 @@ def motor_load(place: Any, speed: Any, acceleration: Any) -> Any:
 
 
 def _least_inertia(stiffness: float) -> float:
-    """Return the rotor inertia with which a spring alone swings at `FASTEST` [kg or kg m^2]."""
-    return stiffness / (2 * np.pi * FASTEST) ** 2
+    """Return the rotor inertia [kg or kg m^2] with which a spring alone swings at 150 Hz, which steps still follow."""
+    return stiffness / (2 * np.pi * 150.0) ** 2
 
 
 def _capsules(body: Any, name: str, capsules: tuple[Capsule, ...], bits: dict[str, int]) -> None:

@@ -1,11 +1,11 @@
 """Taking RGB-D views of a simulated plant: what the planner gets, and apart from it what was true.
 
 The camera is never quite where the robot believes: the arm errs at every pose, and the hand-eye transform is not exact.
-A D455 measures disparity d = f B / z [px], so its noise, quantisation, range, fat stems, lost twigs and ragged edges
-are modelled there. Sources, facts: perception, "Depth sensors": sigma_z = z^2 s / (f B), s about 0.08 px (librealsense
-#3904); Z_min = f B / 126 (realsense-ros #2367); thin stems look fat because of the matching window; correlated noise,
-1/32 px quantisation, flying and dropped edge pixels, loss of thin structures. The sizes of the edge effects are
-estimates.
+A stereo camera measures disparity d = f B / z [px], so its noise, quantisation, range and edges are modelled there.
+sigma_z = z^2 s / (f B), s about 0.08 px (librealsense #3904); Z_min = f B / 126 (realsense-ros #2367); 1/32 px
+quantisation, correlated noise (facts: perception, "Depth sensors").
+One rule decides at edges and on thin parts (`_matched`): a matching window takes the surface that shows more texture in
+it, or reads nothing. A part narrower than the window is lost in proportion, a wide one looks fat or ragged.
 V views, H x W pixels.
 """
 
@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from anther.core.checks import check_array, check_range, check_transform
 from anther.core.compiling import numba
+from anther.core.errors import bad_input
 from anther.core.geometry import Array, Intrinsics, look_at, small_transform
 from anther.core.records import Range, Record
 from anther.perception.capture import Capture
@@ -38,43 +39,52 @@ Sight = SimPlant | Scene | Callable[[int], Scene]
 
 FAR = 1000.0
 """Stands for "no surface" while filtering [m]."""
-BASELINE = 0.095
-"""Between a D455's two imagers [m]."""
 CORRELATION = 1.5
 """Standard deviation of the Gaussian that correlates the disparity's error between neighbours [px]."""
 MAX_DISPARITY = 126.0
 """Largest disparity searched [px]; sets the minimum range."""
 EDGE = 2.0
 """Disparity step that makes an edge [px]."""
+RIVAL = 28.0
+"""From this disparity step on a surface behind competes in full [px]: a wire at 0.9 m had depth with a wall 0.6 m
+behind, 14 px, and none with one at 4 m, 28 px (librealsense #5477)."""
+PATCH = 6.0
+"""Standard deviation of the Gaussian that correlates neighbours' texture [px]; fits one real frame (thin_depth)."""
 
 
 @dataclass(frozen=True, slots=True)
 class DepthNoise(Record):
-    """Parameters of the depth sensor; the defaults are a D455.
+    """Parameters of the depth sensor; the defaults are a D455 with a textured plant.
 
     Attributes:
+        baseline: between the two imagers [m]; 0.095 of a D455, 0.050 of a D435, 0.018 of a D405.
         subpixel: standard deviation of the disparity error, s [px]; 0.08 typical, 0.032 at best.
         quantum: disparity step [px].
         max_range: readings beyond are dropped [m].
-        fattening: how far the matching window lets a nearer surface spread over a farther one [px]: 1 to this.
-        thin: structures narrower than this are lost [px]; up to twice this they are lost in patches.
-        edge_dropped: share of edge pixels without a reading.
-        edge_flying: share of edge pixels that float between the two surfaces.
+        window: side of the square in which the imagers' pictures are compared [px]; odd.
+        evidence: texture that one surface must show in the window beyond its rival's, as a share of a window full of
+            usual texture; less is no reading. A preset sets it: "high density" little, "high accuracy" much.
+        patchiness: standard deviation of ln texture from place to place [-].
+        contrast: texture of the nearer surface over that of what is behind it [-]; above 1 surfaces look fat.
+        flying: share of the pixels without a winner that float between the two surfaces.
         stereo_shadow: whether surfaces that only one imager sees are dropped, as is what lies left of its view.
     """
 
     CALLED = "depth noise"
+    baseline: Annotated[float, Range(0.005, 1, "m")] = 0.095
     subpixel: Annotated[float, Range(0, 2, "px")] = 0.08
     quantum: float = 1 / 32
     max_range: float = 6.0
-    fattening: Annotated[int, Range(0, 15, "px")] = 2
-    thin: Annotated[int, Range(0, 15, "px")] = 3
-    edge_dropped: float = 0.35
-    edge_flying: float = 0.1
+    window: Annotated[int, Range(1, 31, "px")] = 9
+    evidence: Annotated[float, Range(0, 2)] = 0.1
+    patchiness: Annotated[float, Range(0, 4)] = 0.4
+    contrast: Annotated[float, Range(0.1, 10)] = 2.0
+    flying: Annotated[float, Range(0, 1)] = 0.1
     stereo_shadow: bool = True
 
     def _check(self) -> None:
-        check_range("depth noise edge_dropped + edge_flying", self.edge_dropped + self.edge_flying, 0.0, 1.0)
+        if self.window % 2 == 0:
+            raise bad_input("depth noise window", given=self.window, allowed="an odd number of pixels", do="Add one.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +121,14 @@ def camera_errors(truth: Truth) -> CameraErrors:
         pose_rotation=truth.pose_error * usual.pose_rotation,
         pose_translation=truth.pose_error * usual.pose_translation,
         exposure=truth.exposure_spread,
+        depth=replace(
+            usual.depth,
+            window=2 * round((truth.depth_window - 1) / 2) + 1,
+            evidence=truth.depth_evidence,
+            patchiness=truth.depth_patchiness,
+            contrast=truth.depth_contrast,
+            flying=truth.depth_flying,
+        ),
     )
 
 
@@ -277,19 +295,14 @@ def noisy_depth(
     """
     params = params or DepthNoise()
     exact = check_array("exact depth", depth, (intrinsics.height, intrinsics.width), dtype=np.float32)
-    focal = np.float32(intrinsics.fx * BASELINE)
-    z = np.where(exact > 0, exact, np.float32(FAR))
-    patches = _field(exact.shape, 4.0, rng)
-    z = _fattened(_without_twigs(z, patches, params), patches, params)
-    disparity = focal / z
-    seen = z < params.max_range
+    focal = np.float32(intrinsics.fx * params.baseline)
+    disparity, seen = _matched(focal / np.where(exact > 0, exact, np.float32(FAR)), rng, params)
     if params.stereo_shadow:
         seen &= ~_shadowed(disparity)
-    disparity, dropped = _ragged_edges(disparity, rng, params)
     disparity += np.float32(params.subpixel) * _field(exact.shape, CORRELATION, rng)
     if params.quantum > 0:
         disparity = np.round(disparity / np.float32(params.quantum)) * np.float32(params.quantum)
-    seen &= ~dropped & (disparity >= focal / params.max_range) & (disparity <= MAX_DISPARITY)
+    seen &= (disparity >= focal / params.max_range) & (disparity <= MAX_DISPARITY)
     return np.where(seen, focal / np.maximum(disparity, np.float32(1e-3)), np.float32(0))
 
 
@@ -302,40 +315,29 @@ def _field(shape: tuple[int, ...], correlation: float, rng: np.random.Generator)
     return (smooth / np.float32((kernel**2).sum())).astype(np.float32)
 
 
-def _ellipse(size: int) -> NDArray[Any]:
-    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
-
-
-def _without_twigs(z: NDArray[Any], patches: NDArray[Any], params: DepthNoise) -> NDArray[Any]:
-    """Replace near structures narrower than `thin` by what is behind them; those up to twice as wide in patches."""
-    if params.thin < 2:
-        return z
-    narrow = cv2.morphologyEx(z, cv2.MORPH_CLOSE, _ellipse(params.thin))
-    wider = cv2.morphologyEx(z, cv2.MORPH_CLOSE, _ellipse(2 * params.thin - 1))
-    return np.where(patches > 1.0, wider, narrow)
-
-
-def _fattened(z: NDArray[Any], patches: NDArray[Any], params: DepthNoise) -> NDArray[Any]:
-    """Let nearer surfaces spread by 1 to `fattening` px, patch by patch."""
-    if params.fattening < 1:
-        return z
-    little = cv2.erode(z, _ellipse(3))
-    much = cv2.erode(z, _ellipse(2 * params.fattening + 1))
-    return np.where(patches > 0, little, much)
-
-
-def _ragged_edges(
+def _matched(
     disparity: NDArray[Any], rng: np.random.Generator, params: DepthNoise
 ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-    """Return the disparity with flying pixels at its edges, and (H, W) which edge pixels have no reading."""
-    window = np.ones((3, 3), np.uint8)
-    near, far = cv2.dilate(disparity, window), cv2.erode(disparity, window)
-    edge = near - far > EDGE
-    chance = rng.random(disparity.shape, dtype=np.float32)
-    flying = edge & (chance < params.edge_flying)
-    between = far + (near - far) * rng.random(disparity.shape, dtype=np.float32)
-    dropped = edge & (chance >= params.edge_flying) & (chance < params.edge_flying + params.edge_dropped)
-    return np.where(flying, between, disparity), dropped
+    """Return the disparity (H, W) that a matching window finds, and where it finds one.
+
+    The window holds at most two surfaces, the nearest and the farthest in it. Each is supported by the texture it shows
+    there; the one behind counts in proportion to the disparity step, up to `RIVAL`. The better supported one wins, if
+    by more than `evidence`. The shares come from the texture-weighted mean of the disparity between both.
+    """
+    size = (params.window, params.window)
+    near, far = cv2.dilate(disparity, np.ones(size, np.uint8)), cv2.erode(disparity, np.ones(size, np.uint8))
+    step, in_front = near - far, 2 * disparity >= near + far
+    edge = step > EDGE
+    texture = np.exp(np.float32(params.patchiness) * _field(disparity.shape, PATCH, rng))
+    texture[edge & ~in_front] /= np.float32(params.contrast)
+    total, mean = (cv2.blur(values, size, borderType=cv2.BORDER_REPLICATE) for values in (texture, texture * disparity))
+    share = np.where(edge, (mean / total - far) / np.maximum(step, np.float32(1e-6)), np.float32(1))
+    lead = total * (share - np.minimum(step / np.float32(RIVAL), 1) * (1 - share))
+    found = np.where(lead >= 0, np.where(in_front, disparity, near), np.where(in_front, far, disparity))
+    seen = np.abs(lead) >= params.evidence
+    flying = edge & ~seen & (rng.random(disparity.shape, dtype=np.float32) < params.flying)
+    between = far + step * rng.random(disparity.shape, dtype=np.float32)
+    return np.where(flying, between, np.where(edge, found, disparity)), seen | flying
 
 
 @numba.njit(cache=True, nogil=True)

@@ -19,8 +19,8 @@ from anther.core.errors import FailureKind
 from anther.core.geometry import Array, inverse
 from anther.core.oscillation import fit_swing
 from anther.plant.limits import moved
-from anther.sim._pieces import of_flower_stalks
 from anther.sim.cell import Cell, CellLog
+from anther.sim.pieces import of_flower_stalks
 from anther.sim.plant import Organ
 from anther.sim.truth import DOSE_EXPONENT, DOSE_MEASURES, DOSE_MIDDLE, HALF_DOSE, TOLERANCE, tolerances
 
@@ -33,11 +33,6 @@ BEARERS = {
     "leaf": "leaf bases under the leaves' load",
 }
 """The kinds of `truth.TOLERANCE` in words."""
-
-
-SPARED = 1 / 6
-"""A plant that loses no more of its flowers is not harmed: without a shake a third sets no fruit (facts: pollination
-6)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,11 +70,13 @@ class Harm:
 
     @property
     def _deciding(self) -> dict[str, float]:
-        """The loads that harm a plant: of its pedicels the first beyond the `SPARED` share of its flowers, at least one
-        of several."""
+        """The loads that harm: of the pedicels the first beyond a sixth of the flowers, at least one of several.
+
+        Without a shake a third of the flowers sets no fruit (facts: pollination 6).
+        """
         loads, count = dict(self.loads), len(self.pedicels)
         if count:
-            spared = min(count - 1, max(1, int(SPARED * count)))
+            spared = min(count - 1, max(1, int(1 / 6 * count)))
             loads["pedicel"] = float(np.sort(self.pedicels)[::-1][spared])
         return loads
 
@@ -116,11 +113,11 @@ def pollen_freed(acceleration: Array) -> tuple[float, float, float]:
     known = acceleration[np.isfinite(acceleration)]
     if len(known) == 0:
         return np.nan, np.nan, np.nan
-    low, middle, high = np.quantile(_freed(known).mean(axis=1), [0.05, 0.5, 0.95])
+    low, middle, high = np.quantile(_pollen_shares(known).mean(axis=1), [0.05, 0.5, 0.95])
     return float(low), float(middle), float(high)
 
 
-def _freed(acceleration: Array) -> Array:
+def _pollen_shares(acceleration: Array) -> Array:
     """Return (200, F, 21) the share of pollen that (F,) accelerations free, by half dose and exponent."""
     middles = (np.arange(200) + 0.5) / 200
     half = HALF_DOSE.median * np.exp(HALF_DOSE.sigma * norm.ppf(middles))
@@ -129,10 +126,10 @@ def _freed(acceleration: Array) -> Array:
 
 
 @cache
-def _expected() -> tuple[Array, Array]:
+def _mean_pollen_share() -> tuple[Array, Array]:
     """Return ln of accelerations and the share of pollen that they free, its mean over all doses."""
     logs = np.linspace(np.log(1e-3), np.log(1e4), 321)
-    return logs, _freed(np.exp(logs)).mean(axis=(0, 2))
+    return logs, _pollen_shares(np.exp(logs)).mean(axis=(0, 2))
 
 
 COSTS = {"base": 0.05, "leaf": 0.05, "slip": 0.1}
@@ -165,27 +162,17 @@ def net_fruit(
     parts = [DOSE_MEASURES[measure]._replace(probability=1.0)] if measure else DOSE_MEASURES.values()
     motion = np.log(np.maximum(np.nan_to_num(felt), 1e-12))
     ratio = np.log(np.asarray(hertz, dtype=np.float64) / DOSE_MIDDLE)[..., None]
-    freed = sum(share * np.interp(motion + power * ratio, *_expected(), left=0.0) for power, share in parts)
+    freed = sum(share * np.interp(motion + power * ratio, *_mean_pollen_share(), left=0.0) for power, share in parts)
     gain = np.sum(freed, axis=-1) / max(np.shape(felt)[-1], 1)
     slips = np.asarray(slipped, dtype=bool)
     cost = sum(COSTS[kind] * np.asarray(bent[kind]) for kind in ("base", "leaf")) + COSTS["slip"] * slips
     return np.where(slips, 0.0, gain) - np.where(bent["stem"], 1.0, lost) - cost
 
 
-TRAVEL, TRAVEL_TIME = 0.01, 0.2
-"""An arm travels while a joint turns by this [rad] in this time [s]: on the way in by 0.02 to 0.06 rad."""
-SATURATED = 0.999
-"""Share of a motor's torque limit from which on it counts as reached."""
-HELD_SHARE = 0.95
-"""The pads must hold the stem in at least this share of the samples of the shake."""
-BESIDE_SHARE = 0.2
-"""Another organ counts as held with it that a pad presses in at least this share of them."""
 PUSH = 2.0
 """The robot may press on the plant with this before it closes [N]."""
 SLIP = 0.005
 """The held point may wander this far between the pads [m]."""
-FIRM = 0.2
-"""A pad touches with at least this [N]."""
 LEAF_BAND = 5.0
 """Up to which a leaf is taken to follow quasi-statically [Hz]."""
 
@@ -255,8 +242,8 @@ def judge(
     """
     log = cell.log()
     shaking = (log.times >= shake[0]) & (log.times <= shake[1]) if shake else np.zeros(len(log.times), dtype=bool)
-    holding = shaking if shake else _closed(log, shake)
-    segment, share = _grasped(log, holding)
+    holding = shaking if shake else _find_closed(log, shake)
+    segment, share = _find_grasped(log, holding)
     organ, *beside = _organs(cell, log, holding, segment)
     slip, height = _slip(cell, log, shaking, segment)
     push = _push(log, shake)
@@ -272,12 +259,12 @@ def judge(
     findings: list[tuple[bool, FailureKind, str]] = [
         (bool(np.any(log.contact_other < 0)), "collision", "the robot touched the pot or the bench"),
         (push > PUSH, "collision", f"the plant was pushed with {push:.1f} N before the gripper closed"),
-        (bool(effort.max() >= SATURATED), "limits_exceeded", f"motor {effort.argmax()} was at its torque limit"),
+        (bool(effort.max() >= 0.999), "limits_exceeded", f"motor {effort.argmax()} was at its torque limit"),
         (segment < 0, "nothing_grasped", "nothing was between the pads"),
         (organ != "stem", "branch_or_leaf_grasped", f"a {organ} was between the pads"),
         (shake is None, "nothing_grasped", "the plant was not shaken"),
         (not slip <= SLIP, "slipped", f"the stem slipped {1000 * slip:.1f} mm between the pads"),
-        (share < HELD_SHARE, "slipped", f"the stem was held in {share:.0%} of the shake only"),
+        (share < 0.95, "slipped", f"the stem was held in {share:.0%} of the shake only"),
     ]
     failure: FailureKind | None = "damaged" if harm.passed else None
     reason = harm.words or f"the {organ} was held" + (f", with a {' and a '.join(beside)}" if beside else "")
@@ -288,25 +275,26 @@ def judge(
     return Verdict(*facts, amplitude, peak, float(effort.max()), tuple(beside))
 
 
-def _closed(log: CellLog, shake: tuple[float, float] | None) -> NDArray[np.bool_]:
+def _find_closed(log: CellLog, shake: tuple[float, float] | None, time: float = 0.2) -> NDArray[np.bool_]:
     """(T,) whether the gripper was commanded below what it was when the arm last and when it next travelled.
 
-    The arm travels with open pads, but how far they are open is the grasp's choice. Shaking is no travelling.
+    The arm travels with open pads, but how far they are open is the grasp's choice. It travels while a joint turns by
+    0.01 rad in `time` [s]: on the way in by 0.02 to 0.06 rad. Shaking is no travelling.
     """
     rows, end = np.arange(len(log.times)), len(log.times) - 1
-    ahead = np.searchsorted(log.times, log.times + TRAVEL_TIME).clip(max=end)
-    travels = np.abs(log.joints[ahead] - log.joints).max(axis=1) > TRAVEL
+    ahead = np.searchsorted(log.times, log.times + time).clip(max=end)
+    travels = np.abs(log.joints[ahead] - log.joints).max(axis=1) > 0.01
     if shake is not None:
-        travels &= (log.times < shake[0] - TRAVEL_TIME) | (log.times > shake[1])
+        travels &= (log.times < shake[0] - time) | (log.times > shake[1])
     last = np.maximum.accumulate(np.where(travels, rows, 0))
     after = np.minimum.accumulate(np.where(travels, rows, end + 1)[::-1])[::-1]
     command = log.grip_command
     return command < np.minimum(command[last], command[np.where(after > end, last, after)]) - 1e-3
 
 
-def _grasped(log: CellLog, when: NDArray[np.bool_]) -> tuple[int, float]:
+def _find_grasped(log: CellLog, when: NDArray[np.bool_]) -> tuple[int, float]:
     """Return the segment both pads press longest, -1 for none, and the share of samples in which both press any."""
-    real = _pressed(log, when)
+    real = _find_pad_contacts(log, when)
     pads = [set(log.contact_sample[real & (log.contact_pad == pad)].tolist()) for pad in (0, 1)]
     both = pads[0] & pads[1]
     if not both:
@@ -316,20 +304,21 @@ def _grasped(log: CellLog, when: NDArray[np.bool_]) -> tuple[int, float]:
     return int(np.argmax(impulse)), len(both) / max(int(when.sum()), 1)
 
 
-def _pressed(log: CellLog, when: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(C,) which contacts are a pad's with the plant, firm, and at these (T,) times."""
-    firm = (log.contact_pad < 2) & (log.contact_other >= 0) & (log.contact_force > FIRM)
+def _find_pad_contacts(log: CellLog, when: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return (C,) which contacts are a pad's with the plant, of 0.2 N or more, and at these (T,) times."""
+    firm = (log.contact_pad < 2) & (log.contact_other >= 0) & (log.contact_force > 0.2)
     return firm & when[log.contact_sample]
 
 
 def _organs(cell: Cell, log: CellLog, when: NDArray[np.bool_], segment: int) -> list[str]:
     """Return the name of the organ held, "" if none, and of those pressed between the pads beside it.
 
-    What only leans on a pad's outer side or edge is not between them.
+    What only leans on a pad's outer side or edge is not between them; nor is what is pressed in fewer than a fifth of
+    the samples.
     """
     if segment < 0:
         return [""]
-    pressed = np.flatnonzero(_pressed(log, when))
+    pressed = np.flatnonzero(_find_pad_contacts(log, when))
     sample, other, blade = (x[pressed] for x in (log.contact_sample, log.contact_other, log.contact_blade))
     times, row = np.unique(sample, return_inverse=True)
     flange = inverse(cell.flange_pose(log.qpos[times]))[row]
@@ -340,7 +329,7 @@ def _organs(cell: Cell, log: CellLog, when: NDArray[np.bool_], segment: int) -> 
     impulse = np.bincount(organ[other == segment], log.contact_force[pressed][other == segment])
     held = int(impulse.argmax())
     rest = [o for o in np.unique(organ[between]).tolist() if o != held]
-    beside = [o for o in rest if len(np.unique(sample[between & (organ == o)])) >= BESIDE_SHARE * when.sum()]
+    beside = [o for o in rest if len(np.unique(sample[between & (organ == o)])) >= 0.2 * when.sum()]
     return [Organ(o).name.lower() for o in (held, *beside)]
 
 
@@ -360,7 +349,7 @@ def _slip(cell: Cell, log: CellLog, shaking: NDArray[np.bool_], segment: int) ->
 
 def _push(log: CellLog, shake: tuple[float, float] | None) -> float:
     """Return the largest sum of the robot's forces on the plant while open, until it closes for the last time [N]."""
-    closed = _closed(log, shake)
+    closed = _find_closed(log, shake)
     begins = np.flatnonzero(closed & np.diff(closed, prepend=False))
     open_ = ~closed & (np.arange(len(closed)) < (begins[-1] if len(begins) else len(closed)))
     before = (log.contact_other >= 0) & open_[log.contact_sample]

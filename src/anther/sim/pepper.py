@@ -11,14 +11,11 @@ from __future__ import annotations
 import numpy as np
 
 from anther.core.geometry import Array
-from anther.sim._growth import AREAL_DENSITY, Growth, arc, blade_colours, ripple
-from anther.sim._mesh import blade, star, tube, unit
+from anther.sim.growth import AREAL_DENSITY, GOLDEN_ANGLE, Growth, arc, blade_colours, ripple
+from anther.sim.mesh import blade, star, tube, unit
 from anther.sim.plant import POT_AXIS, Organ, SimPlant
 
-SPIRAL = np.radians(137.5)
-STEM_GREEN, BRANCH_GREEN = (104, 132, 66), (112, 146, 70)
-LEAF_GREEN, YOUNG_GREEN = (46, 96, 38), (96, 142, 52)
-PETAL_WHITE, ANTHER_GREY, SEPAL_GREEN = (244, 244, 236), (120, 118, 150), (98, 136, 62)
+BRANCH_GREEN, SEPAL_GREEN = (112, 146, 70), (98, 136, 62)
 
 
 def grow_pepper(seed: int, *, viewpoint: float = 0.0, axis: tuple[float, float] = POT_AXIS) -> SimPlant:
@@ -37,7 +34,7 @@ def grow_pepper(seed: int, *, viewpoint: float = 0.0, axis: tuple[float, float] 
     stem = _grow_stem(growth, leaves, fork, base)
     azimuth = rng.uniform(0, 2 * np.pi)
     for node in range(leaves):
-        azimuth += SPIRAL + rng.normal(0, np.radians(10))
+        azimuth += GOLDEN_ANGLE + rng.normal(0, np.radians(10))
         size = rng.uniform(0.85, 1.15) * (0.085 + 0.045 * np.sin(np.pi * (node + 1) / (leaves + 0.6)))
         _grow_leaf(growth, stem[node], azimuth, size, young=0.0)
     _grow_fork(growth, stem[-1], unit([0.0, 0.0, 1.0]), height - fork, base * 0.72, order=0)
@@ -53,7 +50,7 @@ def _grow_stem(growth: Growth, leaves: int, height: float, base: float) -> list[
     along = lean * t**1.5
     points = np.stack([along * np.cos(direction), along * np.sin(direction), height * t], axis=1)
     points[2:-1, :2] += 0.05 * (height / leaves) * rng.normal(size=(leaves, 2))
-    return growth.chain(points, base * (1 - 0.28 * t), Organ.STEM, -1, STEM_GREEN, sides=12)[1:]
+    return growth.chain(points, base * (1 - 0.28 * t), Organ.STEM, -1, (104, 132, 66), sides=12)[1:]
 
 
 def _grow_fork(growth: Growth, parent: int, along: Array, reach: float, radius: float, *, order: int) -> None:
@@ -118,7 +115,7 @@ def _grow_leaf(growth: Growth, parent: int, azimuth: float, length: float, *, yo
     wave = ripple(rng, 15, 0.03 * length)
     vertices, faces = blade(midrib, side, half_width, fold=rng.normal(0.12, 0.15) + 0.3 * young, ripple=wave)
     beside = [growth.beside(rib[-1], point) for point in midrib]
-    colour = (1 - young) * np.array(LEAF_GREEN) + young * np.array(YOUNG_GREEN)
+    colour = (1 - young) * np.array((46, 96, 38)) + young * np.array((96, 142, 52))
     rides = np.repeat(beside, wave.shape[1])
     growth.surface((vertices, faces), Organ.LEAF, blade_colours(rng, colour, 15), rides)
     strip = AREAL_DENSITY * 2 * half_width * length / 14
@@ -135,5 +132,5 @@ def _grow_flower(growth: Growth, parent: int, out: Array) -> None:
     petals = star(tip + 0.002 * nod, nod, int(rng.integers(5, 8)), corolla, reflex=rng.uniform(-0.4, 0.3), spin=spin)
     cup = tube(tip + np.outer([-0.001, 0.002, 0.004], nod), [0.0015, 0.0032, 0.0034], sides=8, tip=False)
     cone = tube(tip + np.outer([0.001, 0.005, 0.0065], nod), [0.0012, 0.0019, 0.001], sides=8)
-    for mesh, colour in ((petals, PETAL_WHITE), (cup, SEPAL_GREEN), (cone, ANTHER_GREY)):
+    for mesh, colour in ((petals, (244, 244, 236)), (cup, SEPAL_GREEN), (cone, (120, 118, 150))):
         growth.surface(mesh, Organ.FLOWER, colour, pedicel)

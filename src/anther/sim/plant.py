@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 from anther.core.checks import check_array
 from anther.core.errors import bad_input
 from anther.core.geometry import Array
+from anther.plant.limits import GRAVITY as GRAVITY  # noqa: PLC0414 - its own modules take it from here
 
-GRAVITY = 9.81
 SOIL_Z = -0.30
 """Height of the soil surface in the cell [m]; the arm's base is at 0."""
 POT_HEIGHT = 0.18

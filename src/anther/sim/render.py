@@ -17,23 +17,16 @@ from scipy.ndimage import distance_transform_edt
 from anther.core.checks import check_array, check_transform
 from anther.core.compiling import numba
 from anther.core.geometry import Array, Intrinsics
-from anther.sim._greenhouse import Setting, repainted, surroundings
+from anther.sim.greenhouse import Setting, repainted, surroundings
 from anther.sim.plant import Organ, SimPlant
 
-SKY_LIGHT = 0.72
-"""Light from the whole sky on a level surface; the sun adds SUN_LIGHT. 1 would turn white into full white."""
-SUN_LIGHT = 0.72
-GROUND_LIGHT = 0.3
-"""Light from below, as a share of the sky's."""
-TRANSMITTED = 0.45
-"""Share of the light on the far side of a leaf or petal that passes through it (an estimate: green leaves transmit
-less than they reflect, but with a strong yellow-green tint)."""
+LIGHT = 0.72
+"""Of the whole sky on a level surface, and of the sun besides: 1 would turn white into full white."""
 SUN = np.array([-0.42, -0.36, 0.83]) / np.linalg.norm([-0.42, -0.36, 0.83])
 """Direction towards the sun in the world: from behind the arm's shoulder."""
-OPAQUE, THIN, SUNLESS = 0, 1, 2
+OPAQUE, THIN, SUNLESS = range(3)
 """How a face takes light: from one side, through it as well, or no sun at all (what is far off)."""
-_STEPS = 4096
-_ENCODED = (np.linspace(0, 1, _STEPS) ** (1 / 2.2) * 255).astype(np.uint8)
+_ENCODED = (np.linspace(0, 1, 4096) ** (1 / 2.2) * 255).astype(np.uint8)
 
 
 def linear(colour: NDArray[Any]) -> NDArray[np.float32]:
@@ -136,11 +129,13 @@ def shade(
         to_sun = (n[0] * SUN[0] + n[1] * SUN[1] + n[2] * SUN[2]) / np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2 + 1e-12)
         if n[0] * rays[i, 0] + n[1] * rays[i, 1] + n[2] * rays[i, 2] > 0:
             near, far, to_sun = far, near, -to_sun
-        direct = SUN_LIGHT * abs(to_sun) if sunlit[i] else 0.0
+        direct = LIGHT * abs(to_sun) if sunlit[i] else 0.0
         light = near + direct if to_sun > 0 else near
         through = 0.0
         if kind[f] == THIN:
-            through = TRANSMITTED * (far + direct if to_sun < 0 else far)
+            through = 0.45 * (
+                far + direct if to_sun < 0 else far
+            )  # leaves transmit less than they reflect: an estimate
         for channel in range(3):
             albedo = u * colour[a, channel] + v * colour[b, channel] + w * colour[c, channel]
             tint = 1.25 if channel == 1 else (1.0 if channel == 0 else 0.5)
@@ -159,12 +154,7 @@ def _sky(ray: NDArray[Any], level: Array) -> None:
 def _expose(level: Array, mix: Array, out: NDArray[Any]) -> None:
     for channel in range(3):
         light = mix[channel, 0] * level[0] + mix[channel, 1] * level[1] + mix[channel, 2] * level[2]
-        out[channel] = _ENCODED[int(min(light, 1.0) * (_STEPS - 1))]
-
-
-AMBIENT_RAYS = 16
-AMBIENT_REACH = 0.8
-"""How far away something can still darken a surface [m]: plant, pot and bench do, the walls do not."""
+        out[channel] = _ENCODED[int(min(light, 1.0) * (len(_ENCODED) - 1))]
 
 
 def d455(width: int = 1280, height: int = 720) -> Intrinsics:
@@ -316,16 +306,19 @@ class Scene:
         sunlit[pixels[free]] = True
         return sunlit
 
-    def _baked_ambient(self) -> NDArray[np.float32]:
-        """(Nv, 2) light of sky and ground on both sides of each vertex, from AMBIENT_RAYS rays a side."""
+    def _baked_ambient(self, rays: int = 16, farthest: float = 0.8) -> NDArray[np.float32]:
+        """Return (Nv, 2) the light of sky and ground on both sides of each vertex, from `rays` a side.
+
+        What is farther away than `farthest` [m] darkens nothing: plant, pot and bench do, the walls do not.
+        """
         rng = np.random.default_rng(0)
         n = np.stack([self._normals, -self._normals], axis=1)[:, :, None]
-        v = rng.normal(size=(AMBIENT_RAYS, 3))
+        v = rng.normal(size=(rays, 3))
         ways = n + v / np.linalg.norm(v, axis=1, keepdims=True)
         start = (self.vertices[:, None, None] + 5e-4 * n + 1e-6 * ways).reshape(-1, 3).astype(np.float32)
-        reach = np.full(len(start), AMBIENT_REACH, dtype=np.float32)
+        reach = np.full(len(start), farthest, dtype=np.float32)
         flat = np.ascontiguousarray(ways.reshape(-1, 3), dtype=np.float32)
         free = (self._embree.run(start, flat, reach, query="OCCLUDED") < 0).reshape(ways.shape[:3])
-        sky = np.where(ways[..., 2] > 0, 1.0, GROUND_LIGHT)
+        sky = np.where(ways[..., 2] > 0, 1.0, 0.3)  # light from below is a share of the sky's
         light = np.where(free, sky, 0.12)
-        return (SKY_LIGHT * light.mean(axis=2)).astype(np.float32)
+        return (LIGHT * light.mean(axis=2)).astype(np.float32)

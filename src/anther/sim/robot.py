@@ -26,19 +26,13 @@ from anther.robot.devices import (
     Robot,
     Watch,
 )
-from anther.sim._motor import CYCLE, PARTS, SimMotor, sensed_force
+from anther.sim._motor import CYCLE, SimMotor, sensed_force
 from anther.sim.capture import CameraErrors, sensed
-from anther.sim.cell import Cell, CellLog
+from anther.sim.cell import FINE, Cell, CellLog
 from anther.sim.render import Scene, Still, d455
 
-MOST_FRAMES = 60  # of a longer recording only so many from its middle are rendered and returned
-LEAST_REACH = 6.0  # px around the plant in a still that are rendered again in each frame of a film
-SEEN_BLUR = 1.0  # px that the plant moves in an exposure, from which on frames are blurred
-SHOTS = ((-0.33, -0.25, -0.25), (0.0, 0.25, 0.0), (0.33, -0.1, 0.25))
-"""Of a frame: moment [exposures], and place in each pixel [px]. A pixel gathers light from all of its area: by one ray
-alone, what moves by half a pixel seems to jump. About flowers and what is blurred only: it takes time."""
-
-
+LEAST_REACH = 6.0
+"""Around the plant in a still [px], rendered again in each frame of a film."""
 SIDE = Intrinsics(480, 480, 424.0, 424.0, 239.5, 239.5)
 """Of the side camera: the middle 480 x 480 pixels of a D455's 848 x 480: 0.62 x 0.62 m at 0.55 m, quick to render."""
 
@@ -56,32 +50,32 @@ class SimArm:
     def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:
         """Follow a trajectory, cubic between its samples; return when it has ended and settled for 0.1 s.
 
-        A plant that is held is stepped `PARTS` times as finely.
+        A plant that is held is stepped `FINE` times as finely.
         """
-        parts = PARTS if self.cell.held else 1
+        parts = FINE if self.cell.held else 1
         dt, start, told, ends = self.cell.params.timestep, self.cell.time, more is None, trajectory.duration
         q, v = _references(trajectory, 0.0, dt, last=told)
         measured = np.empty((0, self.cell.arm.count))
         try:
-            while len(measured) < len(q):
-                if not told and dt * len(measured) >= ends - LEAD:
-                    assert more is not None
-                    following = more()
-                    told = following is None
-                    trajectory = JointTrajectory.standstill(q[-1], dt) if following is None else following
-                    goes_on = _references(trajectory, ends, dt, last=told)
-                    q, v = np.concatenate([q, goes_on[0]]), np.concatenate([v, goes_on[1]])
-                    ends += trajectory.duration
-                rows = slice(len(measured), len(measured) + round(CYCLE / dt))
-                ahead = np.concatenate([v[1:], v[-1:]])[rows]
-                a = (ahead - v[rows]) / dt
-                openings = np.full(len(q[rows]), self.cell.grip_command)
-                steps = (np.repeat(values, parts, axis=0) for values in (q[rows], v[rows], openings, a))
-                with self.cell.finer(parts):
+            with self.cell.finer(parts):
+                while len(measured) < len(q):
+                    if not told and dt * len(measured) >= ends - LEAD:
+                        assert more is not None
+                        following = more()
+                        told = following is None
+                        trajectory = JointTrajectory.standstill(q[-1], dt) if following is None else following
+                        goes_on = _references(trajectory, ends, dt, last=told)
+                        q, v = np.concatenate([q, goes_on[0]]), np.concatenate([v, goes_on[1]])
+                        ends += trajectory.duration
+                    rows = slice(len(measured), len(measured) + round(CYCLE / dt))
+                    ahead = np.concatenate([v[1:], v[-1:]])[rows]
+                    a = (ahead - v[rows]) / dt
+                    openings = np.full(len(q[rows]), self.cell.grip_command)
+                    steps = (np.repeat(values, parts, axis=0) for values in (q[rows], v[rows], openings, a))
                     measured = np.concatenate([measured, self.cell.run(*steps)[parts - 1 :: parts]])
-                if watch:
-                    force = float(np.linalg.norm(sensed_force(self.cell)))
-                    watch(ArmSample(self.cell.time, q[rows][-1], measured[-1], force))
+                    if watch:
+                        force = float(np.linalg.norm(sensed_force(self.cell)))
+                        watch(ArmSample(self.cell.time, q[rows][-1], measured[-1], force))
         except BaseException:
             self.hold()
             raise
@@ -207,7 +201,7 @@ class SimCamera:
         if self._shown:
             return [self._shown[i] for i in sorted(self._shown)]
         wanted = np.arange(start, self.cell.time, 1 / rate)
-        surplus = max(len(wanted) - MOST_FRAMES, 0)
+        surplus = max(len(wanted) - 60, 0)  # rendering takes time
         return self._frames_at(wanted[surplus // 2 : len(wanted) - (surplus + 1) // 2])
 
     def _frames_at(self, wanted: Array) -> list[Frame]:
@@ -250,7 +244,7 @@ class SimCamera:
     def _blurred(self, way: Array, vertices: Array) -> NDArray[np.bool_]:
         """Return (H, W) where what moves visibly in an exposure may be, by ways (Nv, 3) of vertices (Nv, 3) [m]."""
         moved = self._pixels(way, vertices)
-        fast = transform_points(inverse(self.pose()), vertices[moved > SEEN_BLUR])
+        fast = transform_points(inverse(self.pose()), vertices[moved > 1.0])  # px
         column, row = np.rint(self.intrinsics.project(fast[fast[:, 2] > 0])).astype(int).T
         mask = np.zeros((self.intrinsics.height, self.intrinsics.width), dtype=np.uint8)
         inside = (row >= 0) & (row < mask.shape[0]) & (column >= 0) & (column < mask.shape[1])
@@ -268,18 +262,19 @@ class SimCamera:
         before, after = max(sample - 1, 0), min(sample + 1, len(log.times) - 1)
         here = self._vertices(log.qpos[after])
         way = (here - self._vertices(log.qpos[before])) * self._exposure / (log.times[after] - log.times[before])
-        return way if self._pixels(way, here).max() > SEEN_BLUR else None
+        return way if self._pixels(way, here).max() > 1.0 else None  # px
 
     def _frame(self, time: float, vertices: Array, way: Array | None, rng: np.random.Generator, still: Still) -> Frame:
         pose, eye, here = self.pose(), self.intrinsics, self.scene.moved(vertices)
         image = here.render(eye, pose, still)
         fine = still.flowers if way is None else still.flowers | (still.changing & self._blurred(way, vertices))
         sharp = still._replace(image=image, changing=fine)
+        # moment [exposures] and place in each pixel [px]: by one ray alone, what moves by half a pixel seems to jump
         shots = [
             (here if way is None or share == 0 else self.scene.moved(vertices + share * way))
             .render(replace(eye, cx=eye.cx - across, cy=eye.cy - down), pose, sharp)
             .rgb
-            for share, across, down in SHOTS
+            for share, across, down in ((-0.33, -0.25, -0.25), (0.0, 0.25, 0.0), (0.33, -0.1, 0.25))
         ]
         rgb = np.rint(np.mean(shots, axis=0)).astype(np.uint8)
         if self.errors is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, partial
 
 import numpy as np
@@ -37,10 +37,6 @@ Place = tuple[float, float, float]
 
 USUAL_DISTANCE = 0.72
 """Of the pot's axis in front of the Sawyer [m]: where facts: sawyer 6 tabulates what the arm can shake."""
-
-BRISK = MotionParams(velocity_share=0.9, acceleration_share=0.7, approach_speed=0.1)
-"""How the arm moves to a grasp: between sawyer_moveit's "medium" and "fast" (facts: sawyer 1). With "fast" some motions
-pass the safety limits: flange speed, and joint acceleration where a corner is rounded."""
 
 PRESETS = {"full": ViewParams(), "fast": ViewParams(count=10, widest=75.0, first=(-52.5, -5.0))}
 """How the views are sought. `fast` takes a third of the time: docs/reports/views.md measures what that costs. Of the 80
@@ -191,8 +187,10 @@ def build(
         return photograph(sight, planned.joints, seed, viewpoint, visit, progress=advance, truth=truth, arm=arm)[0]
 
     def plan_around(cloud: Cloud) -> Planner:
-        params, space = replace(BRISK, home=home), place.arm_space
-        return Planner(cloud.points, cloud.obstacles, place.solids, space=space, params=params, arm=arm)
+        # between sawyer_moveit's "medium" and "fast" (facts: sawyer 1), which passes the safety limits in places
+        params = MotionParams(velocity_share=0.9, acceleration_share=0.7, approach_speed=0.1, home=home)
+        space = place.arm_space
+        return Planner(cloud.yielding, cloud.rigid, place.solids, space=space, params=params, arm=arm)
 
     robot = guard(tap(robot, limits, arm.tool.T_flange_cam, lambda: mujoco.time), limits)
     return SimulatedCell(plant, mujoco, planned, Cell(take_views, plan_around, robot, place.workspace, limits))

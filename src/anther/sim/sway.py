@@ -14,24 +14,17 @@ from numpy.typing import ArrayLike
 from anther.core.checks import check_array
 from anther.core.errors import StageFailure
 from anther.core.geometry import Array
-from anther.sim._pieces import Params
-from anther.sim._plant_mechanics import PlantMechanics, alone, mujoco
+from anther.sim.pieces import Params
 from anther.sim.plant import SimPlant
-
-DENSITY = 1.2
-"""Of air [kg/m3]."""
-TURBULENCE = 0.35
-"""Standard deviation of the wind's speed over its mean (facts: pollination 6)."""
-GUST_TIME = 1.0
-"""For which a gust lasts [s]: eddies of a plant's size at 0.5 to 1 m/s; a guess."""
-ALONG, ACROSS = 1.0, 0.5
-"""Shares of the turbulence along and across the mean wind; a guess, as in free streams."""
+from anther.sim.plant_mechanics import PlantMechanics, alone, mujoco
 
 
 class Air:
     """Drag on the bodies of a plant, at their centres of mass, relative to a wind that is the same everywhere.
 
-    The mean wind blows horizontally from a random side; the speed about it is a first-order Markov process.
+    The mean wind blows horizontally from a random side; the speed about it is a first-order Markov process. Its
+    standard deviation is 35 % of the mean along the wind (facts: pollination 6), and half of that across it, as in free
+    streams: a guess. A gust lasts 1 s, as eddies of a plant's size do at 0.5 to 1 m/s: a guess.
     """
 
     def __init__(self, mechanics: PlantMechanics, wind: float, seed: int) -> None:
@@ -39,12 +32,12 @@ class Air:
         plant, pieces = mechanics.plant, mechanics.pieces
         self._model, self._bodies = mechanics.model, mechanics.bodies
         area = np.bincount(pieces.body, plant.drag_area, len(pieces.first))
-        self._factor = 0.5 * DENSITY * area[:, None]
+        self._factor = 0.5 * 1.2 * area[:, None]  # of air, kg/m3
         self._rng = np.random.default_rng([seed, 9])
         side = self._rng.uniform(0, 2 * np.pi)
         along = np.array([np.cos(side), np.sin(side), 0.0])
         self._mean = wind * along
-        self._gust_size = TURBULENCE * wind * (ACROSS + (ALONG - ACROSS) * np.abs(along))
+        self._gust_size = 0.35 * wind * (0.5 + 0.5 * np.abs(along))
         self._gust = self._gust_size * self._rng.normal(size=3)
         self.still = not area.any()
 
@@ -52,7 +45,7 @@ class Air:
         """Set the forces of the air for the step of `dt` [s] that begins now."""
         if self.still:
             return
-        keep = np.exp(-dt / GUST_TIME)
+        keep = np.exp(-dt / 1.0)
         self._gust = keep * self._gust + np.sqrt(1 - keep**2) * self._gust_size * self._rng.normal(size=3)
         against = self._mean + self._gust - self.speed(data)
         data.xfrc_applied[self._bodies, :3] = self._factor * np.linalg.norm(against, axis=1, keepdims=True) * against
@@ -88,13 +81,12 @@ def gusts(plant: SimPlant, wind: float) -> Iterator[tuple[PlantMechanics, Any]]:
     """
     mechanics = alone(plant, Params(), TIMESTEP)
     model = mechanics.model
-    data, inertia = mujoco.MjData(model), np.empty(model.nv)
+    data = mujoco.MjData(model)
     air = Air(mechanics, wind, plant.seed)
     mujoco.mj_forward(model, data)
     while not data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
         yield mechanics, data
-        mujoco.mj_mulM(model, data, inertia, data.qvel)
-        data.qfrc_applied[:] = -mechanics.mass_damping * inertia
+        data.qfrc_applied[mechanics.dofs] = mechanics.drag(data)
         air.push(data, TIMESTEP)
         mujoco.mj_step(model, data)
     raise StageFailure("no_convergence", f"the plant was blown over by {wind:g} m/s.")

@@ -12,13 +12,11 @@ from __future__ import annotations
 import numpy as np
 
 from anther.core.geometry import Array
-from anther.sim._growth import AREAL_DENSITY, Growth, arc, blade_colours, ripple
-from anther.sim._mesh import blade, star, tube, unit
+from anther.sim.growth import AREAL_DENSITY, GOLDEN_ANGLE, Growth, arc, blade_colours, ripple
+from anther.sim.mesh import blade, star, tube, unit
 from anther.sim.plant import POT_AXIS, Organ, SimPlant
 
-GOLDEN_ANGLE = np.radians(137.5)
-STEM_GREEN, LEAF_GREEN, YOUNG_GREEN = (108, 140, 72), (58, 104, 44), (112, 150, 62)
-PETAL_YELLOW, ANTHER_YELLOW, SEPAL_GREEN = (247, 214, 36), (232, 170, 22), (88, 128, 58)
+STEM_GREEN, SEPAL_GREEN = (108, 140, 72), (88, 128, 58)
 
 
 def grow_tomato(seed: int, *, viewpoint: float = 0.0, axis: tuple[float, float] = POT_AXIS) -> SimPlant:
@@ -89,7 +87,7 @@ def _grow_leaf(growth: Growth, parent: int, azimuth: float, length: float, heigh
     radii = thick * np.array([1.15, 0.9, 0.72, 0.55, 0.4])
     petiole = growth.chain(points[:2], radii[:2], Organ.PETIOLE, parent, STEM_GREEN, sides=7, tip=False)
     rachis = growth.chain(points[1:], radii[1:], Organ.RACHIS, petiole[-1], STEM_GREEN, sides=6)
-    colour = (1 - young) * np.array(LEAF_GREEN) + young * np.array(YOUNG_GREEN)
+    colour = (1 - young) * np.array((58, 104, 44)) + young * np.array((112, 150, 62))
     pairs = int(np.clip(np.round(length / 0.085 + rng.normal(0, 0.4)), 2, 4))
     forward = unit(points[-1] - points[-2])
     _grow_leaflet(growth, rachis[-1], points[-1], forward, length=(0.27 + 0.08 * young) * length, colour=colour)
@@ -158,5 +156,5 @@ def _grow_flower(growth: Growth, parent: int, out: Array, *, openness: float) ->
     petals = star(tip + 0.001 * nod, nod, 5, corolla, reflex=-1.2 + 1.5 * openness, spin=spin)
     sepals = star(tip, nod, 5, 0.8 * corolla, reflex=0.2 * openness - 0.5, spin=spin + 0.6, slim=0.45)
     cone = tube(tip + np.outer([0, 0.004, 0.008], nod), [0.0016, 0.0017, 0.0006], sides=8)
-    for mesh, colour in ((petals, PETAL_YELLOW), (sepals, SEPAL_GREEN), (cone, ANTHER_YELLOW)):
+    for mesh, colour in ((petals, (247, 214, 36)), (sepals, SEPAL_GREEN), (cone, (232, 170, 22))):
         growth.surface(mesh, Organ.FLOWER, colour, pedicel)

@@ -13,26 +13,17 @@ from numpy.typing import NDArray
 
 from anther.core.errors import StageFailure
 from anther.core.geometry import Array
-from anther.sim._growth import AREAL_DENSITY, buckling_factor, supported_youngs
-from anther.sim._pieces import Params
-from anther.sim._plant_mechanics import alone
+from anther.sim.growth import AREAL_DENSITY, buckling_factor, supported_youngs
+from anther.sim.pieces import Params
 from anther.sim.plant import Organ, SimPlant
+from anther.sim.plant_mechanics import alone
 from anther.sim.truth import NOMINAL, Truth
 
 FOLIAGE = (Organ.PETIOLE, Organ.RACHIS, Organ.LEAF)
 STALKS = (Organ.PEDUNCLE, Organ.PEDICEL)
-FLOWER_AREA = 1.5e-4
-"""Of a flower across the wind [m2], with a drag coefficient of 1 (facts: pollination 6)."""
-CANOPY_DRAG = 0.31
-"""Of leaves in the wind where the truth says nothing of drag [-] (Sase 2012, facts: pollination 6)."""
-TIED = 1.5
-"""A plant that is less stiff than this, over buckling, is tied to a stake: nobody leaves a plant that nearly falls."""
-TIE_AT, TIE = (0.55, 0.85), (20.0, 200.0)
-"""Where a stake holds the stem, in shares of its length, and how stiffly [N/m]: a cane of 1 cm in a pot. A guess."""
-SLOWEST, STIFFEN = 0.3, 1.2
+SLOWEST = 0.3
 """A plant that swings more slowly than this [Hz] would hang down or twist over in a breath of air (facts: pollination
-2 has 1.1 and 1.4 Hz): it is made so much stiffer until it does not."""
-FINELY_CUT = Params(twist_every=1)
+2 has 1.1 and 1.4 Hz)."""
 
 
 def as_true(plant: SimPlant, truth: Truth) -> SimPlant:
@@ -40,8 +31,8 @@ def as_true(plant: SimPlant, truth: Truth) -> SimPlant:
     if truth == NOMINAL:
         return plant
     rng, branch = np.random.default_rng([plant.seed, 8]), branches(plant)
-    plant = _longer_pedicels(plant, truth.pedicel_length)
-    plant = _massive(plant, truth)
+    plant = _lengthen_pedicels(plant, truth.pedicel_length)
+    plant = _set_masses(plant, truth)
     plant = replace(
         plant,
         youngs=_youngs(plant, truth, branch, rng),
@@ -51,7 +42,7 @@ def as_true(plant: SimPlant, truth: Truth) -> SimPlant:
         foot=truth.foot,
     )
     plant = replace(plant, joint_compliance=_joints(plant, truth))
-    return _standing(plant, truth, rng)
+    return _support(plant, truth, rng)
 
 
 def branches(plant: SimPlant) -> NDArray[Any]:
@@ -63,7 +54,7 @@ def branches(plant: SimPlant) -> NDArray[Any]:
     return branch
 
 
-def _longer_pedicels(plant: SimPlant, factor: float) -> SimPlant:
+def _lengthen_pedicels(plant: SimPlant, factor: float) -> SimPlant:
     """Return the plant with pedicels as long as `factor` says; flowers go along and keep their size."""
     if factor == 1:
         return plant
@@ -88,12 +79,12 @@ def _longer_pedicels(plant: SimPlant, factor: float) -> SimPlant:
     return replace(plant, start=start, end=end, lump_centre=lump, vertices=vertices, flower_position=flowers)
 
 
-def _massive(plant: SimPlant, truth: Truth) -> SimPlant:
+def _set_masses(plant: SimPlant, truth: Truth) -> SimPlant:
     """Return the plant with its leaves' and flowers' masses, and what the air finds of them."""
     flowers = np.zeros(len(plant.start), dtype=bool)
     flowers[plant.flower_segment] = True
-    drag = truth.drag_coefficient or CANOPY_DRAG
-    area = np.where(flowers, FLOWER_AREA, drag * plant.lump_mass / AREAL_DENSITY)
+    drag = truth.drag_coefficient or 0.31  # Sase 2012 (facts: pollination 6)
+    area = np.where(flowers, 1.5e-4, drag * plant.lump_mass / AREAL_DENSITY)  # m2 of a flower (facts: pollination 6)
     factor = np.where(flowers, truth.flower_mass, truth.leaf_density)
     blown = truth.drag_coefficient > 0 or truth.wind > 0
     return replace(plant, lump_mass=factor * plant.lump_mass, drag_area=area if blown else 0 * area)
@@ -143,9 +134,12 @@ def _joints(plant: SimPlant, truth: Truth) -> Array:
     return np.where(last, truth.pedicel_joint * whole, 0.0)
 
 
-def _standing(plant: SimPlant, truth: Truth, rng: np.random.Generator) -> SimPlant:
-    """Return the plant with the self-support of the truth, tied to a stake where that is little."""
-    share, strength = rng.uniform(*TIE_AT), np.exp(rng.uniform(*np.log(TIE)))
+def _support(plant: SimPlant, truth: Truth, rng: np.random.Generator) -> SimPlant:
+    """Return the plant with the self-support of the truth, tied to a stake where that is little: below 1.5.
+
+    A cane of 1 cm in a pot holds the stem with 20-200 N/m (a guess). Plants slower than `SLOWEST` are made stiffer.
+    """
+    share, strength = rng.uniform(0.55, 0.85), np.exp(rng.uniform(*np.log((20.0, 200.0))))
     if truth.self_support is None:
         return supported_youngs(plant)
     stiffer = truth.self_support / buckling_factor(plant)
@@ -153,14 +147,14 @@ def _standing(plant: SimPlant, truth: Truth, rng: np.random.Generator) -> SimPla
     stem = plant.stem_segments()
     arc = np.cumsum(plant.length[stem])
     tied = (int(stem[np.searchsorted(arc, share * arc[-1])]), float(strength))
-    plant = replace(plant, youngs=youngs, tie=tied if truth.self_support < TIED else None)
-    while not _stands(plant):
-        plant = replace(plant, youngs=np.where(plant.organ == Organ.PEDICEL, plant.youngs, STIFFEN * plant.youngs))
+    plant = replace(plant, youngs=youngs, tie=tied if truth.self_support < 1.5 else None)
+    while not _is_stable(plant):
+        plant = replace(plant, youngs=np.where(plant.organ == Organ.PEDICEL, plant.youngs, 1.2 * plant.youngs))
     return plant
 
 
-def _stands(plant: SimPlant) -> bool:
+def _is_stable(plant: SimPlant) -> bool:
     try:
-        return bool(alone(plant, FINELY_CUT).frequencies[0] >= SLOWEST)
+        return bool(alone(plant, Params(twist_every=1)).frequencies[0] >= SLOWEST)
     except StageFailure:
         return False

@@ -91,6 +91,8 @@ class Truth:
         clock_offset: by which the side camera's clock is late on the arm's [s].
         exposure_time: in which an image is blurred by motion [s].
         exposure_spread: standard deviation of the gain from image to image [-].
+        depth_window, depth_evidence, depth_patchiness, depth_contrast, depth_flying: how the depth camera matches, see
+            `capture.DepthNoise`; the window is rounded to an odd number [px].
     """
 
     self_support: float | None = None
@@ -122,6 +124,11 @@ class Truth:
     clock_offset: float = 0.0
     exposure_time: float = 0.0
     exposure_spread: float = 0.05
+    depth_window: float = 9.0
+    depth_evidence: float = 0.1
+    depth_patchiness: float = 0.4
+    depth_contrast: float = 2.0
+    depth_flying: float = 0.1
 
 
 NOMINAL = Truth()
@@ -181,6 +188,14 @@ WIDE: dict[str, dict[str, Spread]] = {
         "clock_offset": Spread(0.0, 0.03, log=False),
         "exposure_time": Spread(0.002, 0.012),
         "exposure_spread": Spread(0.03, 0.2),
+    },
+    # From the nominal camera to past the one real frame there is (evaluation: thin_depth).
+    "depth of thin parts": {
+        "depth_window": Spread(7.0, 14.0, log=False),
+        "depth_evidence": Spread(0.1, 0.9),
+        "depth_patchiness": Spread(0.4, 2.0, log=False),
+        "depth_contrast": Spread(1.0, 2.0),
+        "depth_flying": Spread(0.002, 0.15),
     },
 }
 """The groups of assumptions, and what is drawn in each."""

@@ -100,7 +100,7 @@ class Disk:
         It is locked: a process that died has let go of it, one that lives on is waited for."""
         folder = self.root / UNDER_WAY / key
         with _reached(folder):
-            handle = _locked(folder)
+            handle = _lock_folder(folder)
         try:
             yield folder
         finally:
@@ -117,7 +117,7 @@ class Disk:
             folder.rename(target)
 
 
-def _locked(folder: Path) -> int:
+def _lock_folder(folder: Path) -> int:
     """Return a handle of a folder, made if missing, that is locked until the handle is closed or its process dies."""
     while True:
         folder.mkdir(parents=True, exist_ok=True)
@@ -268,7 +268,7 @@ def _try(order: Order, there: Place, job: Job, folder: Path) -> Job:
         if _no_fault_of_its_own(error):
             forget_tries(there, job.key)
             raise InputError(f"{order.where}: {error}. What was finished is kept.") from None
-        reason = _told(error)
+        reason = _error_words(error)
         there.write(noted, json_text({"begun": begun + 1, "raised": raised + 1, "reason": reason}).encode())
         state = "poison" if raised + 1 >= order.tries else "waiting"
         return replace(job, state=state, tries=begun + 1, reason=reason)
@@ -338,7 +338,7 @@ def _no_fault_of_its_own(error: BaseException | None) -> bool:
     return False
 
 
-def _told(error: BaseException) -> str:
+def _error_words(error: BaseException) -> str:
     """Return the error in one line, with the place in the code where it is nobody's clear message."""
     said = " ".join(str(error).split())[:500]
     if isinstance(error, InputError):

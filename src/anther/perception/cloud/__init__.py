@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,14 +41,17 @@ from anther.perception.cloud._warnings import (
 )
 from anther.perception.cloud._wrong_views import SEARCH
 from anther.perception.cloud.ply import read_ply, write_ply
+from anther.perception.coverage import describe_depth
 from anther.perception.masks import BACKGROUND, LEAST_PIXELS, Masks
 
-__all__ = ["Cloud", "Params", "fuse", "likely_cause"]
+__all__ = ["Cloud", "Params", "Support", "fuse", "likely_cause"]
 
 Progress = Callable[[int, int], None]
 """Called with the number of steps done and of all."""
 OBSTACLE_VOXEL = 0.01
 """Spacing of the obstacle points [m]."""
+SUPPORT = 3
+"""Label of a support's points in a PLY file, beside the masks' `PLANT` and `FLOWER`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +66,45 @@ class Params(Record):
     CALLED = "cloud"
     voxel: Annotated[float, Range(0.0002, GAP, "m")] = 0.0015
     registration: _registration.Params | None = field(default_factory=_registration.Params)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Support(Record):
+    """A string, wire, stake or pole beside the plant: a rod that is not plant (`supports.find_supports`).
+
+    Attributes:
+        kind: what it is, by how thick it is; a thin one by whether it is upright.
+        axis: (K, 3) along its middle, from end to end [m].
+        radius: [m].
+        points: (N, 3) of its surface [m].
+    """
+
+    CALLED = "support"
+    kind: Literal["string", "wire", "stake", "pole"]
+    axis: Annotated[Array, Shape("K", 3), Range(unit="m")]
+    radius: Annotated[float, Range(0, 1, "m")]
+    points: Annotated[Array, Shape("N", 3), Range(unit="m")]
+
+    @property
+    def soft(self) -> bool:
+        """Whether it may be held together with a stem: a string."""
+        return self.kind == "string"
+
+    @property
+    def name(self) -> str:
+        """What it is and how thick, for people."""
+        return f"a {self.kind} of {2e3 * self.radius:.0f} mm"
+
+    def balls(self, apart: float) -> Array:
+        """Return (B, 4) centres and radii of balls that fill it, at most so far apart [m]."""
+        length = np.append(0, np.cumsum(np.linalg.norm(np.diff(self.axis, axis=0), axis=1)))
+        at = np.linspace(0, length[-1], int(np.ceil(length[-1] / apart)) + 1)
+        centres = [np.interp(at, length, column) for column in self.axis.T]
+        return np.column_stack([*centres, np.full(len(at), self.radius)])
+
+    def scaled(self, factor: float) -> Support:
+        """Return it so many times as large, about the world's origin."""
+        return Support(self.kind, factor * self.axis, factor * self.radius, factor * self.points)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,9 +125,10 @@ class Cloud(Stored):
         footprint: median width of a pixel at the plant [m]; None if imported.
         seen_through: share of what views judge of each other's points that they see through, 0..1, where that is more
             than right captures have (`_warnings.find_disagreement`); else 0.
+        supports: strings, stakes, poles, whose points are not among `points` (`supports.find_supports`).
     """
 
-    KIND, SCHEMA = "cloud", 3
+    KIND, SCHEMA = "cloud", 4
     points: Annotated[Array, Shape("N", 3), Range(unit="m"), UNSAVED]
     normals: Annotated[Array, Shape("N", 3), UNSAVED] | None = None
     colors: Annotated[NDArray[np.uint8], Shape("N", 3), UNSAVED] | None = None
@@ -97,6 +140,7 @@ class Cloud(Stored):
     view_used: Annotated[NDArray[np.bool_], Shape(None)] | None = None
     footprint: Annotated[float, Range(unit="m")] | None = None
     seen_through: float = 0.0
+    supports: tuple[Support, ...] = ()
 
     def _check(self) -> None:
         if self.labels is None:
@@ -104,24 +148,48 @@ class Cloud(Stored):
             labels.flags.writeable = False
             object.__setattr__(self, "labels", labels)
 
+    @property
+    def rigid(self) -> Array:
+        """(M, 3) points of what the arm must never touch [m]: obstacles, and supports but strings."""
+        return np.concatenate([self.obstacles, *(s.points for s in self.supports if not s.soft)])
+
+    @property
+    def yielding(self) -> Array:
+        """(N, 3) points of what gives way [m]: the plant and strings."""
+        return np.concatenate([self.points, *(s.points for s in self.supports if s.soft)])
+
     def save(self, path: Path | str) -> None:
-        """Write the points as binary PLY (labels as a vertex property) and the rest as .npz of the same name."""
-        path = Path(path)
-        write_ply(path, self.points, normals=self.normals, colors=self.colors, labels=self.labels)
+        """Write all points as binary PLY (labels as a vertex property) and the rest as .npz of the same name."""
+        path, more = Path(path), sum(len(s.points) for s in self.supports)
+        all_points = np.concatenate([self.points, *(s.points for s in self.supports)])
+
+        def filled(values: NDArray[Any] | None, value: float) -> NDArray[Any] | None:
+            if values is None:
+                return None
+            return np.concatenate([values, np.full((more, *values.shape[1:]), value, dtype=values.dtype)])
+
+        labels = filled(self.labels, SUPPORT)
+        write_ply(path, all_points, normals=filled(self.normals, 0), colors=filled(self.colors, 128), labels=labels)
         Stored.save(self, path.with_suffix(".npz"))
 
     @classmethod
     def load(cls, path: Path | str) -> Self:
-        """Read what `save` wrote. A PLY without its .npz is read as well: no obstacles, poses or notes then.
+        """Read what `save` wrote. A PLY without its .npz is read as well: no poses or notes then, and supports are
+        obstacles.
 
         Raises:
             InputError: a file is missing, truncated or holds something else.
         """
         path = Path(path)
         points = {name: value for name, value in read_ply(path).items() if name not in ("unused", "comments")}
+        support = np.zeros(0, np.int64) if points["labels"] is None else np.flatnonzero(points["labels"] == SUPPORT)
+        aside = points["points"][support]
+        points = {n: None if values is None else np.delete(values, support, axis=0) for n, values in points.items()}
         rest = path.with_suffix(".npz")
         with understood(rest):
-            return decode(points | read_tree(rest, cls.KIND, cls.SCHEMA), cls) if rest.exists() else cls(**points)
+            if rest.exists():
+                return decode(points | read_tree(rest, cls.KIND, cls.SCHEMA), cls)
+            return cls(**points, obstacles=aside)
 
 
 def fuse(
@@ -152,7 +220,8 @@ def fuse(
     pixels = plant_pixels(capture, labels, box)
     _require(sum(len(p.points) for p in pixels), "pixels with depth within the masks, within the workspace")
     report()
-    notes = (*_unseen_views(pixels), *warn_of_views(capture.depth, labels))
+    covered = describe_depth(capture.depth, labels != BACKGROUND, capture.intrinsics.fx, only_poor=True)
+    notes = (*_unseen_views(pixels), *warn_of_views(capture.depth, labels), *filter(None, [covered]))
     poses, pixels, found = _registered(pixels, capture.T_world_cam, params)
     report()
     fused = fuse_voxels(pixels, poses, box, params.voxel)

@@ -21,11 +21,11 @@ from anther.core.geometry import Box
 from anther.core.records import Range, Record, Shape, Share, Stored
 from anther.perception.capture import Capture, in_threads
 from anther.perception.masks._cells import kinds
-from anther.perception.masks._light import GREEN, GREEN_NO_DEPTH
+from anther.perception.masks._light import GREEN, GREEN_NO_DEPTH, Light, green_rule
 from anther.perception.masks._survey import VOXEL, survey
 from anther.perception.masks._voting import EMPTY, GROUND, RIM, clear, read_back, vote
 
-__all__ = ["BACKGROUND", "FLOWER", "PLANT", "Masks", "Params", "segment", "without_ground"]
+__all__ = ["BACKGROUND", "FLOWER", "PLANT", "Masks", "Params", "green_pixels", "segment", "without_ground"]
 
 BACKGROUND, PLANT, FLOWER = range(3)
 
@@ -95,6 +95,17 @@ def segment(capture: Capture, workspace: Box | None = None, params: Params | Non
             f"Is the plant within x, y, z = {lower} .. {lower + size} m?",
         )
     return Masks(labels, seen.source)
+
+
+def green_pixels(rgb: NDArray[Any], params: Params | None = None) -> NDArray[np.bool_]:
+    """Return (H, W) which pixels of one colour image (H, W, 3) uint8 are as green as leaves; none without green light.
+
+    Colour alone does not tell a plant from others behind it; `segment` does.
+    """
+    params = params or Params()
+    light = Light.on(rgb[None], params.green)
+    classes = green_rule(light, params).classes(rgb)
+    return (classes == GREEN) & light.holds_green
 
 
 def without_ground(masks: Masks, capture: Capture, workspace: Box | None = None, params: Params | None = None) -> Masks:

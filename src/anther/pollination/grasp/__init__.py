@@ -26,7 +26,9 @@ from anther.pollination.grasp._clearance import (
     FLOWER_POINT,
     LEAF,
     OBSTACLE,
+    RIGID,
     STEM,
+    STRING,
     Clearance,
     clearance,
     surroundings_of,
@@ -180,7 +182,8 @@ def plan_grasps(
         smaller = 1 / scale
         stem = replace(stem, arc_length=stem.arc_length * smaller)
         skeleton = replace(skeleton, nodes=skeleton.nodes * smaller, radius=skeleton.radius * smaller)
-        cloud = replace(cloud, points=cloud.points * smaller, obstacles=cloud.obstacles * smaller)
+        supports = tuple(s.scaled(smaller) for s in cloud.supports)
+        cloud = replace(cloud, points=cloud.points * smaller, obstacles=cloud.obstacles * smaller, supports=supports)
     ranking = _rank(stem, skeleton, cloud, params, toward_base=reach is not None)
     return [_enlarged(grasp, scale) for grasp in _first_reached(ranking, reach)]
 
@@ -207,7 +210,10 @@ def load_grasps(path: Path | str) -> list[Grasp]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Ranking:
-    """Candidates with what they cost and how sure they are; `fell` counts those refused, by criterion."""
+    """Candidates with what they cost and how sure they are.
+
+    `fell` counts those refused, by criterion; `string` is the thickest string's diameter [m].
+    """
 
     candidates: Candidates
     met: Clearance
@@ -215,6 +221,7 @@ class _Ranking:
     order: NDArray[Any]
     fell: Counter[str]
     confidence: Array | None
+    string: float = 0.0
 
 
 def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, toward_base: bool) -> _Ranking:
@@ -240,7 +247,8 @@ def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, towar
     confidence = place_confidence(stem, skeleton, candidates.arc_length)
     if confidence is not None:
         confidence = confidence * (1 - cloud.seen_through)  # it was fitted on views that agree
-    refusals = _refusals(candidates, met, confidence, params)
+    string = max((2 * s.radius for s in cloud.supports if s.soft), default=0.0)
+    refusals = _refusals(candidates, met, confidence, params, string=string)
     costs = _costs(candidates, met, cloud, params, length)
     below = stem.arc_length[stem.fork] - candidates.arc_length  # above its first fork it is no longer the main stem
     costs["near or above a fork"] = 10.0 * np.clip(1 - below / NEAR_FORK, 0, 1)
@@ -255,11 +263,13 @@ def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, towar
     total = np.sum(list(costs.values()), axis=0)
     order = np.argsort(np.where(refused, np.inf, total), kind="stable")[: int((~refused).sum())]
     fell = Counter({name: int(yes.sum()) for name, yes in refusals.items() if yes.any()})
-    return _Ranking(candidates, met, costs, order, fell, confidence)
+    return _Ranking(candidates, met, costs, order, fell, confidence, string)
 
 
 STEM_CLEARANCE, OBSTACLE_CLEARANCE = 0.003, 0.015
 """Least distance of the open fingers from the stem's surface, and of the gripper from pot, soil and bench [m]."""
+SUPPORT_CLEARANCE = OFF_BY + DOUBT
+"""Of the gripper from a string, stake or pole [m]: these are seen as well as the stem is."""
 APART = 0.012
 """Along the stem, so that the next grasp differs when one fails [m]; at most a twentieth of the stem."""
 SLACK = 0.6
@@ -267,12 +277,17 @@ SLACK = 0.6
 DOUBTED = "probably not the main stem"
 
 
-def _refusals(c: Candidates, met: Clearance, confidence: Array | None, params: Params) -> dict[str, NDArray[np.bool_]]:
-    """Return per criterion which candidates (C,) can never be taken."""
+def _refusals(
+    c: Candidates, met: Clearance, confidence: Array | None, params: Params, *, string: float = 0.0
+) -> dict[str, NDArray[np.bool_]]:
+    """Return per criterion which candidates (C,) can never be taken; `string` is the thickest string's diameter [m]."""
     doubtful = np.zeros(len(c.station), dtype=bool) if confidence is None else confidence < 0.5
+    held = 2 * c.radius + np.where(met.enclosed[:, STRING] > 0, string, 0)
     return {
         DOUBTED: doubtful,
-        "thicker than the stroke": 2 * c.radius > params.gripper.stroke - STROKE_MARGIN,
+        "thicker than the stroke": held > params.gripper.stroke - STROKE_MARGIN,
+        "a support between the pads": met.enclosed[:, RIGID] > 0,
+        "would hit a support": met.distance[:, [RIGID, STRING]].min(axis=1) < SUPPORT_CLEARANCE,
         "would hit pot or bench": met.distance[:, OBSTACLE] < OBSTACLE_CLEARANCE,
         "would hit the stem": met.distance[:, STEM] < STEM_CLEARANCE,
     }
@@ -297,6 +312,7 @@ def _costs(c: Candidates, met: Clearance, cloud: Cloud, params: Params, length: 
         "near the root": 4.0 * (3 * c.radius * aside / np.maximum(c.arc_length, 1e-3) ** 2) / ROOT_STRAIN,
         "near an attachment": 0.3 * np.exp(-c.attachment_distance / 0.015),
         "bent stem": c.bend / 0.0007,
+        "a string between the fingers": 1.0 * (met.enclosed[:, STRING] > 0),
         "half open": 0.3 * (c.opening < max(OPENINGS) * params.gripper.stroke),
         "thick for the gripper": 2.5 * np.maximum(2 * c.radius / params.gripper.stroke - 0.6, 0),
         "far from the stem's middle": 0.4 * np.abs(c.arc_length / length - 0.5),
@@ -348,6 +364,8 @@ def _grasp(ranking: _Ranking, i: int) -> Grasp:
     cost = {name: float(values[i]) for name, values in ranking.costs.items()}
     against = [name for name, value in sorted(cost.items(), key=lambda item: -item[1]) if value >= 0.15][:3]
     reason = f"stem {2e3 * c.radius[i]:.1f} mm thick, clearance {1e3 * free:.0f} mm"
+    if ranking.met.enclosed[i, STRING]:
+        reason += f", held together with a string {1e3 * ranking.string:.1f} mm thick"
     return Grasp(
         T_world_flange=c.T_world_flange[i],
         point=c.points[i],

@@ -73,7 +73,7 @@ def planner_around(file: CellFile, cloud: Cloud, home: Array) -> Planner:
     ratio, space = file.limits.speed_ratio, file.arm_space
     params = motion_params(ratio, home)
     boxes, arm = file.keep_out, file.model
-    return SlowPlanner(ratio, cloud.points, cloud.obstacles, boxes, space=space, params=params, arm=arm)
+    return SlowPlanner(ratio, cloud.yielding, cloud.rigid, boxes, space=space, params=params, arm=arm)
 
 
 @contextmanager

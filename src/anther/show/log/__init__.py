@@ -21,12 +21,8 @@ from anther.show.log._messages import LogFile, Scribe
 
 __all__ = ["Kept", "Log"]
 
-WAITING = 4096
-"""So many things may wait to be written; what comes on top is dropped: 40 s of an arm that tells 100 a second."""
-PERIOD, FLUSH = 0.05, 0.5
-"""How often the thread looks at the queue, and how often what was written goes to the disk [s]."""
-BATCH, BREATH = 8, 5e-4
-"""After so many things the thread rests so long [s], so that it keeps Python's lock from nobody for long."""
+FLUSH = 0.5
+"""How often what was written goes to the disk [s]."""
 PATIENCE = 5.0
 """So long the end of a trial waits for what is still to be written [s]."""
 
@@ -56,12 +52,12 @@ class Log:
 
     Args:
         path: of the file; one that is there is replaced.
-        waiting: how many things may wait to be written.
+        waiting: how many things may wait to be written, 40 s of an arm that reads 100 a second; more are dropped.
         opened: opens the file for writing bytes, unbuffered.
     """
 
     def __init__(
-        self, path: Path, *, waiting: int = WAITING, opened: Callable[[Path], Any] = lambda path: path.open("wb", 0)
+        self, path: Path, *, waiting: int = 4096, opened: Callable[[Path], Any] = lambda path: path.open("wb", 0)
     ) -> None:
         self._queue, self._most = deque[tuple[float, str, Any]](), waiting
         self._file = LogFile(path, opened)
@@ -140,7 +136,7 @@ class Log:
         flushed = time.monotonic()
         ended = False
         while not ended:
-            ended = self._ended.wait(PERIOD)
+            ended = self._ended.wait(0.05)  # s
             self._drain()
             if time.monotonic() - flushed > FLUSH:
                 self._flush()
@@ -157,8 +153,8 @@ class Log:
             if self._kept is not None:
                 return
             self._messages += self._written(*self._queue.popleft())
-            if count % BATCH == BATCH - 1:
-                time.sleep(BREATH)
+            if count % 8 == 7:  # keep Python's lock from nobody for long
+                time.sleep(5e-4)
 
     def _written(self, when: float, what: str, value: Any) -> int:
         """Return how many messages something became."""

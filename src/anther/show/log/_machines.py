@@ -21,9 +21,6 @@ from anther.robot.devices import (
 )
 from anther.robot.swing import Swing
 
-RATE = 15.0
-"""So many frames of a camera are kept a second."""
-
 
 class Say(Protocol):
     """How something is kept; see `Log.say`."""
@@ -126,11 +123,11 @@ class _LoggedGripper(_Logged):
 
 
 class _LoggedCamera(_Logged):
-    """At most `RATE` frames a second are kept."""
+    """At most `rate` frames a second are kept."""
 
-    def __init__(self, camera: Any, say: Say, name: str) -> None:
+    def __init__(self, camera: Any, say: Say, name: str, rate: float = 15.0) -> None:
         super().__init__(camera, say)
-        self._name, self._kept = name, float("-inf")
+        self._name, self._apart, self._kept = name, 1 / rate - 1e-3, float("-inf")
 
     def read(self) -> Frame:
         return self._keep([self._machine.read()])[0]
@@ -143,7 +140,7 @@ class _LoggedCamera(_Logged):
 
     def _keep(self, frames: list[Frame]) -> list[Frame]:
         for frame in frames:
-            if frame.time >= self._kept + 1 / RATE - 1e-3:
+            if frame.time >= self._kept + self._apart:
                 self._kept = frame.time
                 self._say(self._name, frame, frame.time)
         return frames

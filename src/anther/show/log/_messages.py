@@ -113,16 +113,6 @@ class LogFile:
             self._raw = None
 
 
-CHUNK = 262_144
-"""Bytes that are compressed together."""
-QUALITY = 80
-"""Of JPEG images, 0..100."""
-ARM_THINNED = 3
-"""Of the balls of the arm's outline, which overlap, every third is drawn."""
-ARM_DRAWN = 0.1
-"""The arm's shape and place are shown so often [s]; its joints as often as they are read."""
-VIEW_APART = 0.2
-"""Views that were not photographed on the robot's clock are shown so long after each other, before it begins [s]."""
 WORLD, FLANGE, WRIST, SIDE, PLANT = "world", "flange", "wrist_camera", "side_camera", "plant"
 NUMBER, TEXT = {"type": "number"}, {"type": "string"}
 GRIPPER = {"asked_m": NUMBER, "opening_m": NUMBER, "force_n": NUMBER, "held": {"type": "boolean"}}
@@ -138,7 +128,7 @@ class Scribe:
     """Writes an MCAP file. One thread at a time may use it."""
 
     def __init__(self, file: LogFile) -> None:
-        options = MCAPWriteOptions(profile="", chunk_size=CHUNK, disable_seeking=True, compression_threads=0)
+        options = MCAPWriteOptions(profile="", chunk_size=2**18, disable_seeking=True, compression_threads=0)
         self._context, self._file = Context(), file
         self._writer = open_mcap(file, context=self._context, writer_options=options)
         self._channels: dict[str, Channel] = {}
@@ -216,12 +206,12 @@ class Scribe:
         self._put("/joints/commanded", joints(sample.commanded, when), when)
         if math.isfinite(sample.force):
             self._json("/arm/force", FORCE, {"force_n": sample.force}, when)
-        if not 0 <= when - self._drawn < ARM_DRAWN and self._limits is not None:
+        if not 0 <= when - self._drawn < 0.1 and self._limits is not None:
             self._drawn = when
             place = self._limits.forward(sample.measured[None])[0]
             self._put("/tf", FrameTransforms(transforms=[moved(WORLD, FLANGE, place, when)]), when)
             balls = self._limits.outline(sample.measured[None])[0]
-            self._scene(when, "arm", scene.outline(balls[::ARM_THINNED]))
+            self._scene(when, "arm", scene.outline(balls[::3]))  # they overlap
 
     def _gripper(self, when: float, asked: float | None, state: GripperState) -> None:
         told = {"opening_m": state.opening, "force_n": state.force}
@@ -251,8 +241,9 @@ class Scribe:
             case Cloud():
                 plant, *others = scene.cloud(value)
                 self._put("/cloud", _scene.points(plant, stamp(when), WORLD), when)
-                for pot in others:
-                    self._put("/pot_and_bench", _scene.points(pot, stamp(when), WORLD), when)
+                for other in others:
+                    topic = "/" + other.name.replace(" ", "_")
+                    self._put(topic, _scene.points(other, stamp(when), WORLD), when)
             case Skeleton():
                 self._nodes = value.nodes
                 self._stand(when, WORLD, PLANT, transform(np.eye(3), value.nodes[0]))
@@ -275,17 +266,17 @@ class Scribe:
         self._event(when, Level.Info, what, said)
 
     def _views(self, when: float, capture: Capture) -> None:
-        """Show the views of a capture, if the wrist camera was not heard while it took them."""
+        """Show the views of a capture, 0.2 s apart, if the wrist camera was not heard while it took them."""
         if self._photographed or capture.rgb is None:
             return
         for number, (rgb, place) in enumerate(zip(capture.rgb, capture.T_world_cam, strict=True)):
-            then = when - VIEW_APART * (capture.views - number)
+            then = when - 0.2 * (capture.views - number)
             self._image(then, WRIST, rgb)
             flange = place @ inverse(self._T_flange_cam)
             self._put("/tf", FrameTransforms(transforms=[moved(WORLD, FLANGE, flange, then)]), then)
 
     def _image(self, when: float, name: str, rgb: Any) -> None:
-        done, data = cv2.imencode(".jpg", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+        done, data = cv2.imencode(".jpg", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 80])
         assert done
         image = CompressedImage(timestamp=stamp(when), frame_id=name, data=data.tobytes(), format="jpeg")
         self._put(f"/{name}/image", image, when)

@@ -30,9 +30,6 @@ from anther.core.geometry import Array
 from anther.show.scene import Layer
 from anther.show.style import rgb
 
-MOST = 20_000
-"""So many points of a cloud are shown."""
-
 
 def update(name: str, layers: Sequence[Layer], when: Timestamp, frame: str) -> SceneUpdate:
     """Return the message that draws layers under one name, in place of what had it before."""
@@ -45,10 +42,10 @@ def update(name: str, layers: Sequence[Layer], when: Timestamp, frame: str) -> S
     return SceneUpdate(entities=[SceneEntity(timestamp=when, frame_id=frame, id=name, **parts)])
 
 
-def points(layer: Layer, when: Timestamp, frame: str) -> PointCloud:
-    """Return a layer's points in their colours, at most `MOST` of them."""
+def points(layer: Layer, when: Timestamp, frame: str, most: int = 20_000) -> PointCloud:
+    """Return a layer's points in their colours, at most `most` of them."""
     assert layer.points is not None
-    rows = np.linspace(0, len(layer.points) - 1, min(len(layer.points), MOST)).astype(int)
+    rows = np.linspace(0, len(layer.points) - 1, min(len(layer.points), most)).astype(int)
     packed = np.zeros(len(rows), [("at", "<f4", 3), ("colour", "u1", 4)])
     packed["at"], packed["colour"] = layer.points[rows], (*rgb(layer.colour), 255)
     if layer.colours is not None:

@@ -27,12 +27,10 @@ from anther.core.errors import bad_input
 
 HOST, PORT = "127.0.0.1", 8765
 """Who may watch: this machine. The port is the one that Foxglove's app proposes."""
-PERIOD = 0.1
-"""How often it is looked whether the file has grown [s]."""
-MAGIC, HEAD = b"\x89MCAP0\r\n", 9
-"""What the file begins with; and the size of a record's kind and length [bytes]."""
+MAGIC = b"\x89MCAP0\r\n"
+"""What the file begins with."""
 LARGEST = 16_000_000
-"""A record that is larger, packed or not, is damage [bytes]: `_messages.CHUNK` and one message more are below 2 MB."""
+"""A record that is larger, packed or not, is damage [bytes]: a chunk and one message more are below 2 MB."""
 
 
 class Tail:
@@ -70,17 +68,17 @@ class Tail:
             if not data.startswith(MAGIC):
                 raise bad_input(str(self.path), given="another kind of file", allowed="MCAP", do="Is it the right one?")
             self._begun, data = True, data[len(MAGIC) :]
-        begin = 0
-        while self._begun and not self.ended and len(data) >= begin + HEAD:
-            kind, size = data[begin], int.from_bytes(data[begin + 1 : begin + HEAD], "little")
+        begin, head = 0, 9  # bytes of a record's kind and length
+        while self._begun and not self.ended and len(data) >= begin + head:
+            kind, size = data[begin], int.from_bytes(data[begin + 1 : begin + head], "little")
             if size > LARGEST:
                 raise self._damaged(f"a record of {size} bytes")
-            end = begin + HEAD + size
+            end = begin + head + size
             if len(data) < end:
                 break
             self.ended = kind == Opcode.DATA_END
             if kind == Opcode.CHUNK:
-                yield from self._parts(data[begin + HEAD : end])
+                yield from self._parts(data[begin + head : end])
             begin = end
         self._left = data[begin:]
 
@@ -101,7 +99,7 @@ class Tail:
     def _parts(self, content: bytes) -> list[McapRecord]:
         try:
             chunk = Chunk.read(ReadDataStream(BytesIO(content)))
-            return breakup_chunk(replace(chunk, compression="", data=_unpacked(chunk)))
+            return breakup_chunk(replace(chunk, compression="", data=_unpack(chunk)))
         except Exception as error:  # zstd and mcap raise whatever the bytes provoke
             raise self._damaged(repr(error)) from error
 
@@ -109,7 +107,7 @@ class Tail:
         return bad_input(str(self.path), given=f"damaged: {what}", allowed="an MCAP file", do="Restore the file.")
 
 
-def _unpacked(chunk: Chunk) -> bytes:
+def _unpack(chunk: Chunk) -> bytes:
     """Return what a chunk holds; a few bytes can stand for gigabytes, whatever size they state."""
     packed = BytesIO(chunk.data)
     match chunk.compression:
@@ -211,6 +209,6 @@ def show(
                 relay.forget()
             for record in tail.records():
                 relay.send(record)
-            time.sleep(PERIOD)
+            time.sleep(0.1)
     finally:
         relay.stop()

@@ -15,8 +15,6 @@ from anther.plant.bench import FreeVibration, Identification, MaterialTest, fitt
 from anther.robot.calibration import CELLS, BoardViews, HandEye, flange_motions, image_coverage
 
 USED, OUTLIER, LEFT_OUT = "tab:blue", "tab:red", "tab:orange"
-ARROW = 0.03
-"""The arrows are magnified until a long one has this share of the image's width."""
 GREEN, MAGENTA, INK, GREY = "#2f7d4f", "#c2389a", "#1d2a22", "#9aa39d"
 PRIOR, COUNT = "#8a8a8a", "#1f4e79"
 
@@ -48,7 +46,8 @@ def draw_calibration(found: HandEye, views: BoardViews, T_base_flange: Array) ->
 
 def _draw_image(axes: Any, found: HandEye, views: BoardViews, away: list[Array], lengths: Array) -> None:
     camera = found.intrinsics
-    gain = float(f"{ARROW * camera.width / max(float(np.quantile(lengths, 0.95)), 1e-6):.1g}")
+    # a long arrow becomes 3 % of the image's width
+    gain = float(f"{0.03 * camera.width / max(float(np.quantile(lengths, 0.95)), 1e-6):.1g}")
     for r, pixels, kept in zip(away, views.corners.pixels, found.used, strict=True):
         colour = USED if kept else OUTLIER
         axes.plot(*pixels.T, ".", color=colour, ms=1.5 if kept else 4, alpha=0.6)

@@ -29,11 +29,10 @@ __all__ = ["BRANCH_COLOR", "GRASP_COLOR", "ORGAN_COLORS", "STEM_COLOR", "draw_la
 Sides = tuple[int, int, int]
 """Which world axes go across, up, and into the picture."""
 _SIDES: dict[str, Sides] = {"front": (0, 2, 1), "side": (1, 2, 0), "top": (0, 1, 2)}
-_MOST_POINTS = 40_000
-_DRAWN = ("cloud", *(name for name, _, _ in scene.ORGANS.values()), "skeleton", "flowers", "gripper", "grasp")
+_DRAWN = (
+    "cloud", "supports", *(name for name, _, _ in scene.ORGANS.values()), "skeleton", "flowers", "gripper", "grasp",
+)  # fmt: skip
 """Layers of these pictures, the later ones above; the arm would make the plant small."""
-_WIDE = 600.0
-"""Points of a line's width in the picture for a metre of it in the scene; a hand's guess."""
 
 
 def draw_plant(
@@ -94,9 +93,7 @@ def _draw(plot: Axes, axes: Sides, layer: Layer, order: int) -> None:
         plot.add_patch(Polygon(hull, alpha=0.4, lw=0.8, ec=(*(c / 255 for c in rgb(layer.colour)), 1), **style))
     if layer.lines is not None:
         lines: Any = layer.lines[:, :, flat]
-        plot.add_collection(
-            LineCollection(lines, linewidths=0.3 + _WIDE * layer.width * 0.7, capstyle="round", **style)
-        )
+        plot.add_collection(LineCollection(lines, linewidths=0.3 + 420.0 * layer.width, capstyle="round", **style))
     if layer.balls is not None:
         plot.scatter(*layer.balls[:, flat].T, s=32, edgecolors="black", lw=0.5, **style)
     for start, end in () if layer.arrows is None else layer.arrows[:, :, flat]:
@@ -106,7 +103,7 @@ def _draw(plot: Axes, axes: Sides, layer: Layer, order: int) -> None:
 
 def _draw_points(plot: Axes, axes: Sides, layer: Layer) -> None:
     points: Array = layer.points  # type: ignore[assignment]
-    some = np.random.default_rng(0).permutation(len(points))[:_MOST_POINTS]
+    some = np.random.default_rng(0).permutation(len(points))[:40_000]
     some = some[np.argsort(points[some, axes[2]])]
     colour = layer.colour if layer.colours is None else layer.colours[some] / 255
     plot.scatter(*points[some][:, list(axes[:2])].T, s=0.4, c=colour, lw=0, alpha=0.6, rasterized=True)

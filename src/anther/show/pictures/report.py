@@ -21,16 +21,13 @@ from anther.show.style import GREEN, INK, MAGENTA, ORANGE
 
 mpl.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "figure.facecolor": "white"})
 
-SHOWN_VIEWS = 8
 NARROW = 3.6
 """Width of a figure for a phone [inches]."""
-LONG = 14
-"""More letters of a legend's entry leave no room beside it on a phone."""
 
 
 def draw_views(capture: Capture, masks: Masks | None, narrow: bool = False) -> Figure:
     """Return a contact sheet of eight views, evenly picked, with the mask outlined."""
-    chosen = np.unique(np.linspace(0, capture.views - 1, SHOWN_VIEWS).round().astype(int))
+    chosen = np.unique(np.linspace(0, capture.views - 1, 8).round().astype(int))
     columns, width = (2, NARROW) if narrow else (4, 11)
     rows = -(-len(chosen) // columns)
     figure = Figure(figsize=(width, 0.61 * width / columns * rows))
@@ -233,7 +230,7 @@ def draw_steps(steps: Sequence[Step], start: float, narrow: bool = False) -> Fig
     for axes in (tones, flowers, limits):
         beside: Any = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5)}
         longest = max(len(str(label)) for label in axes.get_legend_handles_labels()[1])
-        columns = 1 if longest > LONG else 2
+        columns = 1 if longest > 14 else 2  # letters beside each other on a phone
         above: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": columns, "columnspacing": 1.0}
         axes.legend(frameon=False, **(above if narrow else beside))
     return figure

@@ -17,11 +17,6 @@ from anther.rods import Rods, Trajectory
 
 GRIP, FLOWER, REST = "tab:blue", "tab:red", "#23402b"
 MAGENTA, BEST, PALE = "#c2389a", "deepskyblue", "#8aa58c"
-PHASES = 12
-REACH = 0.08
-"""Motion too small to see is magnified until it spans this share of the plant."""
-DECADES = 3.0
-"""What the colours of a response map span below the largest value; less is drawn as the darkest."""
 
 
 def draw_shake(rods: Rods, grip: int, flower: int, direction: Array, trajectory: Trajectory, period: float) -> Figure:
@@ -58,8 +53,9 @@ def _draw_period(axes: Any, rods: Rods, nodes: Any, seen: list[int], trajectory:
     last = np.flatnonzero(trajectory.times >= end - period * (1 + 1e-9))
     moved = trajectory.positions[last] - rest
     largest = float(np.abs(moved).max())
-    gain = 1.0 if largest == 0 else max(1.0, float(f"{REACH * np.ptp(rest, axis=0).max() / largest:.1g}"))
-    phases = np.unique(np.linspace(0, len(last) - 1, PHASES + 1).round().astype(int))
+    # motion too small to see is magnified until it spans a share of the plant
+    gain = 1.0 if largest == 0 else max(1.0, float(f"{0.08 * np.ptp(rest, axis=0).max() / largest:.1g}"))
+    phases = np.unique(np.linspace(0, len(last) - 1, 13).round().astype(int))
     for k, phase in enumerate(phases):
         shade = mpl.colormaps["plasma"](0.9 * k / len(phases))
         _draw_rods(axes, rods, (rest + gain * moved[phase])[:, seen], shade, 0.9)
@@ -96,7 +92,7 @@ def draw_grip_response(rods: Rods, flowers: NDArray[Any], response: GripMap, tit
     rows = (0.22, 1) if varies else (1e-3, 1)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.9, narrow), height_ratios=rows)
     mean = response.acceleration.mean(axis=-1)
-    norm = LogNorm(mean.max() * 10**-DECADES, mean.max(), clip=True)
+    norm = LogNorm(mean.max() / 1000, mean.max(), clip=True)
     arm = figure.add_subplot(grid[0, 0]) if varies else None
     if arm is not None:
         arm.loglog(response.frequencies, 1e3 * response.amplitude, color="black", lw=1.2)

@@ -33,11 +33,11 @@ from anther.history import (
     each_trial,
     export,
     find_visit,
+    hide_password,
+    open_reader,
     overview,
     read_outcomes,
-    reading,
     record_note,
-    shown,
 )
 from anther.history import starting_material as believed
 from anther.history.overview import Tally
@@ -45,9 +45,6 @@ from anther.plant.visit import Result, Visit, result_of, result_words
 from anther.show.style import STYLE, quantity
 
 __all__ = ["make_app"]
-
-WIDTH, HEIGHT = 600.0, 100.0
-"""Of the SVG's view box; the page stretches it."""
 
 
 class Bar(NamedTuple):
@@ -128,9 +125,10 @@ def _chart(
     since, until = span
     count = (until - since).days + 1
     top = top or max(values.values(), default=0.0) or 1.0
-    step = WIDTH / count
+    width, height = 600.0, 100.0  # of the SVG's view box; the page stretches it
+    step = width / count
     bars = [
-        Bar(step * k, HEIGHT * (1 - values[day] / top), 0.8 * step, HEIGHT * values[day] / top, f"{day}: {said}")
+        Bar(step * k, height * (1 - values[day] / top), 0.8 * step, height * values[day] / top, f"{day}: {said}")
         for k in range(count)
         if (day := since + timedelta(days=k)) in values and (said := form.format(values[day]))
     ]
@@ -155,9 +153,8 @@ LARGEST_NOTE = 65_536
 LONGEST = 366
 """Days of an export."""
 
-FIRST_DAY: Any = date(1970, 1, 2)
-LAST_DAY: Any = date(9000, 1, 1)
-Bounded = Query(ge=FIRST_DAY, le=LAST_DAY)
+DAYS: Any = {"ge": date(1970, 1, 2), "le": date(9000, 1, 1)}
+Bounded = Query(**DAYS)
 Day = Annotated[date | None, Bounded]
 Number = Annotated[int, Path_(ge=1, le=2**31 - 1)]
 Before = Annotated[int | None, Query(ge=1, le=2**31 - 1)]
@@ -186,7 +183,7 @@ def make_app(history: str, runs: Path, token: str | None = None, *, local: bool 
     templates = Jinja2Templates(HERE / "templates")
     templates.env.globals.update(result_of=result_of, result_words=result_words, quantity=quantity, results=RESULTS)
     templates.env.globals.update(
-        {"today": lambda: datetime.now(UTC).date(), "place": shown(history), "writes": token is not None}
+        {"today": lambda: datetime.now(UTC).date(), "place": hide_password(history), "writes": token is not None}
     )
 
     def page(request: Request, name: str, status: int = 200, **values: Any) -> HTMLResponse:
@@ -395,7 +392,7 @@ def _exports(app: FastAPI, house: House, page: Callable[..., HTMLResponse]) -> N
 
 def _read(house: House, ask: Callable[[Session], dict[str, Any]], nothing: dict[str, Any]) -> dict[str, Any]:
     """Return what is read in one transaction; `nothing` where there is no history yet."""
-    with reading(house.history) as session:
+    with open_reader(house.history) as session:
         return nothing if session is None else ask(session)
 
 

@@ -18,33 +18,34 @@ from anther.show.results import RunResults
 from anther.show.scene import FLOWER_RADIUS, hand, limbs
 from anther.show.style import GRIPPER_COLOR, PREDICTED_COLOR, ROBOT_COLOR, SHAKE_COLOR, rgb
 from anther.show.viewer._motion import RATE, Replay, motion_of
-from anther.show.viewer._scene import POINTS_IN_FILE, Handles, add_mesh, build_scene, placed
+from anther.show.viewer._scene import Handles, add_mesh, build_scene, placed
 
 __all__ = ["serve", "write_html"]
 
 MEASURED, PREDICTED = SHAKE_COLOR, PREDICTED_COLOR
 SPEEDS = {"real time": 1.0, "half": 0.5, "a tenth": 0.1}
-SECONDS = 8.0
-"""Of play at most in an HTML file [s]: it grows with them."""
 
 
-def write_html(path: Path, results: RunResults, *, exaggeration: float) -> None:
+def write_html(
+    path: Path, results: RunResults, *, exaggeration: float, seconds: float = 8.0, most_points: int = 40_000
+) -> None:
     """Write the scene of a run to one HTML file that opens without a server and plays the end of the shake.
 
-    Motions are shown larger by the exaggeration [-].
+    Motions are shown larger by the exaggeration [-]. The file grows with the seconds of play, and with the points of
+    the cloud that are shown.
     """
     with redirect_stdout(io.StringIO()):  # viser announces its address even when nobody is to visit it
         server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
         try:
-            handles = build_scene(server, results, most_points=POINTS_IN_FILE)
+            handles = build_scene(server, results, most_points=most_points)
             motion = motion_of(results)
             page = server.get_scene_serializer()
             if motion is not None:
                 player = Player(server, results, motion, handles)
-                for i in range(max(0, len(motion.times) - int(SECONDS * RATE)), len(motion.times)):
+                for i in range(max(0, len(motion.times) - int(seconds * RATE)), len(motion.times)):
                     player.show(i, exaggeration)
                     page.insert_sleep(1 / RATE)
-            text = _entitled(page.as_html(), results.title, handles.legend + (f"<br>{PLAYED}" if motion else ""))
+            text = _add_title(page.as_html(), results.title, handles.legend + (f"<br>{PLAYED}" if motion else ""))
             write_text(path, text)
         finally:
             server.stop()
@@ -61,7 +62,7 @@ OPENED = """<script>const waiting = setInterval(() => { if (document.querySelect
 """Takes the word away when the scene, which viser fades in, can be seen."""
 
 
-def _entitled(page: str, title: str, legend: str) -> str:
+def _add_title(page: str, title: str, legend: str) -> str:
     """Return a page of viser's with a title, a legend, and a word to those who wait for its scene."""
     font = "font:13px/1.5 system-ui,sans-serif;color:#1d2a22"
     over = "position:fixed;left:10px;top:10px;right:10px;pointer-events:none;z-index:9"  # viser's slider is below

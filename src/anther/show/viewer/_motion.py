@@ -22,12 +22,6 @@ from anther.show.run_scene import arm_of
 
 RATE = 30.0
 """Pictures a second of play."""
-PICTURES = 10
-"""Of a period at least: a shake that is faster than `RATE` allows is sampled more often and so plays slower."""
-AROUND = 1.0
-"""Periods to either side from which the grip's swing at one moment is fitted."""
-GAP = 0.12
-"""A flower is not drawn between two sightings that are further apart [s]."""
 
 ComplexArray = NDArray[np.complex128]
 
@@ -63,15 +57,20 @@ def motion_of(results: RunResults) -> Replay | None:
         return None
     begin, end = float(trial.shake_times[0]), float(trial.shake_times[-1])
     frequency = trial.steps[-1].frequencies[0] if trial.steps else shake.frequency
-    times = np.arange(begin, end, 1 / max(RATE, PICTURES * frequency))
+    times = np.arange(begin, end, 1 / max(RATE, 10 * frequency))  # a faster shake plays slower
     joints = np.column_stack([np.interp(times, trial.shake_times, q) for q in trial.measured.T])
     opening = float(trial.gripper[0, 0]) if len(trial.gripper) else 0.0
     return Replay(
-        arm, times - begin, joints, opening, _swayed(arm, plant, shake, trial, times), _filmed(results, times)
+        arm,
+        times - begin,
+        joints,
+        opening,
+        _predict_sway(arm, plant, shake, trial, times),
+        _read_tracks(results, times),
     )
 
 
-def _swayed(arm: ArmModel, plant: PlantModel, shake: ShakePlan, trial: Trial, times: Array) -> Array:
+def _predict_sway(arm: ArmModel, plant: PlantModel, shake: ShakePlan, trial: Trial, times: Array) -> Array:
     """Return (T, N, 3) what the rods do as linear theory says, to the grip's own swing at each step's frequencies."""
     flange = arm.forward(trial.measured)
     along = (flange[:, :3, :3] @ arm.tool.T_flange_grasp[:3, 3]) @ shake.direction
@@ -104,11 +103,11 @@ def _swing(read: Array, along: Array, frequencies: Array, times: Array, within: 
 
     if len(frequencies) > 1:
         return np.tile(phasors((read >= within[0]) & (read < within[1])), (len(times), 1))
-    return np.array([phasors(np.abs(read - time) <= AROUND / frequencies[0]) for time in times]).reshape(-1, 1)
+    return np.array([phasors(np.abs(read - time) <= 1 / frequencies[0]) for time in times]).reshape(-1, 1)
 
 
-def _filmed(results: RunResults, times: Array) -> Array:
-    """Return (T, F, 3) the flowers' tracks at the times; NaN where they were lost."""
+def _read_tracks(results: RunResults, times: Array, longest: float = 0.12) -> Array:
+    """Return (T, F, 3) the flowers' tracks at the times; NaN where they were lost, for longer than `longest` [s]."""
     response = results.response
     if response is None or not len(response.times):
         return np.full((len(times), 0, 3), np.nan)
@@ -119,6 +118,6 @@ def _filmed(results: RunResults, times: Array) -> Array:
             continue
         when, where = response.times[seen], response.tracks[seen, f]
         after = np.clip(np.searchsorted(when, times), 1, len(when) - 1)
-        near = (times >= when[0]) & (times <= when[-1]) & (when[after] - when[after - 1] <= GAP)
+        near = (times >= when[0]) & (times <= when[-1]) & (when[after] - when[after - 1] <= longest)
         out[near, f] = np.column_stack([np.interp(times[near], when, axis) for axis in where.T])
     return out

@@ -25,14 +25,8 @@ def placed(T: Array) -> tuple[Any, Any]:
     return T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
 
 
-POINT_SIZE = 0.0006
-"""[m]: through the gaps between the cloud's points the skeleton is seen."""
-PALE = 0.45
-"""Share of white in the cloud's colours, before which the skeleton stands out."""
 VIEW_FROM = np.array([0.4, -0.6, 0.2])
 """From where the plant is seen first, from its middle [m]: across the arm, which comes along +x."""
-POINTS_IN_FILE = 40_000
-"""Of the cloud at most, where the scene is written to one file: it opens at once, and shows what is within."""
 
 
 @dataclass
@@ -114,7 +108,8 @@ def _add(scene: Any, layer: Layer, handles: Handles, most: int | None) -> list[A
         style = {"radius": radius, "color": colour, "opacity": 0.6}
         parts.append(scene.add_icosphere(f"{name}/{i + 1}", **style, position=centre, **shown))
     if layer.arrows is not None:
-        parts.append(scene.add_arrows(f"{name}/arrows", layer.arrows.astype(np.float32), colour, **ARROW, **shown))
+        size = {"shaft_radius": 0.002, "head_radius": 0.005, "head_length": 0.015}  # m
+        parts.append(scene.add_arrows(f"{name}/arrows", layer.arrows.astype(np.float32), colour, **size, **shown))
     if layer.solids:
         parts.append(add_mesh(scene, f"{name}/solids", list(layer.solids), colour, **shown))
     k = layer.camera
@@ -126,17 +121,14 @@ def _add(scene: Any, layer: Layer, handles: Handles, most: int | None) -> list[A
     return parts
 
 
-ARROW = {"shaft_radius": 0.002, "head_radius": 0.005, "head_length": 0.015}
-"""[m]"""
-
-
-def _add_points(scene: Any, name: str, layer: Layer, most: int | None) -> Any:
+def _add_points(scene: Any, name: str, layer: Layer, most: int | None, white: float = 0.45) -> Any:
+    """Add small points with a share of white in their colours: the skeleton is seen between them, and stands out."""
     assert layer.points is not None
     step = 1 if most is None else max(1, -(-len(layer.points) // most))
     points = layer.points[::step].astype(np.float32)
     colours = np.tile(rgb(layer.colour), (len(points), 1)) if layer.colours is None else layer.colours[::step]
-    colours = (PALE * 255 + (1 - PALE) * colours).astype(np.uint8)
-    style = {"point_size": POINT_SIZE, "point_shape": "circle", "point_shading": "flat"}
+    colours = (white * 255 + (1 - white) * colours).astype(np.uint8)
+    style = {"point_size": 0.0006, "point_shape": "circle", "point_shading": "flat"}
     return scene.add_point_cloud(name, points, colours, **style, visible=layer.shown)
 
 

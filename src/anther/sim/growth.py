@@ -14,27 +14,17 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigh
 
 from anther.core.geometry import Array, transform, transform_points
-from anther.sim._mesh import Mesh, revolve, tube, unit
+from anther.sim.mesh import Mesh, revolve, tube, unit
 from anther.sim.plant import GRAVITY, POT_HEIGHT, SOIL_Z, Organ, Pot, SimPlant
 
-STEM_YOUNGS = (30e6, 300e6)
-"""Range of the stem's Young's modulus [Pa], log-uniform (facts: pollination 0, prior for E, centre about 100 MPa)."""
-PEDICEL_YOUNGS = (50e6, 100e6)
-"""Range of a pedicel's Young's modulus [Pa] (facts: pollination 1a)."""
-FLOWER_RESONANCE = (20.0, 35.0)
-"""Range in which a flower swings on its pedicel [Hz] (facts: pollination 1a: 20-35 Hz, 30 Hz measured)."""
 SELF_SUPPORT = 2.0
 """How many times stiffer a plant is than one that just does not buckle under its own weight; 2 is a height margin of
 2^(1/3) = 1.26 over Greenhill's limit (height ~ E^(1/3)). An estimate: plants in pots stand without a stake."""
-DENSITY = 1000.0
-"""Of all tissue [kg/m3]; an estimate."""
 AREAL_DENSITY = 0.25
 """Mass of a fresh blade per area [kg/m2]: 0.25 mm of tissue that is mostly water (an estimate)."""
+GOLDEN_ANGLE = np.radians(137.5)
 LONGEST = 0.05
 """Longest segment [m]: `sim.plant_mechanics` bends a plant between its segments only."""
-SOIL_COLOUR = (58, 43, 33)
-POT_COLOURS = ((178, 98, 66), (42, 42, 45), (160, 88, 60))
-"""Terracotta, black plastic, darker terracotta."""
 
 
 def arc(base: Array, azimuth: float, length: float, elevation: tuple[float, float], count: int) -> Array:
@@ -82,7 +72,8 @@ class Growth:
 
     Attributes:
         rng: source of everything random.
-        youngs: of the tissue [Pa]; a chain may have its own. 0: drawn, log-uniform over STEM_YOUNGS.
+        youngs: of the tissue [Pa]; a chain may have its own. 0: drawn, log-uniform over
+            30 to 300 MPa (facts: pollination 0).
     """
 
     rng: np.random.Generator
@@ -93,7 +84,7 @@ class Growth:
     _vertices: int = 0
 
     def __post_init__(self) -> None:
-        self.youngs = self.youngs or float(np.exp(self.rng.uniform(*np.log(STEM_YOUNGS))))
+        self.youngs = self.youngs or float(np.exp(self.rng.uniform(*np.log((30e6, 300e6)))))
 
     def chain(
         self,
@@ -123,7 +114,7 @@ class Growth:
             the n - 1 numbers of the segments that end at points[1:].
         """
         radii = np.asarray(radii, dtype=np.float64)
-        tissue = {"organ": organ, "youngs": youngs or self.youngs, "density": DENSITY}
+        tissue = {"organ": organ, "youngs": youngs or self.youngs, "density": 1000.0}  # an estimate
         first, last = len(self._segments), []
         for i, step in enumerate(np.diff(points, axis=0)):
             count = int(np.ceil(np.linalg.norm(step) / LONGEST))
@@ -187,14 +178,14 @@ class Growth:
             mass: range of the flower's mass [kg].
             nod: range of how far down it turns at the knee [-].
             parts: shares of the length before and after the knee.
-            widths: radii at base, knee and end, over that with which it resonates in FLOWER_RESONANCE.
+            widths: radii at base, knee and end, over that with which it resonates at 20-35 Hz.
 
         Returns:
             its last segment, its end (3,) [m], and the unit vector (3,) in which it ends.
         """
         rng = self.rng
-        long, heavy, youngs = rng.uniform(*length), rng.uniform(*mass), rng.uniform(*PEDICEL_YOUNGS)
-        radius = pedicel_radius(long + 0.003, heavy, youngs, rng.uniform(*FLOWER_RESONANCE))
+        long, heavy, youngs = rng.uniform(*length), rng.uniform(*mass), rng.uniform(50e6, 100e6)
+        radius = pedicel_radius(long + 0.003, heavy, youngs, rng.uniform(20.0, 35.0))  # facts: pollination 1a
         base, end = self.end(parent), unit(out + np.array([0, 0, -rng.uniform(*nod)]))
         points = np.stack([base, base + parts[0] * long * out, base + long * (parts[0] * out + parts[1] * end)])
         radii = radius * np.array(widths)
@@ -209,7 +200,8 @@ class Growth:
 
     def _pot(self, radius: float) -> None:
         """Add a pot with soil under the origin."""
-        colour = POT_COLOURS[self.rng.integers(len(POT_COLOURS))]
+        paints = ((178, 98, 66), (42, 42, 45), (160, 88, 60))  # terracotta, black plastic, darker terracotta
+        colour = paints[self.rng.integers(len(paints))]
         r, h = radius, POT_HEIGHT
         outside = [
             (0, -h),
@@ -225,7 +217,7 @@ class Growth:
         soil, faces = revolve(np.stack([rings, -0.012 * (rings / r) ** 2], axis=1), sides=56)
         crumbs = slice(56, -56)
         soil[crumbs] += self.rng.normal(0, 0.0014, soil[crumbs].shape)
-        colours = np.clip(np.array(SOIL_COLOUR) * self.rng.uniform(0.6, 1.35, (len(soil), 1)), 0, 255)
+        colours = np.clip(np.array((58, 43, 33)) * self.rng.uniform(0.6, 1.35, (len(soil), 1)), 0, 255)
         self.surface((soil, faces), Organ.SOIL, colours, -1)
 
     def finish(self, species: str, seed: int, *, axis: tuple[float, float], viewpoint: float) -> SimPlant:

@@ -19,21 +19,12 @@ from scipy.spatial.transform import Rotation
 
 from anther.core.errors import StageFailure
 from anther.core.geometry import Array
-from anther.sim._pieces import Params, Pieces, cut, mass_properties
+from anther.sim.pieces import Params, Pieces, cut, mass_properties
 from anther.sim.plant import GRAVITY, Organ, SimPlant
 
 mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
 
-FLUTTER = 30.0
-"""Frequency at which the hinges alone give `damping_ratio`, and below which they give less [Hz]."""
-FOLDED = 1.2
-"""Angle at which a hinge stops [rad]: far beyond what tissue bears, and short of a right angle, where two crossed
-hinges lose a direction and a plant pushed aside would spin without bound."""
-BLADE = 0.03
-"""Longest box along a blade [m]."""
-THICKNESS = 0.002
-"""Of a box [m]: a blade's 0.25 mm and its ripples. An estimate."""
-GIVE = 0.2
+_BLADE_TIME = 0.2
 """Time constant of a blade's contact [s]. A blade is a membrane that bends away: a strip of it 40 mm long and wide,
 0.25 mm thick, of 75 MPa, is a spring of 0.2 N/m at its end, its midrib (0.7 mm) one of 0.7 N/m (3 E I / L^3). With this
 constant fingers that go through three grown plants press into blades with 0.5-2 N/m in the median (measured; with
@@ -85,7 +76,7 @@ def add_plant(spec: Any, plant: SimPlant, params: Params, *, contype: int = 0) -
 
 
 def leaf_boxes(plant: SimPlant) -> list[tuple[int, Array, Array, Array]]:
-    """Return boxes around pieces of every leaf blade of the mesh, at most `BLADE` long.
+    """Return boxes around pieces of every leaf blade of the mesh, at most 3 cm long.
 
     Each is the segment it rides on, its centre (3,) [m], its axes (3, 3) in columns, its half extents (3,) [m].
     """
@@ -102,7 +93,7 @@ def leaf_boxes(plant: SimPlant) -> list[tuple[int, Array, Array, Array]]:
 
 
 def _add_blades(spec: Any, plant: SimPlant, pieces: Pieces, contype: int) -> None:
-    """Add the blades as boxes `blade_<i>_<segment>`: soft (`GIVE`), and without mass, which is the segments' lumps."""
+    """Add the blades as boxes `blade_<i>_<segment>`: soft (`_BLADE_TIME`), and without mass: the segments have it."""
     for i, (k, centre, axes, half) in enumerate(leaf_boxes(plant)):
         b = pieces.body[k]
         spec.body(f"plant_{b}").add_geom(
@@ -116,17 +107,17 @@ def _add_blades(spec: Any, plant: SimPlant, pieces: Pieces, contype: int) -> Non
             conaffinity=0,
             condim=1,
             priority=2,
-            solref=[GIVE, 1.0],
+            solref=[_BLADE_TIME, 1.0],
             solimp=[0.5, 0.9, 0.005, 0.5, 2],
             group=2,
         )
 
 
-def _runs(points: Array) -> list[Array]:
-    """Cut points (n, 3) across their longest extent into runs of at most `BLADE`; runs of fewer than four are left."""
+def _runs(points: Array, longest: float = 0.03) -> list[Array]:
+    """Cut points (n, 3) across their longest extent into runs of at most `longest` [m], without those of under four."""
     centred = points - points.mean(axis=0)
     along = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]
-    count = max(int(np.ceil(np.ptp(along) / BLADE)), 1)
+    count = max(int(np.ceil(np.ptp(along) / longest)), 1)
     run = np.minimum(((along - along.min()) / max(np.ptp(along), 1e-9) * count).astype(int), count - 1)
     return [points[run == i] for i in range(count) if np.sum(run == i) >= 4]
 
@@ -139,7 +130,7 @@ def _box(points: Array) -> tuple[Array, Array, Array]:
     local = (points - mean) @ axes
     half = np.ptp(local, axis=0) / 2
     centre = mean + axes @ (local.min(axis=0) + half)
-    return centre, axes, np.array([half[0], half[1], THICKNESS / 2])
+    return centre, axes, np.array([half[0], half[1], 0.001])  # a blade's 0.25 mm and its ripples: an estimate
 
 
 def _add_tie(spec: Any, plant: SimPlant, body: Any, pieces: Pieces) -> None:
@@ -171,12 +162,14 @@ def _add_hinges(body: Any, plant: SimPlant, k: int, bending: float, twist: float
         joint.stiffness = [stiffness, 0, 0]
         joint.damping = [beta * stiffness, 0, 0]
         joint.armature = stiffness / (2 * np.pi * fastest) ** 2
-        joint.range, joint.limited, joint.solref_limit = [-FOLDED, FOLDED], 1, [4 * dt, 1]
+        # far beyond what tissue bears, and short of a right angle, where two crossed hinges lose a direction
+        joint.range, joint.limited, joint.solref_limit = [-1.2, 1.2], 1, [4 * dt, 1]
 
 
 def _beta(ratio: Any, dt: float) -> Any:
+    """Return damping over stiffness [s] of hinges that alone give `ratio` at 30 Hz, and less below."""
     # implicitfast takes springs explicitly and dampers implicitly: damping/stiffness >= 0.7 dt keeps it stable
-    return np.maximum(ratio / (np.pi * FLUTTER), 0.7 * dt)
+    return np.maximum(ratio / (np.pi * 30.0), 0.7 * dt)
 
 
 def alone(plant: SimPlant, params: Params, timestep: float = 2e-3) -> PlantMechanics:
@@ -198,7 +191,6 @@ class PlantMechanics:
     Attributes:
         dofs: (D,) its degrees of freedom in the model.
         frequencies: (D,) natural frequencies about the rest shape [Hz], lowest first.
-        mass_damping: the Rayleigh coefficient alpha [1/s].
     """
 
     def __init__(self, model: Any, plant: SimPlant, pieces: Pieces) -> None:
@@ -212,8 +204,9 @@ class PlantMechanics:
         self._ratio = np.repeat(plant.damping_ratio[pieces.first], model.body_jntnum[self.bodies])
         data = mujoco.MjData(model)
         self._hang(data)
-        self.frequencies, self._first = self._modes(data)
-        self.mass_damping = self._air_damping(*self._first)
+        self._modes = self._free_modes(data)
+        self.frequencies = np.sqrt(self._modes[0]) / (2 * np.pi)
+        self._undamped = self.underdamped(*self._modes)
         self._rest_origin = plant.start[pieces.first]
 
     def _hang(self, data: Any) -> None:
@@ -225,21 +218,44 @@ class PlantMechanics:
     def damp(self, timestep: float) -> None:
         """Damp hinges and plant anew as a finer `timestep` [s] allows: by what is true of more of them."""
         self.model.dof_damping[self.dofs] = _beta(self._ratio, timestep) * self.model.jnt_stiffness[self.joints]
-        self.mass_damping = self._air_damping(*self._first)
+        self._undamped = self.underdamped(*self._modes)
 
-    def _modes(self, data: Any) -> tuple[Array, tuple[float, Array]]:
-        """Return all natural frequencies [Hz], and the first mode in bending: [rad/s] and shape."""
+    def underdamped(self, values: Array, modes: Array) -> tuple[Array, Array]:
+        """Return the modes (D, K) that the hinges damp too little, and the rates that they lack: 2 z w - c [1/s].
+
+        A mode is to have the damping ratio of its segments, the mean by the energy in their springs. Modes faster than
+        `FLUTTER` are damped enough by the hinges.
+
+        Args:
+            values: (M,) squared natural frequencies [1/s2].
+            modes: (D, M) of unit modal mass.
+        """
+        energy = self.model.jnt_stiffness[self.joints][:, None] * modes**2
+        ratio = self._ratio @ energy / energy.sum(axis=0)
+        lacking = 2 * ratio * np.sqrt(values) - self.model.dof_damping[self.dofs] @ modes**2
+        return modes[:, lacking > 0], lacking[lacking > 0]
+
+    def drag(self, data: Any) -> Array:
+        """Return (D,) the torques that damp what the hinges do not, with the inertia of the plant as it is now bent."""
+        modes, lacking = self._undamped
+        moving, momentum = np.zeros(self.model.nv), np.empty(self.model.nv)
+        moving[self.dofs] = data.qvel[self.dofs]
+        mujoco.mj_mulM(self.model, data, momentum, moving)
+        moving[self.dofs] = modes @ (lacking * (momentum[self.dofs] @ modes))
+        mujoco.mj_mulM(self.model, data, momentum, moving)
+        return -momentum[self.dofs]
+
+    def _free_modes(self, data: Any) -> tuple[Array, Array]:
+        """Return squared frequencies and modes of the plant in its pot, as `underdamped` takes them."""
         m, d = self.model, self.dofs
         mass = np.zeros((m.nv, m.nv))
         mujoco.mj_fullM(m, data, mass)
-        mass, stiffness, bends = mass[np.ix_(d, d)], self.stiffness(data), np.ix_(self._bends, self._bends)
-        values = eigh(stiffness, mass, eigvals_only=True)
+        values, modes = eigh(self.stiffness(data), mass[np.ix_(d, d)])
         if values[0] <= 0:
             raise StageFailure(
                 "no_convergence", "the simulated plant cannot carry its own weight (it buckles): its stem is too soft."
             )
-        first, shape = eigh(stiffness[bends], mass[bends], subset_by_index=[0, 0])
-        return np.sqrt(values) / (2 * np.pi), (float(np.sqrt(first[0])), shape[:, 0])
+        return values, modes
 
     def stiffness(self, data: Any, step: float = 1e-5) -> Array:
         """Return (D, D) the springs and the change of the gravity torques with the hinge angles, at `data`'s place.
@@ -271,14 +287,6 @@ class PlantMechanics:
         mujoco.mj_jacSite(self.model, data, place, None, self.model.site("tied").id)
         sideways = place[:2, self.dofs]
         return self.plant.tie[1] * sideways.T @ sideways
-
-    def _air_damping(self, omega: float, shape: Array) -> float:
-        """Return alpha so that a bending mode's ratio is the strain-energy mean of the segments' ratios."""
-        m = self.model
-        energy = m.jnt_stiffness[self.joints[self._bends]] * shape**2
-        wanted = float(energy @ self._ratio[self._bends] / energy.sum())
-        hinge = float(m.dof_damping[self.dofs[self._bends]] @ shape**2)
-        return max(2 * omega * wanted - hinge, 0.0)
 
     def segment_poses(self, data: Any) -> Array:
         """Return T_world_rest (K, 4, 4): maps a segment's generated position to the present one."""

@@ -24,15 +24,6 @@ them, for which there is no source. Rachises and midribs, which blades stiffen, 
 not hold themselves up (measured). Nor do pedicels: their flowers' measured frequency is that of bending alone (facts:
 pollination 1a)."""
 
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
-GAUSS_AT, GAUSS_WEIGHT = _NODES[:, None] / 2 + 0.5, _WEIGHTS[:, None] / 2
-"""Where along a segment integrals are evaluated, and with what weight; shares of its length."""
-
-BEND = 0.5
-"""A piece ends where the plant turns by more than this [rad]."""
-LEAST = 4
-"""Pieces in an unbranched run at least, where it has that many segments."""
-
 
 @dataclass(frozen=True, slots=True)
 class Params:
@@ -93,14 +84,14 @@ def cut(plant: SimPlant, params: Params) -> Pieces:
     """Cut the plant into rigid pieces and find the stiffness between them."""
     heir, body = _heirs(plant), np.full(len(plant.start), -1)
     chain = _chains(plant, heir)
-    limit = np.minimum(params.piece, np.bincount(chain, plant.length) / LEAST)
+    limit = np.minimum(params.piece, np.bincount(chain, plant.length) / 4)  # four pieces a run, if it has as many
     first: list[int] = []
     parent: list[int] = []
     size: list[float] = []
     for k, p in enumerate(plant.parent):
         follows = p >= 0 and heir[p] == k and plant.organ[k] == plant.organ[p]
         fits = follows and size[body[p]] + plant.length[k] <= limit[chain[k]] and plant.joint_compliance[k] == 0
-        if fits and _turn(plant, first[body[p]], k) < BEND:
+        if fits and _turn(plant, first[body[p]], k) < 0.5:  # rad; a piece is nearly straight
             body[k] = body[p]
             size[body[p]] += plant.length[k]
         else:
@@ -118,10 +109,17 @@ def cut(plant: SimPlant, params: Params) -> Pieces:
     return Pieces(body, pieces, np.array(parent), 1 / bending, twist)
 
 
+def _gauss_points() -> tuple[Array, Array]:
+    """Return (6, 1) where along a segment integrals are evaluated, and with what weight: shares of its length."""
+    at, weight = np.polynomial.legendre.leggauss(6)
+    return at[:, None] / 2 + 0.5, weight[:, None] / 2
+
+
 def _softness(plant: SimPlant) -> Array:
     """Return (6, K) the shares of each segment's integral of ds / (E I) at Gauss's points [rad/(N m)]."""
-    radius = plant.radius_start + GAUSS_AT * (plant.radius_end - plant.radius_start)
-    return GAUSS_WEIGHT * plant.length / (plant.youngs * np.pi / 4 * radius**4)
+    at, weight = _gauss_points()
+    radius = plant.radius_start + at * (plant.radius_end - plant.radius_start)
+    return weight * plant.length / (plant.youngs * np.pi / 4 * radius**4)
 
 
 def _twist(softness: Array, run: NDArray[Any], params: Params) -> Array:
@@ -150,7 +148,7 @@ def _stiffness(plant: SimPlant, heir: NDArray[Any], body: NDArray[Any], first: N
     size = np.bincount(body, plant.length)
     lever = np.maximum(_levers(plant, first), size)
     gone = np.cumsum(plant.length) - plant.length  # segments of a piece follow each other
-    at, whole = gone - gone[first][body] + GAUSS_AT * plant.length, size[body]
+    at, whole = gone - gone[first][body] + _gauss_points()[0] * plant.length, size[body]
     last = (after < 0)[body]
     near = np.where(last, 1, 1 - at / whole) * (1 - at / lever[body]) ** 2
     far = np.where(last, 0, at / whole) * (1 + (whole - at) / lever[after][body]) ** 2

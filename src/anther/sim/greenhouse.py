@@ -12,32 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.core.geometry import Array
-from anther.sim._mesh import Mesh, box, grid_faces, join, tube, unit
+from anther.sim.mesh import Mesh, box, grid_faces, join, tube, unit
 from anther.sim.plant import Organ, Pot
 
 RGB = tuple[int, int, int]
 Matrix = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
 
-BENCH_SIZE = (0.5, 0.8, 0.04)
-"""Of the bench's top [m], centred under the pot."""
-FLOOR_Z = -1.25
-WALL_DISTANCE = 3.5
-WALL_TOP = 2.2
-BENCH_GREY, FLOOR_GREY = (150, 152, 154), (176, 172, 165)
-HAZE_LOW, HAZE_HIGH = (170, 180, 166), (244, 248, 250)
-TERRACOTTA, BLACK_PLASTIC, WHITE_FILM = (178, 98, 66), (42, 42, 45), (236, 238, 238)
-BAMBOO, STRING_WHITE = (196, 164, 110), (228, 226, 214)
-
-DAYLIGHT: Matrix = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
-WARM: Matrix = ((1.5, 0, 0), (0, 1, 0), (0, 0, 0.33))
-"""A camera balanced for daylight under lamps of about 3000 K (an estimate)."""
-COLD: Matrix = ((0.5, 0, 0), (0, 0.95, 0), (0, 0, 1.5))
-"""A camera balanced for lamps under a blue sky (an estimate)."""
-DIM: Matrix = ((0.12, 0, 0), (0, 0.12, 0), (0, 0, 0.12))
-"""Three stops too dark: a third of full scale where daylight gives white."""
-RED_LED: Matrix = ((0.80, 0, 0.02), (0.06, 0, 0.05), (0.02, 0, 0.32))
-"""Grow lamps of 660 nm and some 450 nm. There is no green light: what the green channel sees has leaked into it
-from red and blue (the shares are estimates)."""
+FLOOR_Z, WALL_DISTANCE, WALL_TOP = -1.25, 3.5, 2.2
+"""Where floor and walls are [m]; z in the world."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,18 +27,19 @@ class Setting:
     """How the greenhouse looks; the default is daylight and nothing added.
 
     Attributes:
-        light: (3, 3) maps linear light as the renderer has it (red, green, blue) to what the camera's channels take in.
+        light: (3, 3) maps linear light as the renderer has it (red, green, blue) to what the camera's channels take in:
+            all below 1 is dim; more red and less blue is a lamp to a camera balanced for daylight.
         sun: whether the sun shines, with its shadows.
         pot, soil, bench: sRGB; None keeps the plant's own pot and soil, and grey for the bench.
         stake: whether a bamboo stake stands beside the stem, with a white string up from the pot.
         greenery: whether other plants stand behind, just out of the workspace.
     """
 
-    light: Matrix = DAYLIGHT
+    light: Matrix = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
     sun: bool = True
     pot: RGB | None = None
     soil: RGB | None = None
-    bench: RGB = BENCH_GREY
+    bench: RGB = (150, 152, 154)
     stake: bool = False
     greenery: bool = False
 
@@ -68,19 +51,18 @@ def surroundings(
     setting = setting or Setting()
     rng = np.random.default_rng(7)
     x, y = pot.centre[:2]
-    half = np.array(BENCH_SIZE) / 2
-    bench = box([x - half[0], y - half[1], pot.bench_z - BENCH_SIZE[2]], [x + half[0], y + half[1], pot.bench_z])
+    bench = box([x - 0.25, y - 0.4, pot.bench_z - 0.04], [x + 0.25, y + 0.4, pot.bench_z])
     floor, walls = _floor(x, y), _walls(x, y)
     height = np.clip((walls[0][:, 2:] - FLOOR_Z) / (WALL_TOP - FLOOR_Z) * 1.6 - 0.25, 0, 1)
-    haze = (1 - height) * HAZE_LOW + height * HAZE_HIGH + rng.normal(0, 3, (len(walls[0]), 1))
+    haze = (1 - height) * (170, 180, 166) + height * (244, 248, 250) + rng.normal(0, 3, (len(walls[0]), 1))
     parts = [
         (bench, Organ.BENCH, np.array(setting.bench)),
-        (floor, Organ.SURROUNDINGS, FLOOR_GREY + rng.normal(0, 6, (len(floor[0]), 1))),
+        (floor, Organ.SURROUNDINGS, np.array((176, 172, 165)) + rng.normal(0, 6, (len(floor[0]), 1))),
         (walls, Organ.SURROUNDINGS, haze),
     ]
     if setting.stake:
-        parts.append((_rod(pot, (0.02, 0.015), 0.004, 0.55), Organ.BENCH, np.array(BAMBOO)))
-        parts.append((_rod(pot, (-0.03, 0.03), 0.0012, 0.8), Organ.BENCH, np.array(STRING_WHITE)))
+        parts.append((_rod(pot, (0.02, 0.015), 0.004, 0.55), Organ.BENCH, np.array((196, 164, 110))))
+        parts.append((_rod(pot, (-0.03, 0.03), 0.0012, 0.8), Organ.BENCH, np.array((228, 226, 214))))
     if setting.greenery:
         mesh, green = _neighbours(x, y)
         parts.append((mesh, Organ.SURROUNDINGS, green))

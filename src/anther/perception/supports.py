@@ -1,0 +1,567 @@
+"""Supports: strings, wires, stakes, poles and pipes among a plant's points, set apart. N points, L lines, K sections.
+
+A support is straight over its length, equally thick at both ends, carries no organs and is not green; a stem wanders,
+tapers, and falls apart into loose leaves when it is taken away. Long straight lines through occupied cells are cut into
+sections, and each is weighed: the log-odds of a rigid rod against a piece of plant decide (`log_odds`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial import KDTree
+
+from anther.core.errors import StageFailure
+from anther.core.geometry import Array
+from anther.perception.cloud import Cloud, Support
+from anther.perception.cloud._fusion import voxel_means
+from anther.perception.skeleton import Skeleton
+from anther.perception.stem import Stem
+
+__all__ = ["Evidence", "find_supports", "log_odds", "notes_beside"]
+
+FEWEST = 200
+"""Fewer points show no support beside a plant."""
+_CELLS = 2e7  # of the grid: 20 MB
+_PAIRS = 150_000  # drawn for lines: a string with 1 % of the points is hit fifteen times
+_LINES = 16  # looked at; more are never needed by a row of five
+_GAP = 0.15  # a line may be hidden over this share of the plant's size
+_SHORTEST = 0.4  # a shorter straight thing, relative to the plant's size, is a petiole
+
+
+def find_supports(cloud: Cloud) -> Cloud:
+    """Return the cloud with its supports set apart: out of the plant's points, into `Cloud.supports`.
+
+    A string wound round a stem stays with the stem. A cloud that has supports already is returned as it is.
+
+    Args:
+        cloud: plant points, world frame, z up [m].
+
+    Raises:
+        StageFailure: "no_plant_found": there is nothing but supports.
+    """
+    if cloud.supports or len(cloud.points) < FEWEST:
+        return cloud
+    scene = _Scene.of(cloud)
+    rods = list(_rods(scene))
+    if not rods:
+        return cloud
+    owner, supports = np.full(len(cloud.points), -1), list[Support]()
+    for k, rod in enumerate(rods):
+        kind = _kind(rod, scene.cell)
+        axis = _traced(cloud.points, rod, scene.cell, straight=kind in ("string", "wire"))
+        margin = np.where(rod.alone, 1.0, 0.5) * scene.cell  # where nothing else is near, noise belongs to it
+        off, section = _along(axis, cloud.points)
+        owner[(owner < 0) & (off < rod.radius + margin[section])] = k
+        supports.append(Support(kind, axis, rod.radius, cloud.points[owner == k]))
+    plant = owner < 0
+    if np.count_nonzero(plant) < FEWEST:
+        only = ", ".join(support.name for support in supports)
+        do = "Point the cameras at the plant, or set the workspace."
+        raise StageFailure("no_plant_found", f"supports: the cloud shows only {only}, and no plant. {do}")
+    rest = {
+        name: value[plant]
+        for name in ("points", "normals", "colors", "labels")
+        if (value := getattr(cloud, name)) is not None
+    }
+    notes = tuple(_note(support, rest["points"], scene.cell) for support in supports)
+    return replace(cloud, **rest, supports=tuple(supports), notes=(*cloud.notes, *notes))
+
+
+def notes_beside(cloud: Cloud, skeleton: Skeleton, stem: Stem) -> tuple[str, ...]:
+    """Return a note for each support: what it is, and how far its surface is from the main stem's."""
+    line, radius = skeleton.nodes[stem.node_ids], skeleton.radius[stem.node_ids]
+    notes = []
+    for support in cloud.supports:
+        balls = support.balls(0.003)
+        free = float((KDTree(balls[:, :3]).query(line)[0] - support.radius - radius).min())
+        where = "touches the main stem" if free < 1e-3 else f"{1e2 * free:.1f} cm beside the main stem"
+        notes.append(f"{support.name}: {where}")
+    return tuple(notes)
+
+
+def _note(support: Support, plant: Array, cell: float) -> str:
+    long = float(np.linalg.norm(support.axis[-1] - support.axis[0]))
+    text = f"{support.name}, {long:.2f} m long, is no plant: kept as an obstacle"
+    low = support.axis[np.argmin(support.axis[:, 2])]
+    near = float(KDTree(plant).query(low)[0]) < support.radius + 3 * cell
+    above = low[2] - plant[:, 2].min() > 0.1 * np.ptp(plant[:, 2])
+    if support.soft and near and above:
+        text += "; it ends at the plant: below it may be wound round the stem, and counts as stem there"
+    return text
+
+
+STRING_RADIUS = 0.003
+"""Twine is 1 to 3 mm thick, and a depth camera adds as much (a guess): what is thicker is rigid."""
+
+
+def _kind(rod: _Rod, cell: float) -> Literal["string", "wire", "stake", "pole"]:
+    """Return what a rod is; one that the cloud shows too coarsely to be sure is no string."""
+    if rod.radius + 0.2 * cell <= STRING_RADIUS:
+        return "string" if abs(rod.along[2]) > 0.7 else "wire"
+    return "stake" if rod.radius <= 0.01 else "pole"
+
+
+def _along(axis: Array, points: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Return how far points (N, 3) are from an axis (K + 1, 3) [m], and which of its K pieces is nearest to each."""
+    fine = np.linspace(0, len(axis) - 1, 20 * (len(axis) - 1) + 1)
+    line = np.stack([np.interp(fine, np.arange(len(axis)), column) for column in axis.T], axis=1)
+    off, nearest = KDTree(line).query(points)
+    return off, np.minimum(fine[nearest].astype(np.int64), len(axis) - 2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scene:
+    """A cloud thinned to one point a cell.
+
+    Attributes:
+        points: (N, 3) [m].
+        greenness: (N,) 2 g - r - b over r + g + b, or None without colour.
+        cell: edge of a cell [m].
+        lower: (3,) corner of the grid [m].
+        grid: which cells hold points.
+        size: the middle one of the three extents, of a row a plant's own; at least a fifth of the largest [m].
+        coarse: whether the cells are larger than they need be.
+    """
+
+    points: Array
+    greenness: Array | None
+    cell: float
+    lower: Array
+    grid: NDArray[np.bool_]
+    size: float
+    coarse: bool = False
+
+    @classmethod
+    def of(cls, cloud: Cloud) -> _Scene:
+        points = cloud.points
+        extent = np.ptp(np.quantile(points, [0.002, 0.998], axis=0), axis=0)
+        some = points[:: max(1, len(points) // 2000)]
+        spacing = float(np.median(KDTree(points).query(some, k=2)[0][:, 1]))
+        cell = max(1.5 * spacing, float(np.prod(np.ptp(points, axis=0) + 1e-3) / _CELLS) ** (1 / 3), 1e-6)
+        thin = voxel_means(points - points.min(axis=0), cell) + points.min(axis=0)
+        greenness = None
+        if cloud.colors is not None:
+            r, g, b = cloud.colors[KDTree(points).query(thin)[1]].T.astype(np.float64)
+            greenness = (2 * g - r - b) / (r + g + b + 1)
+        lower = points.min(axis=0) - 2 * cell
+        grid = np.zeros(np.ceil((points.max(axis=0) - lower) / cell).astype(int) + 3, dtype=bool)
+        grid[tuple(np.floor((thin - lower) / cell).astype(int).T)] = True
+        return cls(thin, greenness, cell, lower, grid, float(max(np.median(extent), 0.2 * extent.max())))
+
+    def coarser(self) -> _Scene:
+        """Return it in cells three times as large: there a pipe's ring has no gaps."""
+        cell, low = 3 * self.cell, self.points.min(axis=0)
+        points = voxel_means(self.points - low, cell) + low
+        greenness = None if self.greenness is None else self.greenness[KDTree(self.points).query(points)[1]]
+        return replace(self, points=points, greenness=greenness, cell=cell, coarse=True)
+
+    def without(self, rod: _Rod) -> _Scene:
+        """Return it without a rod's points."""
+        keep = ~rod.holds(self.points, self.cell)
+        greenness = None if self.greenness is None else self.greenness[keep]
+        return replace(self, points=self.points[keep], greenness=greenness)
+
+
+def _straight_lines(scene: _Scene) -> Array:
+    """Return lines (L, 2, 3) through occupied cells, the longest first.
+
+    Random pairs of points are joined; what is occupied along nine tenths of the way is followed beyond both ends.
+    """
+    rng = np.random.default_rng(0)
+    first, second = scene.points[rng.integers(0, len(scene.points), (2, _PAIRS))]
+    long = np.linalg.norm(second - first, axis=1) > _SHORTEST * scene.size
+    first, second = first[long], second[long]
+    near = ndimage.binary_dilation(scene.grid, ndimage.generate_binary_structure(3, 1))
+
+    def occupied(at: Array) -> NDArray[np.bool_]:
+        index = np.floor((at - scene.lower) / scene.cell).astype(np.int64)
+        inside = np.all((index >= 0) & (index < near.shape), axis=-1)
+        return inside & near[tuple(np.where(inside[..., None], index, 0).T)].T
+
+    share = (np.arange(40) * 0.618) % 1  # evenly spread, whichever first few are taken
+    for some in (share[:6], share[6:16], share[16:]):
+        held = occupied(first[:, None] + some[:, None] * (second - first)[:, None]).mean(axis=1)
+        first, second = first[held > 0.85], second[held > 0.85]
+    first, second = first[:1500], second[:1500]
+    if not len(first):
+        return np.zeros((0, 2, 3))
+    along = second - first
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    middle = (first + second) / 2
+    reach = np.arange(-1.0, 1.0, scene.cell / np.linalg.norm(np.ptp(scene.points, axis=0)))
+    reach *= np.linalg.norm(np.ptp(scene.points, axis=0))
+    held = occupied(middle[:, None] + reach[:, None] * along[:, None])
+    gap = max(int(_GAP * scene.size / scene.cell), 1)
+    closed = ndimage.binary_closing(np.pad(held, ((0, 0), (gap, gap))), np.ones((1, gap + 1)))[:, gap:-gap]
+    centre = len(reach) // 2
+    closed[:, centre] = True
+    before = centre - np.argmin(closed[:, centre::-1], axis=1) + 1
+    after = centre + np.argmin(np.column_stack([closed[:, centre:], np.zeros(len(closed), bool)]), axis=1) - 1
+    before[closed[:, : centre + 1].all(axis=1)] = 0
+    ends = np.stack([reach[before], reach[after]], axis=1)
+    return (middle[:, None] + ends[..., None] * along[:, None])[np.argsort(ends[:, 0] - ends[:, 1])]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """What speaks for a support, of one straight line's sections.
+
+    Attributes:
+        length: from the first to the last section that shows the rod alone [m].
+        bow: rms distance from the line of a cubic through these sections' centres [m].
+        noise: what of it the centres' scatter about the cubic causes [m].
+        taper: log of the upper third's radius over the lower third's.
+        slenderness: its length over its radius.
+        orphans: pieces of the plant that come loose when the rod is taken away.
+        beyond: whether its upper end (of a level one, either) is beyond the rest of the plant.
+        greenness: of the rod and, median and spread, of the rest; None without colour.
+    """
+
+    length: float
+    bow: float
+    noise: float
+    taper: float
+    slenderness: float
+    orphans: int
+    beyond: bool
+    greenness: tuple[float, float, float] | None = None
+
+
+PRIOR = -3.0
+"""Log-odds that a long straight line in a plant's cloud is a support: one in twenty (a guess)."""
+PRICE = 3.0
+"""Log of how much worse it is to cut a stem away than to keep a support: twenty times (a judgement)."""
+BOW, WANDER = 0.003, 0.012
+"""Rms bow over the length: of strings, stakes and pipes (a guess; the one real pole has 0.002), and of stem segments
+(a guess; the straightest of 93 labelled seedlings have 0.001 to 0.004)."""
+
+
+def log_odds(e: Evidence) -> float:
+    """Return the log-odds of a rigid rod against a piece of plant.
+
+    Each term is the log-ratio of the probabilities of what is seen; the distributions are guesses.
+    """
+    rod = e.noise**2 + (BOW * e.length) ** 2
+    plant = e.noise**2 + (WANDER * e.length) ** 2
+    straight = 2 * np.log(plant / rod) - 2 * e.bow**2 * (1 / rod - 1 / plant)  # four coefficients
+    even = _normal(e.taper, 0, 0.15) - np.logaddexp(_normal(e.taper, -0.4, 0.35), _normal(e.taper, 0, 1.0)) + np.log(2)
+    bare = max(np.log(0.8 / 0.3) + e.orphans * np.log(0.2 / 0.7), -4.0)  # geometric, 0.25 and 2.3 in the mean
+    free = np.log(0.4 / 0.05) if e.beyond else np.log(0.6 / 0.95)
+    slender = np.log(max(e.slenderness, 1.0))
+    thin = min(_normal(slender, np.log(100), 0.9) - _normal(slender, np.log(25), 0.7), 3.0)
+    colour = 0.0
+    if e.greenness is not None:
+        own, middle, spread = e.greenness
+        colour = float(np.clip(_normal(own, 0, 0.2) - _normal(own, middle, max(spread, 0.1)), -1.5, 1.5))
+    return float(PRIOR + straight + even + thin + bare + free + colour)
+
+
+def _normal(x: float, mean: float, sigma: float) -> float:
+    return float(-0.5 * ((x - mean) / sigma) ** 2 - np.log(sigma))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rod:
+    """A straight cylinder: the ends of its axis (3,), its radius [m], and where along it the rod is seen alone.
+
+    Attributes:
+        alone: (K,) of equal sections from start to end, whether nothing but the rod is there.
+    """
+
+    start: Array
+    end: Array
+    radius: float
+    alone: NDArray[np.bool_]
+
+    @property
+    def along(self) -> Array:
+        return (self.end - self.start) / np.linalg.norm(self.end - self.start)
+
+    def _cylinder(self, points: Array) -> tuple[Array, Array]:
+        """Return how far along the axis points (N, 3) are from the start, and how far from the axis [m]."""
+        rel = points - self.start
+        t = rel @ self.along
+        return t, np.linalg.norm(rel - t[:, None] * self.along, axis=1)
+
+    def holds(self, points: Array, cell: float) -> NDArray[np.bool_]:
+        """Return which points (N, 3) are its own: within a cell of its surface, half of one where others touch it."""
+        t, off = self._cylinder(points)
+        share = t / np.linalg.norm(self.end - self.start)
+        section = np.clip((share * len(self.alone)).astype(int), 0, len(self.alone) - 1)
+        margin = np.where(self.alone[section], cell, 0.5 * cell)
+        return (off < self.radius + margin) & (t > -cell) & (t < np.linalg.norm(self.end - self.start) + cell)
+
+    def near(self, lines: Array, cell: float) -> NDArray[np.bool_]:
+        """Return which lines (L, 2, 3) run within the rod or along its surface."""
+        inner = np.stack([0.85 * lines[:, 0] + 0.15 * lines[:, 1], 0.15 * lines[:, 0] + 0.85 * lines[:, 1]])
+        off = np.stack([self._cylinder(some)[1] for some in inner])
+        return np.all(off < self.radius + 3 * cell, axis=0)
+
+
+def _rods(scene: _Scene) -> Iterator[_Rod]:
+    """Yield the rods that are likely enough supports, the longest lines first."""
+    lines, coarse, looked = _straight_lines(scene), scene.coarser(), 0
+    while len(lines) and looked < _LINES:
+        looked += 1
+        found = [pair for view in (scene, coarse) if (pair := _fitted(view, lines[0])) is not None]
+        if not found:
+            lines = lines[1:]
+            continue
+        rod, evidence = max(found, key=lambda pair: log_odds(pair[1]))
+        lines = lines[1:][~rod.near(lines[1:], scene.cell)]
+        if log_odds(evidence) > PRICE:
+            yield rod
+            scene, coarse = scene.without(rod), coarse.without(rod)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sections:
+    """What stands on a line, in K equal sections: the piece next to the line.
+
+    Attributes:
+        t: (K,) along the line [m].
+        centre: (K, 2) mean of the piece's points, across the line [m].
+        spread: (K,) rms distance from that [m]: the radius of a ring.
+        near: (K,) distance of its nearest point from the line [m]; infinite where nothing is.
+        across: (2, 3) unit vectors across the line.
+    """
+
+    t: Array
+    centre: Array
+    spread: Array
+    near: Array
+    across: Array
+
+
+def _sections(scene: _Scene, start: Array, end: Array) -> _Sections:
+    """Cut what is around a line into sections four cells long, and each into pieces."""
+    length = float(np.linalg.norm(end - start))
+    along = (end - start) / length
+    across = np.linalg.svd(along[None])[2][1:]
+    width, cell = max(0.2 * scene.size, 8 * scene.cell), 1.5 * scene.cell
+    rel = scene.points - start
+    t, (x, y) = rel @ along, across @ rel.T
+    inside = (t >= 0) & (t < length) & (np.abs(x) < width) & (np.abs(y) < width)
+    t, x, y = t[inside], x[inside], y[inside]
+    count, cells = max(int(length / (4 * scene.cell)), 1), int(2 * width / cell) + 1
+    k = np.minimum((t / length * count).astype(int), count - 1)
+    place = k, ((x + width) / cell).astype(int), ((y + width) / cell).astype(int)
+    held = np.zeros((count, cells, cells), dtype=bool)
+    held[place] = True
+    flat = np.zeros((3, 3, 3), dtype=int)
+    flat[1] = 1
+    piece = ndimage.label(held, flat)[0][place]
+    off = np.hypot(x, y)
+    order = np.lexsort((off, k))
+    there, first = np.unique(k[order], return_index=True)
+    nearest, near = np.full(count, -1), np.full(count, np.inf)
+    nearest[there], near[there] = piece[order[first]], off[order[first]]
+    mine = piece == nearest[k]
+    k, xy = k[mine], np.stack([x[mine], y[mine]], axis=1)
+    many = np.maximum(np.bincount(k, minlength=count), 1)
+    centre = np.stack([np.bincount(k, column, count) for column in xy.T], axis=1) / many[:, None]
+    spread = np.sqrt(np.bincount(k, np.sum((xy - centre[k]) ** 2, axis=1), count) / many)
+    spread = np.maximum(spread, 0.1 * scene.cell)  # not resolved
+    return _Sections((np.arange(count) + 0.5) * length / count, centre, spread, near, across)
+
+
+def _fitted(scene: _Scene, line: Array) -> tuple[_Rod, Evidence] | None:
+    """Return the rod along a line (2, 3) and its evidence; None where too little of it stands alone."""
+    start, end = line
+    width = 3 * scene.cell
+    for _ in range(2):  # the line first runs on the rod's surface, then along its axis
+        found = _sections(scene, start, end)
+        there = found.near < width
+        if np.count_nonzero(there) < _LEAST:
+            return None
+        typical = float(np.quantile(found.spread[there], 0.3))  # what touches the rod makes sections wider
+        alone = there & (np.abs(np.log(found.spread / typical)) < _ALIKE)
+        if np.count_nonzero(alone) < _LEAST:
+            return None
+        offset, slope, off = _straight_fit(found.t[alone], found.centre[alone])
+        length = np.linalg.norm(end - start)
+        along = (end - start) / length
+        start, end = start + offset @ found.across, start + length * along + (offset + length * slope) @ found.across
+        width = 2 * typical + 3 * scene.cell
+    usual = max(float(np.median(off)), 0.3 * scene.cell)
+    good = np.flatnonzero(alone)[off < 4 * usual]
+    t = found.t[good]
+    if scene.coarse and typical < 1.5 * scene.cell:  # seen as well in fine cells
+        return None
+    if len(t) < _LEAST or len(t) < 0.2 * np.count_nonzero(found.near < np.inf):
+        return None
+    axis = _Rod(start, end, typical, np.isin(np.arange(len(found.t)), good))
+    rod = _measured(scene, axis)
+    third = np.quantile(t, [1 / 3, 2 / 3])
+    upward = np.sign(rod.along[2]) or 1.0
+    taper = np.log(np.median(found.spread[good][t >= third[1]]) / np.median(found.spread[good][t <= third[0]]))
+    bow, noise = _bow(t, found.centre[good])
+    evidence = Evidence(
+        length=float(t[-1] - t[0]),
+        bow=bow,
+        noise=max(noise, 0.05 * scene.cell),
+        taper=float(upward * taper),
+        slenderness=float(t[-1] - t[0]) / rod.radius,
+        orphans=_orphans(scene, rod),
+        beyond=_beyond(scene, rod),
+        greenness=_greenness(scene, rod),
+    )
+    return rod, evidence
+
+
+_LEAST = 6
+"""Sections that show a rod alone."""
+_ALIKE = 0.4
+"""Log of a section's spread over the usual one, within which the rod stands alone."""
+
+
+def _straight_fit(t: Array, centre: Array) -> tuple[Array, Array, Array]:
+    """Return offset (2,), slope (2,) and distances (K,) [m] of the line along most of the centres (K, 2)."""
+    weight = np.ones(len(t))
+    for _ in range(8):
+        slope, offset = np.polyfit(t, centre, 1, w=weight)
+        off = np.linalg.norm(centre - offset - t[:, None] * slope, axis=1)
+        weight = 1 / (1 + (off / max(2 * float(np.median(off)), 1e-9)) ** 2)  # Cauchy
+    return offset, slope, off
+
+
+def _bow(t: Array, centre: Array) -> tuple[float, float]:
+    """Return how far a cubic through centres (K, 2) departs from a line, and what of it their scatter causes [m]."""
+    basis = np.linalg.qr(np.vander((t - t.mean()) / np.ptp(t), 4, increasing=True))[0]
+    share = basis.T @ centre
+    scatter = np.sum((centre - basis @ share) ** 2) / max(2 * (len(t) - 4), 1)
+    return float(np.sqrt(np.sum(share[2:] ** 2) / len(t))), float(np.sqrt(4 * scatter / len(t)))
+
+
+def _measured(scene: _Scene, axis: _Rod) -> _Rod:
+    """Return the rod with its radius and its ends: as far as its surface goes on, over gaps where it is hidden."""
+    t, off = axis._cylinder(scene.points)
+    length, count = float(np.linalg.norm(axis.end - axis.start)), len(axis.alone)
+    own = (off < 2 * axis.radius + scene.cell) & (t >= 0) & (t < length)
+    own[own] &= axis.alone[np.minimum((t[own] / length * count).astype(int), count - 1)]
+    if not own.any():
+        return axis
+    axis, radius = _round(axis, scene.points[own], scene.cell)
+    t, off = axis._cylinder(scene.points)
+    step = length / count
+    section = np.floor(t / step).astype(int)
+    surface = (np.abs(off - radius) < scene.cell) | (off < radius)
+    first = int(section.min())
+    many = np.bincount(section[surface] - first, minlength=int(section.max()) - first + 1)
+    usual = np.median(many[np.flatnonzero(axis.alone) - first])
+    seen = np.flatnonzero(many >= 0.3 * usual) + first
+    core = np.flatnonzero(axis.alone)
+    gap = max(int(_GAP * scene.size / step), 1)
+    low = _followed(core[0], seen[seen < core[0]][::-1], -gap)
+    high = _followed(core[-1], seen[seen > core[-1]], gap)
+    alone = np.zeros(high + 1 - low, dtype=bool)
+    alone[core - low] = True
+    start = axis.start + low * step * axis.along
+    return _Rod(start, axis.start + (high + 1) * step * axis.along, radius, alone)
+
+
+def _traced(points: Array, rod: _Rod, cell: float, *, straight: bool) -> Array:
+    """Return the axis (K + 1, 3) of a rod: straight if it is taut, else along its surface, as a long stake bends."""
+    count, across = len(rod.alone), np.linalg.svd(rod.along[None])[2][1:]
+    step = float(np.linalg.norm(rod.end - rod.start)) / count
+    line = rod.start + np.arange(count + 1)[:, None] * step * rod.along
+    if straight:
+        return line
+    t, off = rod._cylinder(points)
+    near = np.flatnonzero(off < rod.radius + 8 * cell)
+    t, xy = t[near] / step, (points[near] - rod.start) @ across.T
+    aside, first = np.zeros((count + 1, 2)), int(np.median(np.flatnonzero(rod.alone)))
+    for order in (range(first, count + 1), range(first, -1, -1)):
+        at, slope = np.zeros(2), np.zeros(2)
+        for k in order:
+            guess = at + slope
+            step_aside = _ring_centre(xy[np.abs(t - k) < 1], guess, rod.radius, cell) - guess
+            at, slope = guess + 0.5 * step_aside, slope + 0.2 * step_aside  # alpha-beta filter
+            aside[k] = at
+    return line + aside @ across
+
+
+def _ring_centre(xy: Array, guess: Array, radius: float, cell: float) -> Array:
+    """Return the centre of a ring of known radius through points (N, 2), near a guess (2,): this where they are few."""
+    xy, centre = xy[np.linalg.norm(xy - guess, axis=1) < radius + 0.7 * cell], guess
+    if len(xy) < 4:
+        return guess
+    for _ in range(5):
+        ray = xy - centre
+        off = np.linalg.norm(ray, axis=1)
+        ray /= np.maximum(off, 1e-9)[:, None]
+        weight = 1 / (1 + ((off - radius) / (0.3 * cell)) ** 2)
+        ties = (ray * weight[:, None]).T @ ray + 0.2 * weight.sum() * np.eye(2)
+        centre = centre + np.linalg.solve(ties, ray.T @ (weight * (off - radius)))
+    return centre
+
+
+def _round(axis: _Rod, points: Array, cell: float) -> tuple[_Rod, float]:
+    """Return the axis moved into the middle of the surface points (N, 3) around it, and the radius [m].
+
+    A surface seen from one side has its mean beside its axis: a circle is fitted (Kasa 1976) where it can be told from
+    a spot.
+    """
+    across = np.linalg.svd(axis.along[None])[2][1:]
+    xy = (points - axis.start) @ across.T
+    equations = np.column_stack([2 * xy, np.ones(len(xy))])
+    *middle, constant = np.linalg.lstsq(equations, np.sum(xy**2, axis=1), rcond=None)[0]
+    radius = float(np.sqrt(max(constant + float(np.dot(middle, middle)), 0)))
+    if not max(2 * cell, axis.radius) < radius < 2 * axis.radius:  # half a ring spreads by 0.8 r about its mean
+        return axis, float(np.median(np.linalg.norm(xy, axis=1)))
+    moved = np.array(middle) @ across
+    return replace(axis, start=axis.start + moved, end=axis.end + moved), radius
+
+
+def _followed(last: int, numbers: NDArray[np.int64], gap: int) -> int:
+    """Return the last of the numbers, in order, that are not more than a gap apart from `last` on."""
+    for number in numbers.tolist():
+        if abs(number - last) > abs(gap):
+            break
+        last = number
+    return int(last)
+
+
+def _orphans(scene: _Scene, rod: _Rod) -> int:
+    """Return how many pieces of the plant, of half a percent of its points or more, come loose without the rod."""
+    t, off = rod._cylinder(scene.points)
+    length = float(np.linalg.norm(rod.end - rod.start))
+    own = (off < 1.3 * rod.radius + 1.5 * scene.cell) & (t > -scene.cell) & (t < length + scene.cell)
+    coarse = np.floor((scene.points - scene.lower) / (2 * scene.cell)).astype(int)
+    shape = coarse.max(axis=0) + 1
+
+    def parts(keep: NDArray[np.bool_]) -> NDArray[np.int64]:
+        held = np.zeros(shape, dtype=bool)
+        held[tuple(coarse[keep].T)] = True
+        return ndimage.label(held, np.ones((3, 3, 3)))[0][tuple(coarse[~own].T)]
+
+    if own.all():
+        return 0
+    before, after = parts(np.ones(len(own), dtype=bool)), parts(~own)
+    home = np.bincount(after).argmax()  # the largest piece that is left
+    joined = before == before[after == home][0]
+    return int(np.count_nonzero(np.bincount(after[joined & (after != home)]) > 0.005 * len(after)))
+
+
+def _beyond(scene: _Scene, rod: _Rod) -> bool:
+    own = rod.holds(scene.points, 1.5 * scene.cell)
+    if own.all():
+        return True
+    up = rod.along * (np.sign(rod.along[2]) or 1.0)
+    ends, rest = np.sort([rod.start @ up, rod.end @ up]), scene.points[~own] @ up
+    further = 0.03 * scene.size
+    return bool(ends[1] > rest.max() + further or (up[2] < 0.5 and ends[0] < rest.min() - further))
+
+
+def _greenness(scene: _Scene, rod: _Rod) -> tuple[float, float, float] | None:
+    if scene.greenness is None:
+        return None
+    own = rod.holds(scene.points, scene.cell)
+    rest = scene.greenness[~own] if not own.all() else scene.greenness
+    return float(np.median(scene.greenness[own])), float(np.median(rest)), float(np.std(rest))
