@@ -146,7 +146,8 @@ def test_a_shake_is_chosen_for_the_measure_of_motion_that_is_believed(
         regret = dict(plans[sure].regret)
         assert regret[sure] == pytest.approx(0.0, abs=1e-9)
         assert min(regret.values()) >= -1e-9
-        assert [f"If {m} alone" in plans[sure].reason for m in regret] == [r > shake.LEAST_REGRET for r in regret.values()]
+        limit = shake.LEAST_REGRET
+        assert [f"If {m} alone" in plans[sure].reason for m in regret] == [r > limit for r in regret.values()]
     assert plans["velocity"].frequency < plans["jerk"].frequency
     assert dict(plans["velocity"].regret)["jerk"] > 0
 
