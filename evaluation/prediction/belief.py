@@ -39,8 +39,8 @@ from anther.plant.limits import PEDICEL_STRAIN
 from anther.pollination import foresee
 from anther.pollination.decision import believed
 from anther.pollination.escalation import watch_points
-from anther.pollination.escalation._foresight import narrowed
-from anther.pollination.escalation._knowledge import Answer, known
+from anther.pollination.escalation._foresight import update_members
+from anther.pollination.escalation._knowledge import Answer, predict
 from anther.pollination.response.points import sight
 from anther.pollination.shake import VIBRATING_GRIPPER
 from anther.pollination.shake._actuators import ACCELERATION, STROKE
@@ -131,8 +131,8 @@ def values_of(species: Crop, seed: int) -> Iterator[Value]:
             std[used] = 0.03 * at.per_pixel[used, None] * (2 * np.pi * tone) ** 2 / SHAKEN[k] * [1, 1, np.nan]
             members = foresight.of(k, direction)
             own = slice(len(it.seen.flowers.positions))
-            of = Answer(narrowed(members, shown, std, at.axes, k), shown[own], std[own], at.axes[own])
-            after = known(foresight, tone, of, 0.0)
+            of = Answer(update_members(members, shown, std, at.axes, k), shown[own], std[own], at.axes[own])
+            after = predict(foresight, tone, of, 0.0)
             for answer, when in ((foresight.answer(members, tone), "before"), (after.answer, "after")):
                 found = [(kind, true[kind][k], getattr(answer, kind)) for kind in LARGEST]
                 for i, j in zip(it.i.tolist(), it.j.tolist(), strict=True):

@@ -78,7 +78,7 @@ def expect(
     for one in observed:
         if not _same(one, point, direction, frequency):
             continue
-        moved = one.felt.moved if np.isfinite(one.felt.moved) else one.shake.amplitude
+        moved = one.grip.amplitude if np.isfinite(one.grip.amplitude) else one.shake.amplitude
         seen = one.seen & (one.amplitude > 0)
         middle = np.where(seen, amplitude / moved * one.amplitude, middle)
         unsure = np.hypot(one.uncertainty / np.where(seen, one.amplitude, 1.0), NOT_LINEAR)

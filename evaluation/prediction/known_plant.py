@@ -20,7 +20,7 @@ from anther.core import Array, Box
 from anther.perception import Capture
 from anther.plant import PEPPER, TOMATO, Crop, PlantModel, build_plant
 from anther.pollination import ObservedShake, Response, Seen, ShakePlan, measure_response, pipeline
-from anther.pollination.learning import Felt
+from anther.pollination.learning import GripMeasurement
 from anther.pollination.shake.pads import Pads
 from anther.robot import Frame
 from anther.sim import NOMINAL, Scene, SimPlant, Truth, grow, layout, photograph, views_at
@@ -118,9 +118,9 @@ def shake_of(point: Array, frequency: float, amplitude: float, predicted: Array,
 
 
 def observed(
-    shake: ShakePlan, frames: Sequence[Frame], seen: Seen, felt: Felt, **more: Any
+    shake: ShakePlan, frames: Sequence[Frame], seen: Seen, grip: GripMeasurement, **more: Any
 ) -> tuple[ObservedShake, Response]:
     """Return what the side camera and the arm measured of a shake; `more` is for `measure_response`."""
     pose = layout(USUAL_DISTANCE).T_world_side_camera
     answer = measure_response(frames, SIDE, pose, seen.flowers, shake.frequency, **more)
-    return ObservedShake.of(shake, answer, felt), answer
+    return ObservedShake.of(shake, answer, grip), answer

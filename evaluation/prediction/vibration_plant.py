@@ -17,7 +17,7 @@ import numpy as np
 from anther.core import Array, StageFailure
 from anther.plant import Crop, Material, PlantModel
 from anther.pollination import Grasp, ObservedShake, Refinement, refine
-from anther.pollination.learning import Felt
+from anther.pollination.learning import GripMeasurement
 from anther.pollination.shake import sawyer_limit
 from anther.pollination.shake.observables import semi_major
 from anther.pollination.shake.pads import Pads, grip_rows, pad_nodes
@@ -189,7 +189,7 @@ def probed(it: Known, grip: ShakenPlant, seed: int) -> tuple[dict[str, Refinemen
         frames = filmed(it.plant, shapes, done.times, np.random.default_rng(seed))
         expected = anther_model(model).response(grip.point[None], DIRECTION, np.array([f]))[0, 0]
         shake = shake_of(grip.point, f, PROBE_AMPLITUDE, PROBE_AMPLITUDE * expected, HELD)
-        seen, answer = observed(shake, frames, it.seen, Felt(began=0.0))
+        seen, answer = observed(shake, frames, it.seen, GripMeasurement(start=0.0))
         true = np.full(len(expected), np.nan)
         true[it.i] = np.abs(done.amplitude[it.j] + rng.normal(0, CAMERA_ERROR, len(it.j)))
         by_camera.append(seen)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from anther.core import Array, StageFailure
 from anther.plant import Crop, PlantModel
 from anther.pollination import ObservedShake, Refinement, Seen, refine
-from anther.pollination.learning import Felt
+from anther.pollination.learning import GripMeasurement
 from anther.pollination.response import stem_near
 from anther.pollination.shake.observables import semi_major
 from anther.pollination.shake.pads import PADS, grip_rows, pad_nodes
@@ -162,16 +162,16 @@ def _filmed(grip: ShakenPlant, amplitude: float, frequency: float, truth: Truth,
     return filmed(plant, shapes, times + truth.clock_offset, rng, camera_errors(truth))
 
 
-def _felt(grip: ShakenPlant, amplitude: float, frequency: float, seed: int) -> Felt:
+def _felt(grip: ShakenPlant, amplitude: float, frequency: float, seed: int) -> GripMeasurement:
     """Return what the arm feels of a shake, with its errors; a force that drowns in them is not felt."""
     true = amplitude * grip.force(frequency)
     square = complex(np.sum(true**2))
     size, rng = abs(square) ** 0.5, np.random.default_rng([seed, 11])
     error = float(np.hypot(FORCE_ERROR[0] * size, FORCE_ERROR[1]))
     if size < 3 * error:
-        return Felt(moved=amplitude, began=0.0)
+        return GripMeasurement(amplitude=amplitude, start=0.0)
     felt = abs(size + error * rng.normal())
-    return Felt(amplitude, 0.0, felt, error, float(np.angle(square) / 2 + error / size * rng.normal()))
+    return GripMeasurement(amplitude, 0.0, felt, error, float(np.angle(square) / 2 + error / size * rng.normal()))
 
 
 def loads_of(grip: ShakenPlant, frequencies: Array) -> dict[str, Array]:

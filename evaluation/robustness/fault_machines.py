@@ -13,7 +13,7 @@ import numpy as np
 
 from anther.core import Array, Intrinsics
 from anther.pollination import ShakePlan, Step, Trial
-from anther.pollination.execution import Line
+from anther.pollination.execution import ShakeDirection
 from anther.robot import ArmRecord, ArmSample, Frame, JointTrajectory, SafetyLimits, Swing
 from anther.robot.devices import More, Watch
 from anther.sim.cell import Cell, CellLog, mujoco
@@ -70,7 +70,7 @@ class Kept(SimArm):
 
 
 class Pieces:
-    """A shake in pieces that are the same whatever is seen; it satisfies `execution.Watched`.
+    """A shake in pieces that are the same whatever is seen; it satisfies `execution.WatchedShake`.
 
     All tones of the plan are probed, its own is shaken half as far as planned, then as planned, then comes to rest.
     """
@@ -78,7 +78,7 @@ class Pieces:
     def __init__(self, plan: ShakePlan) -> None:
         own = np.arange(len(plan.tones.frequencies)) == 0
         probe = plan.amplitude / len(own)
-        self.lines = (Line(plan.direction, own | True, 1.01 * plan.amplitude),)
+        self.directions = (ShakeDirection(plan.direction, own | True, 1.01 * plan.amplitude),)
         self.steps: tuple[Step, ...] = ()
         self._tones, self._ramp = plan.tones.frequencies, 1 / float(plan.tones.frequencies.min())
         self._sizes = [probe + 0.0 * own, 0.5 * plan.amplitude * own, plan.amplitude * own, 0.0 * own]
@@ -91,15 +91,15 @@ class Pieces:
         """Return the probe."""
         return Swing.first(self._tones, self._sizes[0], 1.0 + self._ramp, self._ramp)
 
-    def since(self, piece: Swing) -> float:
+    def steady_from(self, piece: Swing) -> float:
         """Return when the piece under way is steady [s]."""
         return piece.begin + piece.ramp
 
-    def go_on(self, piece: Swing, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
+    def next_piece(self, piece: Swing, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
         """Return the next piece."""
-        when = samples[0].time + self.since(piece), samples[-1].time
+        when = samples[0].time + self.steady_from(piece), samples[-1].time
         tones, sizes = tuple(self._tones.tolist()), tuple(piece.amplitudes.tolist())
-        line = tuple(self.lines[0].direction.tolist())
+        line = tuple(self.directions[0].direction.tolist())
         self.steps = (*self.steps, Step(*when, tones, sizes, line, (), {}, "Goes on.", 0.0))
         new = self._sizes[len(self.steps)]
         return piece.then(new, self._ramp + (1.0 if new.any() else 0.0), self._ramp)

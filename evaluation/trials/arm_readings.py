@@ -16,7 +16,7 @@ from collections.abc import Callable
 import numpy as np
 
 from anther.core import Array
-from anther.pollination.escalation._knowledge import ARM_ERROR, ARM_MODE, gripper_motion
+from anther.pollination.escalation._knowledge import ARM_ERROR, ARM_MODE, fit_gripper_motion
 from anther.pollination.shake.observables import ComplexArray
 from anther.pollination.shake.params import FAST
 from anther.robot import ArmSample
@@ -73,7 +73,7 @@ def read_and_true(seed: int, joints: Array, along: Array, tones: Array) -> tuple
     def phasors(places: Array, flanges: Callable[[Array], Array]) -> ComplexArray:
         samples = [ArmSample(t, q, q) for t, q in zip(log.times[steady] - begin, places[steady], strict=True)]
         held = np.r_[SAWYER.tool.T_flange_grasp[:3, 3], 1]
-        return gripper_motion(samples, lambda q: (flanges(q) @ held)[:, :3], tones) / sizes[:, None]
+        return fit_gripper_motion(samples, lambda q: (flanges(q) @ held)[:, :3], tones) / sizes[:, None]
 
     return phasors(log.joints, SAWYER.forward), phasors(log.qpos, cell.flange_pose)
 

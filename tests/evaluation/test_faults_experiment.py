@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from made_foresight import made_plan
 
-from anther.pollination.execution import Watched
+from anther.pollination.execution import WatchedShake
 from evaluation.robustness import faults
 from evaluation.robustness.fault_machines import Pieces
 
@@ -22,17 +22,17 @@ from evaluation.robustness.fault_machines import Pieces
 def test_its_pieces_are_a_watched_shake_that_comes_to_rest() -> None:
     plan = made_plan()
     watched = Pieces(plan)
-    assert {name for name in (*dir(Watched), *Watched.__annotations__) if name[0] != "_"} <= set(dir(watched))
+    assert {name for name in (*dir(WatchedShake), *WatchedShake.__annotations__) if name[0] != "_"} <= set(dir(watched))
     assert watched.frame_rate((15.0, 30.0, 60.0, 90.0)) > 2 * plan.tones.frequencies.max()
     watched_from: Any = None
     piece = watched.begin(watched_from)
     sample: Any = SimpleNamespace(time=0.0)
     sizes = [piece.amplitudes]
     while sizes[-1].any():
-        piece = watched.go_on(piece, [], [sample])
+        piece = watched.next_piece(piece, [], [sample])
         sizes.append(piece.amplitudes)
     assert len(watched.steps) == len(sizes) - 1 == 3
-    assert all(np.abs(size).max() <= watched.lines[0].reach for size in sizes)
+    assert all(np.abs(size).max() <= watched.directions[0].reach for size in sizes)
 
 
 RESULTS = Path(__file__).parents[2] / "docs" / "results" / "long"

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from anther.pollination.execution._beside import LONGER, PATIENCE, Deciding
+from anther.pollination.execution._concurrent import EXTENSION, PATIENCE, DecisionThread
 from anther.robot.devices import LEAD, ArmSample
 from anther.robot.swing import Swing, motion
 
@@ -36,33 +36,33 @@ def decided() -> Iterator[threading.Event]:
 
 
 def test_a_decision_in_time_follows_at_once() -> None:
-    assert_same(Deciding(Clock(0.05)).after(FIRST, lambda: NEXT), NEXT)
+    assert_same(DecisionThread(Clock(0.05)).wait_for_next(FIRST, lambda: NEXT), NEXT)
 
 
 def test_an_arm_whose_time_stands_still_waits_for_every_decision(decided: threading.Event) -> None:
     threading.Timer(0.3, decided.set).start()
-    assert_same(Deciding(Clock(0.0)).after(FIRST, lambda: (decided.wait(20) and NEXT) or FIRST), NEXT)
+    assert_same(DecisionThread(Clock(0.0)).wait_for_next(FIRST, lambda: (decided.wait(20) and NEXT) or FIRST), NEXT)
 
 
 def test_until_a_late_decision_is_there_the_pads_swing_on_as_they_do(decided: threading.Event) -> None:
-    deciding, asked = Deciding(Clock(0.05)), []
+    deciding, asked = DecisionThread(Clock(0.05)), []
 
     def decide() -> Swing:
         asked.append(1)
         decided.wait(20)
         return NEXT
 
-    longer = deciding.after(FIRST, decide)
-    assert deciding.under_way
-    again = deciding.after(longer, decide)
+    longer = deciding.wait_for_next(FIRST, decide)
+    assert deciding.pending
+    again = deciding.wait_for_next(longer, decide)
     decided.set()
-    after = deciding.after(again, decide)
+    after = deciding.wait_for_next(again, decide)
     assert len(asked) == 1, "what was seen is decided of once"
-    assert not deciding.under_way
+    assert not deciding.pending
     assert list(after.amplitudes) == list(NEXT.amplitudes)
     pieces = [FIRST, longer, again, after]
-    assert [piece.begin for piece in pieces] == pytest.approx([0.0, 2.0, 2.0 + LONGER, 2.0 + 2 * LONGER])
-    times = np.arange(0.5, 2.0 + 2 * LONGER, 1e-3)
+    assert [piece.begin for piece in pieces] == pytest.approx([0.0, 2.0, 2.0 + EXTENSION, 2.0 + 2 * EXTENSION])
+    times = np.arange(0.5, 2.0 + 2 * EXTENSION, 1e-3)
     steady = sum(a * np.sin(2 * np.pi * f * times) for a, f in zip(FIRST.amplitudes, FIRST.frequencies, strict=True))
     assert motion(pieces, times)[0] == pytest.approx(steady, abs=1e-9)
     before, behind = (motion(pieces, [after.begin + dt]) for dt in (-1e-6, 1e-6))
@@ -75,11 +75,11 @@ def test_what_a_decision_raises_is_raised() -> None:
         raise ValueError("nothing is known")
 
     with pytest.raises(ValueError, match="nothing is known"):
-        Deciding(Clock(0.05)).after(FIRST, fails)
+        DecisionThread(Clock(0.05)).wait_for_next(FIRST, fails)
 
 
 def test_a_piece_that_goes_on_is_long_enough_to_be_asked_about_and_the_answer_leaves_time_to_check_it() -> None:
-    assert LONGER > LEAD
+    assert EXTENSION > LEAD
     assert PATIENCE < LEAD / 2
 
 

@@ -26,7 +26,7 @@ from anther.pollination.decision import (
     expected,
     worth,
 )
-from anther.pollination.escalation._knowledge import Known
+from anther.pollination.escalation._knowledge import Prediction
 from anther.pollination.escalation._option import ACTUATOR, WORDS, Option
 
 SIZES = np.geomspace(1e-6, 1.0, 1500)
@@ -259,21 +259,21 @@ def watched(answer: Answer, *, reach: float = 1.0, price: float = 3.0) -> Option
     """Return a way to shake of which all flowers were seen and members say so."""
     count = answer.flowers.shape[-1]
     flowers, looked = np.exp(np.log(answer.flowers).mean(axis=0)), np.ones(count, dtype=bool)
-    told = Known(flowers, looked, flowers, {}, answer, np.zeros((count, 3), dtype=complex))
+    told = Prediction(flowers, looked, flowers, {}, answer, np.zeros((count, 3), dtype=complex))
     return Option(SLOW, HELD, price, 1e-3, reach, told)
 
 
 def test_a_watched_shake_goes_as_far_as_it_is_worth_most_and_says_what_ends_it() -> None:
     option = watched(whole())
     here = best(whole(), seen=np.ones(2, dtype=bool))
-    assert option.may.amplitude == pytest.approx(here, rel=0.15)
-    assert option.promised == pytest.approx(found(whole(), seen=np.ones(2, dtype=bool)).net.max(), rel=0.02)
+    assert option.allowed.amplitude == pytest.approx(here, rel=0.15)
+    assert option.predicted_worth == pytest.approx(found(whole(), seen=np.ones(2, dtype=bool)).net.max(), rel=0.02)
     for kind in UNIT:
-        ends = watched(made((2e2, 2e2), **{kind: UNIT[kind]})).may.binds
+        ends = watched(made((2e2, 2e2), **{kind: UNIT[kind]})).allowed.binds
         assert ends.endswith(f"first by {WORDS[kind]}")
-    assert watched(made((2e3, 2e3))).may.binds.endswith(f"first by {WORDS['joint_strain']}")
-    assert watched(whole(), reach=0.3 * here).may.binds == ACTUATOR
-    assert watched(whole(), reach=0.3 * here).may.amplitude == pytest.approx(0.3 * here)
+    assert watched(made((2e3, 2e3))).allowed.binds.endswith(f"first by {WORDS['joint_strain']}")
+    assert watched(whole(), reach=0.3 * here).allowed.binds == ACTUATOR
+    assert watched(whole(), reach=0.3 * here).allowed.amplitude == pytest.approx(0.3 * here)
 
 
 @pytest.mark.parametrize("kind", UNIT)
@@ -283,5 +283,5 @@ def test_a_watched_shake_goes_further_the_more_its_members_agree(kind: str) -> N
         watched(made((2e2, 2e2), **{kind: UNIT[kind] * np.exp(apart * np.linspace(-1, 1, 9))}), price=30.0)
         for apart in (0.0, 1.5)
     )
-    assert exact.may.amplitude > 1.05 * rough.may.amplitude
-    assert exact.promised > rough.promised
+    assert exact.allowed.amplitude > 1.05 * rough.allowed.amplitude
+    assert exact.predicted_worth > rough.predicted_worth

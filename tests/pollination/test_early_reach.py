@@ -102,7 +102,7 @@ def test_a_second_ctrl_c_waits_for_the_arm_too(monkeypatch: pytest.MonkeyPatch):
             raise KeyboardInterrupt
         return wait(futures)
 
-    monkeypatch.setattr("anther.pollination.execution._beside.wait", ctrl_c_first)
+    monkeypatch.setattr("anther.pollination.execution._concurrent.wait", ctrl_c_first)
     arm = SlowArm()
 
     def interrupted() -> None:

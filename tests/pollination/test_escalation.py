@@ -23,11 +23,11 @@ from anther.pollination.escalation._knowledge import (
     DAMPING,
     MOST_GROWTH,
     Answer,
-    Look,
-    answered,
-    drawn_errors,
-    known,
-    settled,
+    Observation,
+    draw_gripper_errors,
+    extrapolate_growth,
+    predict,
+    update_answer,
 )
 from anther.pollination.escalation._option import WORDS, limits_of
 from anther.pollination.response.points import Swings, likeness
@@ -48,7 +48,7 @@ def shaken(monkeypatch: pytest.MonkeyPatch) -> Shaken:
     monkeypatch.setattr(foresight_module, "MISFIT", 0.02)
     for module in ("decision", "escalation._option"):
         monkeypatch.setattr(f"anther.pollination.{module}.GUSTS", float(TONES.max()))  # leaves count at every tone
-    monkeypatch.setattr(escalation, "links", lambda readings, tones: (readings, np.zeros(len(tones))))
+    monkeypatch.setattr(escalation, "correct_for_links", lambda readings, tones: (readings, np.zeros(len(tones))))
     monkeypatch.setattr(escalation, "sight", lambda *_: SimpleNamespace(shown=SIGHTED))
 
     def run(world: World, raised: float = escalation.RAISED) -> Escalation:
@@ -126,7 +126,7 @@ def test_the_line_is_taken_along_which_the_flowers_move_most(shaken: Shaken, alo
     assert watched.steps[0].direction == pytest.approx(lines[0])
     assert watched.steps[1].direction == pytest.approx(lines[4])
     assert abs(lines[along] @ watched.steps[-1].direction) > np.cos(np.radians(23))
-    assert watched.executed(watched.steps).direction == pytest.approx(watched.steps[-1].direction)
+    assert watched.executed_plan(watched.steps).direction == pytest.approx(watched.steps[-1].direction)
 
 
 @pytest.mark.parametrize("planned", [0.002, 0.3])
@@ -162,17 +162,17 @@ def test_a_flower_moves_away_no_further_than_the_members_say_nor_beside_what_was
     said = np.sqrt(np.mean(np.abs(members[:, own]) ** 2, axis=0))
     shown = np.asarray(share * np.column_stack([said[:, :2], np.full(FLOWERS, np.nan)]), dtype=np.complex128)
     axes, std = np.repeat(np.eye(3)[None], FLOWERS, axis=0), np.tile([1e-6, 1e-6, np.nan], (FLOWERS, 1))
-    told = known(foresight, float(TONES[0]), Answer(members, shown, std, axes), 0.0)
+    told = predict(foresight, float(TONES[0]), Answer(members, shown, std, axes), 0.0)
     assert told.seen.all()
-    assert np.abs(told.picture[:, 2]) == pytest.approx(min(share, 1.0) * said[:, 2])
-    assert told.picture[:, :2] == pytest.approx(shown[:, :2])
+    assert np.abs(told.phasors[:, 2]) == pytest.approx(min(share, 1.0) * said[:, 2])
+    assert told.phasors[:, :2] == pytest.approx(shown[:, :2])
 
 
 def test_a_swing_counts_as_what_it_grows_to_and_as_it_is_where_it_dies_out() -> None:
     rate = 2 * np.pi * 17.0 * DAMPING
     seen = Swings(np.full((2, 1, 3), 1.0 - 2.0j), np.full((2, 3), 0.1), np.tile(np.eye(3), (2, 1, 1)))
     for share, times in ((0.0, 1.0), (0.5, 1.5), (-0.5, 1.0), (9.0, MOST_GROWTH)):
-        found = settled(seen._replace(growing=share * rate), 17.0)
+        found = extrapolate_growth(seen._replace(growing=share * rate), 17.0)
         assert found.phasors == pytest.approx(times * seen.phasors)
         assert found.std == pytest.approx(times * seen.std)
 
@@ -222,8 +222,8 @@ def check_pieces(world: World, watched: Escalation) -> None:
     assert pieces[-1].begin + pieces[-1].seconds <= params.most_seconds + 1e-9
     for piece in pieces:
         assert np.all(piece.amplitudes <= tones.reach.ravel() + 1e-12)
-        for line in watched.lines:
-            assert piece.only(line.tones).reach <= 1.0001 * line.reach
+        for line in watched.directions:
+            assert piece.only(line.active).reach <= 1.0001 * line.reach
         changing = (piece.amplitudes > 0) | (piece.before > 0)
         assert piece.ramp >= 0.5 / piece.frequencies[changing].min() - 1e-9, "half a period of the slowest"
     for piece in pieces[len(tones.probed) :]:
@@ -360,16 +360,22 @@ def test_only_a_look_that_proves_something_turns_to_a_shake_that_promises_more(s
     watched = shaken(world)
     here = int(np.abs(TONES - watched.steps[-1].frequencies[0]).argmin())
     there = (here + 1) % len(TONES)
-    watched._options[there].may = watched._options[there].may._replace(net=1e3)
+    watched._options[there].allowed = watched._options[there].allowed._replace(net=1e3)
     watched._proofs[-1] = why != escalation.UNPROVEN
     if why == escalation.OUT_OF_SIGHT:
-        watched._options[here].told = watched._options[here].told._replace(most=np.full(FLOWERS, np.nan))
-    sure, watched._sure = watched._sure, 1e-5
-    follows = watched._decided(here)
+        watched._options[here].prediction = watched._options[here].prediction._replace(
+            detectable=np.full(FLOWERS, np.nan)
+        )
+    sure, watched._proven_amplitude = watched._proven_amplitude, 1e-5
+    follows = watched._decide(here)
     assert np.flatnonzero(follows.amplitudes).tolist() == [here if why else there]
-    assert (why in follows.words) if why else watched._sure == pytest.approx(world.plan.tones.amplitudes[there, 0])
+    assert (
+        (why in follows.words)
+        if why
+        else watched._proven_amplitude == pytest.approx(world.plan.tones.amplitudes[there, 0])
+    )
     assert sure > 1e-5
-    assert not why or watched._sure == 1e-5, "nor is this amplitude proven"
+    assert not why or watched._proven_amplitude == 1e-5, "nor is this amplitude proven"
 
 
 def test_every_look_draws_errors_of_its_own(shaken: Shaken, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -377,14 +383,14 @@ def test_every_look_draws_errors_of_its_own(shaken: Shaken, monkeypatch: pytest.
 
     def spied(foresight: Any, look: Any, *rest: Any) -> Any:
         numbers.append(look.number)
-        return answered(foresight, look, *rest)
+        return update_answer(foresight, look, *rest)
 
-    monkeypatch.setattr(escalation, "answered", spied)
+    monkeypatch.setattr(escalation, "update_answer", spied)
     watched = shaken(raised_slowly([SIGHTED]))
     assert np.unique(numbers).tolist() == list(range(len(watched.steps)))
     foresight = made_foresight(1)
-    at = Look(np.array([0]), ALONG, np.ones(1, complex), ALONG[None] + 0j, np.zeros(1), SEEN)
-    first, again, second = (answered(foresight, at._replace(number=n), 0, 0.0).members for n in (1, 1, 2))
+    at = Observation(np.array([0]), ALONG, np.ones(1, complex), ALONG[None] + 0j, np.zeros(1), SEEN)
+    first, again, second = (update_answer(foresight, at._replace(number=n), 0, 0.0).members for n in (1, 1, 2))
     assert np.array_equal(first, again)
     assert not np.allclose(first, second)
 
@@ -491,17 +497,17 @@ def test_a_slow_tone_is_left_as_slowly_as_it_is_begun(
 
 def test_members_differ_in_the_grippers_motion_by_what_is_doubted_and_lines_add_up() -> None:
     along, across = np.eye(3)[0], np.eye(3)[1]
-    drawn = drawn_errors(4000, along, 2)
+    drawn = draw_gripper_errors(4000, along, 2)
     assert np.mean(np.abs(drawn) ** 2, axis=0) == pytest.approx([1 + ARM_ASIDE**2, ARM_ASIDE**2, ARM_ASIDE**2], rel=0.1)
-    both = drawn_errors(4000, along + across, 2)
-    assert both == pytest.approx(drawn + drawn_errors(4000, across, 2))
+    both = draw_gripper_errors(4000, along + across, 2)
+    assert both == pytest.approx(drawn + draw_gripper_errors(4000, across, 2))
 
 
 def test_the_plan_as_carried_out_is_the_last_step(shaken: Shaken) -> None:
     foresight = made_foresight(1)
     world = World(foresight, foresight.vectors[4])
     watched = shaken(world)
-    done, last = watched.executed(watched.steps), watched.steps[-1]
+    done, last = watched.executed_plan(watched.steps), watched.steps[-1]
     assert (done.frequency, done.amplitude) == (last.frequencies[0], last.amplitudes[0])
     assert done.duration == pytest.approx(last.end - last.begin)
     tone = int(np.flatnonzero(done.frequency == TONES)[0])
@@ -515,7 +521,7 @@ def test_the_plan_as_carried_out_is_the_last_step(shaken: Shaken) -> None:
     assert done.predicted_acceleration == pytest.approx(omega2 * done.predicted_amplitude)
     assert done.predicted_acceleration_interval == pytest.approx(omega2 * done.predicted_amplitude_interval)
     assert last.decided in done.reason
-    assert watched.executed(()) is world.plan
+    assert watched.executed_plan(()) is world.plan
 
 
 @pytest.mark.parametrize("seconds", [1.0, 100.0, float("nan")])
@@ -537,12 +543,12 @@ def test_a_shake_turns_back_to_what_was_worth_more_not_to_what_moved_the_median_
     felt = np.full((2, FLOWERS), 15.0)
     felt[1] = 20.0 if all_flowers else [20.0] * 4 + [0.1] * 2
     for n, flowers in zip((here, there), felt / now, strict=True):
-        option, still = watched._options[n], Answers(*(0 * part for part in watched._options[n].told.answer))
+        option, still = watched._options[n], Answers(*(0 * part for part in watched._options[n].prediction.answer))
         answer = still._replace(flowers=np.tile(flowers, (len(still.flowers), 1)))
-        option.told = option.told._replace(flowers=flowers, answer=answer)
-        option.may, option.tried = option.may._replace(amplitude=now), now
-    watched._doubted = True
-    held = watched._raised(here, now, "")
+        option.prediction = option.prediction._replace(flowers=flowers, answer=answer)
+        option.allowed, option.raised_to = option.allowed._replace(amplitude=now), now
+    watched._repeated = True
+    held = watched._raise(here, now, "")
     assert np.flatnonzero(held.amplitudes).tolist() == [there if all_flowers else here]
     assert held.amplitudes.max() == pytest.approx(now)
     assert ("was worth more" in held.words) == all_flowers
@@ -552,11 +558,11 @@ def test_a_shake_is_gone_back_to_no_further_than_its_last_look_allows(shaken: Sh
     believed = made_foresight(0)
     watched = shaken(World(believed, believed.vectors[0], limits=HEEDLESS))
     tone = int(np.abs(TONES - watched.steps[-1].frequencies[0]).argmin())
-    tried = watched._options[tone].borne
+    tried = watched._options[tone].tolerated
     assert tried == pytest.approx(max(s.amplitudes[0] for s in single(watched)))
-    told = watched._options[tone].told
-    watched._options[tone].looked_at(told._replace(answer=Answers(*(100 * part for part in told.answer))))
-    assert watched._options[tone].borne == watched._options[tone].may.amplitude < 0.5 * tried
+    told = watched._options[tone].prediction
+    watched._options[tone].update(told._replace(answer=Answers(*(100 * part for part in told.answer))))
+    assert watched._options[tone].tolerated == watched._options[tone].allowed.amplitude < 0.5 * tried
 
 
 OWN = np.arange(FLOWERS + POINTS)[:, None, None] < FLOWERS
@@ -609,15 +615,15 @@ def test_a_probe_that_proves_nothing_teaches_nothing(shaken: Shaken, monkeypatch
     """What was not looked at alone since is believed as before any look, with the errors of that."""
     monkeypatch.setattr(foresight_module, "MISFIT", 0.2)
     watched, seeing = (lied_to(shaken, lie, 0)[1] for lie in ("a picture that stands still", "none"))
-    looked_at = {int(np.abs(TONES - step.frequencies[0]).argmin()) for step in single(watched)}
+    observed = {int(np.abs(TONES - step.frequencies[0]).argmin()) for step in single(watched)}
     for n, (blind, sighted) in enumerate(zip(watched._options, seeing._options, strict=True)):
-        assert sighted.told.measured is not None
-        if n not in looked_at:
-            assert blind.told.measured is None
-            assert np.all(np.isnan(blind.told.most))
+        assert sighted.prediction.measured is not None
+        if n not in observed:
+            assert blind.prediction.measured is None
+            assert np.all(np.isnan(blind.prediction.detectable))
             assert (
-                np.log(blind.told.answer.flowers).std(axis=0).mean()
-                > 1.2 * np.log(sighted.told.answer.flowers).std(axis=0).mean()
+                np.log(blind.prediction.answer.flowers).std(axis=0).mean()
+                > 1.2 * np.log(sighted.prediction.answer.flowers).std(axis=0).mean()
             )
 
 
@@ -680,17 +686,17 @@ def test_a_flower_that_vanishes_while_it_is_raised_counts_as_it_was_measured_how
     believed = made_foresight(0)
     watched = shaken(World(believed, believed.vectors[0], limits=HEEDLESS))
     option = watched._options[int(np.abs(TONES - watched.steps[-1].frequencies[0]).argmin())]
-    far, told = 1e5, option.told
+    far, told = 1e5, option.prediction
     flowers = told.answer.flowers.copy()
     flowers[:, 0] = far
-    option.looked_at(
+    option.update(
         told._replace(seen=told.seen | (np.arange(FLOWERS) == 0), answer=told.answer._replace(flowers=flowers))
     )
     missed = told._replace(seen=told.seen & (np.arange(FLOWERS) > 0))
     for _ in range(3):
-        option.looked_at(missed)
-        assert np.all(option.told.answer.flowers[:, 0] >= far)
-        assert np.array_equal(option.told.answer.flowers[:, 1:], told.answer.flowers[:, 1:])
+        option.update(missed)
+        assert np.all(option.prediction.answer.flowers[:, 0] >= far)
+        assert np.array_equal(option.prediction.answer.flowers[:, 1:], told.answer.flowers[:, 1:])
 
 
 def test_a_camera_that_sees_again_raises_the_shake_as_if_it_had_seen_the_probe(shaken: Shaken) -> None:

@@ -13,7 +13,7 @@ from sample_plants import branched
 from anther.plant.limits import PEAKS, PEDICEL_STRAIN
 from anther.plant.model import TOMATO, PlantModel, build_plant
 from anther.pollination import decision
-from anther.pollination.learning import Felt, ObservedShake, Params, Refinement, refine
+from anther.pollination.learning import GripMeasurement, ObservedShake, Params, Refinement, refine
 from anther.pollination.shake import PADS, Pads, ShakePlan
 from anther.pollination.shake.observables import semi_major
 from anther.pollination.shake.pads import grip_rows, pad_nodes
@@ -73,7 +73,7 @@ def turned(degrees: float) -> Array:
 def test_a_measured_flower_answers_in_proportion_to_how_far_the_gripper_moved(
     learned: Refinement, point: Array, raised: float, moved: float
 ) -> None:
-    told = expect(learned, [seen(point, felt=Felt(moved=moved))], point, WAY, PITCH, raised * SIZE)
+    told = expect(learned, [seen(point, grip=GripMeasurement(amplitude=moved))], point, WAY, PITCH, raised * SIZE)
     assert told.measured.all()
     assert told.amplitude == pytest.approx(raised * SIZE / np.nan_to_num(moved, nan=SIZE) * MEASURED)
 

@@ -20,20 +20,20 @@ from anther.pollination.escalation._foresight import (
     Foresight,
     evidence,
     misfit,
-    narrowed,
-    repeated,
+    repeats_motion,
+    update_members,
     watch_points,
 )
 from anther.pollination.escalation._knowledge import (
     ARM_FOLLOWS,
-    Known,
-    Look,
-    answered,
-    gripper_motion,
-    known,
-    lateness,
-    links,
-    summed,
+    Observation,
+    Prediction,
+    correct_for_links,
+    fit_camera_delay,
+    fit_gripper_motion,
+    predict,
+    sum_answers,
+    update_answer,
 )
 from anther.pollination.escalation._option import Option
 from anther.pollination.shake.observables import semi_major
@@ -68,10 +68,10 @@ def test_what_was_seen_exactly_of_a_member_tells_which_it_is(member: int, monkey
     foresight = made_foresight(3)
     truth = of(foresight)[member]
     std = deviation(np.full(len(ROWS), 1e-9))
-    roughly = narrowed(of(foresight), seen(truth), std, AXES).mean(axis=0)
+    roughly = update_members(of(foresight), seen(truth), std, AXES).mean(axis=0)
     assert off(foresight, roughly, truth) < 0.35
     monkeypatch.setattr(foresight_module, "MISFIT", 1e-4)
-    exactly = narrowed(of(foresight), seen(truth), std, AXES)
+    exactly = update_members(of(foresight), seen(truth), std, AXES)
     assert off(foresight, exactly.mean(axis=0), truth) < 1e-2
     for kind in KINDS:
         (load,) = foresight.load(kind, truth[None])
@@ -87,7 +87,7 @@ def test_the_more_is_seen_the_more_is_known(monkeypatch: pytest.MonkeyPatch) -> 
         for i, count in enumerate((0, 1, 5, 26)):
             some = ROWS[:count]
             std = deviation(np.full(count, 0.3))
-            found = narrowed(of(foresight), seen(truth, some), std, AXES[:count])
+            found = update_members(of(foresight), seen(truth, some), std, AXES[:count])
             errors[i] += off(foresight, found.mean(axis=0), truth) ** 2
     assert np.all(np.diff(errors) < 0)
     assert errors[-1] < 0.1 * errors[0]
@@ -95,14 +95,14 @@ def test_the_more_is_seen_the_more_is_known(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_with_nothing_seen_the_members_are_as_they_were() -> None:
     foresight = made_foresight(3)
-    nothing = narrowed(of(foresight), np.zeros((0, 3), complex), np.zeros((0, 3)), AXES[:0])
+    nothing = update_members(of(foresight), np.zeros((0, 3), complex), np.zeros((0, 3)), AXES[:0])
     assert np.array_equal(nothing, of(foresight))
 
 
 def test_what_is_all_noise_changes_nothing() -> None:
     foresight = made_foresight(3)
     truth = of(foresight)[9]
-    unsure = narrowed(of(foresight), seen(truth), deviation(np.full(len(ROWS), 1e4)), AXES)
+    unsure = update_members(of(foresight), seen(truth), deviation(np.full(len(ROWS), 1e4)), AXES)
     assert np.allclose(unsure, of(foresight), rtol=1e-2, atol=1e-2)
 
 
@@ -114,7 +114,7 @@ def test_what_is_left_unknown_is_as_wide_as_the_error_of_what_is_believed() -> N
         truth = of(foresight)[member]
         for _ in range(4):
             noise = 0.2 * (rng.normal(size=(5, 3)) + 1j * rng.normal(size=(5, 3)))
-            found = narrowed(of(foresight), seen(truth, ROWS[:5]) + noise, std, AXES[:5])
+            found = update_members(of(foresight), seen(truth, ROWS[:5]) + noise, std, AXES[:5])
             loads = foresight.load("stem_strain", found)
             errors.append(loads.mean() - foresight.load("stem_strain", truth[None])[0])
             spreads.append(loads.std())
@@ -154,7 +154,7 @@ def test_the_update_is_exact_where_all_is_gaussian_and_members_are_many(
     """`std` is of either part, real and imaginary: with a deviation of 1 beforehand half of what is seen counts."""
     gain = PRIOR[:, 0] / (PRIOR[0, 0] + std**2)
     left = PRIOR - np.outer(gain, PRIOR[0])
-    found = narrowed(*toy(std))[..., 0]
+    found = update_members(*toy(std))[..., 0]
     assert found.mean(axis=0) == pytest.approx(gain * OBSERVED), "what is drawn adds nothing in the mean"
     for part in (found.real, found.imag):
         assert part.std(axis=0) == pytest.approx(np.sqrt(np.diag(left)), rel=0.06)
@@ -178,7 +178,7 @@ def test_the_misfit_is_the_exact_likelihood_where_all_is_gaussian(
 def test_errors_that_are_drawn_of_two_looks_have_nothing_in_common(toy: Callable[..., tuple[Any, ...]]) -> None:
     members, *given = toy(1.0)
     exact = members[:, 0, 0] + 0.5 * (OBSERVED - members[:, 0, 0])
-    first, again, second = (narrowed(members, *given, number)[:, 0, 0] - exact for number in (1, 1, 2))
+    first, again, second = (update_members(members, *given, number)[:, 0, 0] - exact for number in (1, 1, 2))
     assert np.array_equal(first, again)
     for drawn in (first, second):
         assert np.sqrt(np.mean(np.abs(drawn) ** 2)) == pytest.approx(0.5 * np.sqrt(2), rel=0.05)
@@ -194,7 +194,7 @@ def test_a_point_that_is_less_sure_counts_for_less(monkeypatch: pytest.MonkeyPat
         truth = of(foresight)[member]
         wrong = seen(truth)
         wrong[0] += 3.0  # the first flower is another one
-        found = [narrowed(of(foresight), wrong, deviation(std), AXES).mean(axis=0) for std in (alike, doubted)]
+        found = [update_members(of(foresight), wrong, deviation(std), AXES).mean(axis=0) for std in (alike, doubted)]
         errors += [off(foresight, one, truth) ** 2 for one in found]
     assert errors[1] < 0.5 * errors[0]
 
@@ -246,11 +246,11 @@ def test_a_look_that_shows_the_motion_before_a_raise_is_told_from_one_that_shows
             return times * motion * (1 + spread * error[0]) + np.nan_to_num(std) * (error[1] + 1j * error[0]), std
 
         before = shown(1.0)
-        assert not repeated(shown(raised), before, raised, 0.0)
-        assert repeated(shown(1.0), before, raised, 0.0) == told
-        assert not repeated(shown(1.0), before, raised, np.log(raised)), "it may be that it still grows"
-        assert not repeated(shown(1.0), before, 1.05, 0.0), "too small a raise tells nothing"
-        assert not repeated(shown(1.0), before, 1 / raised, 0.0), "nor does what was taken back"
+        assert not repeats_motion(shown(raised), before, raised, 0.0)
+        assert repeats_motion(shown(1.0), before, raised, 0.0) == told
+        assert not repeats_motion(shown(1.0), before, raised, np.log(raised)), "it may be that it still grows"
+        assert not repeats_motion(shown(1.0), before, 1.05, 0.0), "too small a raise tells nothing"
+        assert not repeats_motion(shown(1.0), before, 1 / raised, 0.0), "nor does what was taken back"
 
 
 def test_what_is_lost_in_noise_is_no_evidence() -> None:
@@ -260,7 +260,7 @@ def test_what_is_lost_in_noise_is_no_evidence() -> None:
     assert abs(evidence(members, motion, deviation(np.full(len(ROWS), 100.0)), AXES)) < 0.1
 
 
-def look(world: World, *, tones: tuple[int, ...] = (0, 1, 2), direction: np.ndarray = ALONG) -> Look:
+def look(world: World, *, tones: tuple[int, ...] = (0, 1, 2), direction: np.ndarray = ALONG) -> Observation:
     """Return what is seen of a shake of 1 mm at some tones."""
     sizes = np.isin(np.arange(len(TONES)), tones) * 1e-3
     world.pieces = [Swing.first(TONES, sizes, 2.0, 0.5)]
@@ -269,12 +269,12 @@ def look(world: World, *, tones: tuple[int, ...] = (0, 1, 2), direction: np.ndar
     gripper = np.asarray(commanded[:, None] * (world.arm @ direction), dtype=np.complex128)
     world.directions = np.repeat(direction[None], len(TONES), axis=0)
     seen = world.swings(None, [None], TONES[active])  # type: ignore[list-item]
-    return Look(active, direction, commanded, gripper, np.zeros(len(active)), seen)
+    return Observation(active, direction, commanded, gripper, np.zeros(len(active)), seen)
 
 
-def told(foresight: Foresight, at: Look, i: int, late: float) -> Known:
+def told(foresight: Foresight, at: Observation, i: int, late: float) -> Prediction:
     """Return what is known of one tone of a look."""
-    return known(foresight, float(TONES[at.tones[i]]), answered(foresight, at, i, late), late)
+    return predict(foresight, float(TONES[at.frequency_indices[i]]), update_answer(foresight, at, i, late), late)
 
 
 @pytest.mark.parametrize("late", [0.0, 0.01, 0.03])
@@ -282,7 +282,7 @@ def test_a_late_clock_is_found(late: float) -> None:
     foresight = made_foresight(3, unsure=0.3)
     for member in (0, 5, 11):
         world = World(foresight, foresight.vectors[member], late=late)
-        assert lateness(foresight, look(world)) == pytest.approx(late, abs=0.005)
+        assert fit_camera_delay(foresight, look(world)) == pytest.approx(late, abs=0.005)
 
 
 @pytest.fixture
@@ -311,10 +311,10 @@ def test_what_was_seen_along_two_lines_tells_of_every_other() -> None:
     foresight = made_foresight(3)
     for member in (5, 9):
         world = World(foresight, foresight.vectors[member])
-        axes = [answered(foresight, look(world, direction=axis), 1, 0.0) for axis in lines_across(2)]
+        axes = [update_answer(foresight, look(world, direction=axis), 1, 0.0) for axis in lines_across(2)]
         for direction in lines_across(5):
-            answer = summed(axes, lines_across(2) @ direction)
-            one = known(foresight, float(TONES[1]), answer, 0.0)
+            answer = sum_answers(axes, lines_across(2) @ direction)
+            one = predict(foresight, float(TONES[1]), answer, 0.0)
             assert one.flowers == pytest.approx(world.flowers(1, direction), rel=0.05)
             for kind, load in world.loads(1, direction).items():
                 assert one.loads[kind] == pytest.approx(load, rel=0.05)
@@ -327,9 +327,13 @@ def test_what_was_not_seen_along_one_line_is_not_seen_along_a_sum() -> None:
         World(foresight, foresight.vectors[5], shown=[s]) for s in (np.ones(FLOWERS + POINTS, bool), hidden)
     )
     axes = [
-        answered(foresight, look(w, direction=a), 1, 0.0) for w, a in zip((clear, partly), lines_across(2), strict=True)
+        update_answer(foresight, look(w, direction=a), 1, 0.0)
+        for w, a in zip((clear, partly), lines_across(2), strict=True)
     ]
-    seen = [known(foresight, 4.0, summed(axes, parts), 0.0).seen[2] for parts in np.array([[1, 0], [0, 1], [0.6, 0.8]])]
+    seen = [
+        predict(foresight, 4.0, sum_answers(axes, parts), 0.0).seen[2]
+        for parts in np.array([[1, 0], [0, 1], [0.6, 0.8]])
+    ]
     assert seen == [True, False, False]
 
 
@@ -378,7 +382,7 @@ def test_what_a_decision_is_told_is_what_was_measured_and_else_what_the_narrowed
     shown[2] = False
     world = World(foresight, foresight.vectors[5], shown=[shown])
     at = look(world)
-    one = answered(foresight, at, 1, 0.0)
+    one = update_answer(foresight, at, 1, 0.0)
     said = told(foresight, at, 1, 0.0)
     omega2, own = (2 * np.pi * TONES[1]) ** 2, foresight.where["flowers"]
     assert said.answer.flowers[:, 2] == pytest.approx(omega2 * semi_major(one.members[:, own])[:, 2])
@@ -416,12 +420,12 @@ def test_a_flower_that_is_followed_but_not_measured_moves_no_more_than_would_hav
     )
     assert not still.seen[2]
     assert not hidden.seen[2]
-    assert np.isnan(hidden.most[2])
-    assert still.answer.flowers[:, 2].max() <= still.most[2] * (1 + 1e-9)
-    assert hidden.answer.flowers[:, 2].min() > still.most[2]
+    assert np.isnan(hidden.detectable[2])
+    assert still.answer.flowers[:, 2].max() <= still.detectable[2] * (1 + 1e-9)
+    assert hidden.answer.flowers[:, 2].min() > still.detectable[2]
     assert still.flowers[2] < 0.5 * hidden.flowers[2]
     threshold = foresight_module.SIGNIFICANCE * np.sqrt(2) * 1e-5 / 1e-3 * (2 * np.pi * TONES[1]) ** 2
-    assert still.most[2] == pytest.approx(threshold, rel=0.5), "three deviations of what was seen across and down"
+    assert still.detectable[2] == pytest.approx(threshold, rel=0.5), "three deviations of what was seen across and down"
 
 
 def test_a_flower_that_only_the_look_before_measured_goes_on_counting_as_much_but_as_not_measured() -> None:
@@ -432,19 +436,19 @@ def test_a_flower_that_only_the_look_before_measured_goes_on_counting_as_much_bu
         told(foresight, look(World(foresight, foresight.vectors[5], shown=[s])), 1, 0.0) for s in (sighted, lost)
     )
     option = Option(float(TONES[1]), 8.0, 3.0, 1e-3, 0.02, first)
-    before = option.may
-    option.looked_at(second)
+    before = option.allowed
+    option.update(second)
     most = np.fmax(first.answer.flowers[:, 2], second.answer.flowers[:, 2])
-    assert option.told.answer.flowers[:, 2] == pytest.approx(most)
+    assert option.prediction.answer.flowers[:, 2] == pytest.approx(most)
     assert not np.allclose(second.answer.flowers[:, 2], first.answer.flowers[:, 2], rtol=0.05)
-    assert option.told.seen.tolist() == lost[:FLOWERS].tolist()
+    assert option.prediction.seen.tolist() == lost[:FLOWERS].tolist()
     others = np.arange(FLOWERS) != 2
-    assert option.told.answer.flowers[:, others] == pytest.approx(second.answer.flowers[:, others])
-    assert option.may != before, "what it may do is weighed anew"
+    assert option.prediction.answer.flowers[:, others] == pytest.approx(second.answer.flowers[:, others])
+    assert option.allowed != before, "what it may do is weighed anew"
     third = second._replace(answer=second.answer._replace(flowers=1.1 * second.answer.flowers))
-    option.looked_at(third)
+    option.update(third)
     kept = np.fmax(first.answer.flowers[:, 2], third.answer.flowers[:, 2])
-    assert option.told.answer.flowers[:, 2] == pytest.approx(kept), "however long it is not seen"
+    assert option.prediction.answer.flowers[:, 2] == pytest.approx(kept), "however long it is not seen"
 
 
 def test_the_more_is_in_sight_the_less_members_differ() -> None:
@@ -459,11 +463,11 @@ def test_the_more_is_in_sight_the_less_members_differ() -> None:
 def test_depth_tells_of_fast_tones_only_swings_that_it_cannot_feign() -> None:
     foresight = made_foresight(3)
     at = look(World(foresight, foresight.vectors[5], depth=True))
-    far = np.abs(at.swings.phasors[:FLOWERS, 1, 2]) >= knowledge.DEEP
+    far = np.abs(at.swings.phasors[:FLOWERS, 1, 2]) >= knowledge.LEAST_DEPTH_MOTION
     assert 0 < far.sum() < FLOWERS
     for factor, told_by_depth in ((1.0, True), (FAST / TONES[1], True), (1.01 * FAST / TONES[1], far)):
-        quick = foresight._replace(tones=factor * TONES)
-        assert np.all(np.isfinite(answered(quick, at, 1, 0.0).std[:, 2]) == told_by_depth)
+        quick = foresight._replace(frequencies=factor * TONES)
+        assert np.all(np.isfinite(update_answer(quick, at, 1, 0.0).std[:, 2]) == told_by_depth)
 
 
 @pytest.mark.usefixtures("trusted")
@@ -471,7 +475,7 @@ def test_all_counts_per_metre_that_was_commanded() -> None:
     foresight = made_foresight(3)
     world = World(foresight, foresight.vectors[5])
     at = look(world)
-    once: Known = told(foresight, at, 1, 0.0)
+    once: Prediction = told(foresight, at, 1, 0.0)
     halved = at.swings._replace(phasors=0.5 * at.swings.phasors)
     weak = at._replace(gripper=0.5 * at.gripper, swings=halved)
     half = told(foresight, weak, 1, 0.0)
@@ -487,7 +491,7 @@ def test_the_gripper_s_own_motion_is_read_from_the_joints() -> None:
     swing = np.imag(np.exp(2j * np.pi * times[:, None] * TONES) @ sizes) + 1e-4 * (times - 40)
     joints = np.column_stack([middle + swing[:, None] * along, np.zeros((len(times), 4))])
     samples = [ArmSample(t, 0 * q, q) for t, q in zip(times, joints, strict=True)]
-    assert np.allclose(gripper_motion(samples, lambda q: q[:, :3], TONES), sizes[:, None] * along, atol=1e-6)
+    assert np.allclose(fit_gripper_motion(samples, lambda q: q[:, :3], TONES), sizes[:, None] * along, atol=1e-6)
 
 
 @pytest.mark.usefixtures("trusted")
@@ -495,9 +499,9 @@ def test_loads_are_of_what_the_gripper_does_not_of_what_it_is_told() -> None:
     """An arm that is soft goes aside: what its plant bears and does comes from there, along sums of lines too."""
     foresight = made_foresight(3)
     world = World(foresight, foresight.vectors[5], arm=np.array([[0.1, 0.4, 0.0], [0.3, 0.2, 0.0], [-0.5, 0.3, 1.0]]))
-    answers = [answered(foresight, look(world, direction=line), 1, 0.0) for line in lines_across(2)]
+    answers = [update_answer(foresight, look(world, direction=line), 1, 0.0) for line in lines_across(2)]
     for direction in lines_across(4):
-        one = known(foresight, float(TONES[1]), summed(answers, lines_across(2) @ direction), 0.0)
+        one = predict(foresight, float(TONES[1]), sum_answers(answers, lines_across(2) @ direction), 0.0)
         assert one.flowers == pytest.approx(world.flowers(1, direction), rel=0.05)
         for kind, load in world.loads(1, direction).items():
             assert one.loads[kind] == pytest.approx(load, rel=0.05)
@@ -531,7 +535,7 @@ def test_the_points_that_are_watched_lie_far_from_each_other_and_on_no_stalk(mon
 
 def test_the_faster_an_arm_swings_the_less_its_readings_count_and_never_less_than_the_command() -> None:
     readings, tones = np.ones((4, 3), dtype=complex), np.array([1.0, 8.5, FAST, 40.0])
-    swing, doubt = links(readings, tones)
+    swing, doubt = correct_for_links(readings, tones)
     assert swing[:2, 0] == pytest.approx([1.0, 1.10], abs=0.03), "links run ahead of their motors"
     assert np.all(np.diff(doubt) > 0)
     assert doubt[0] < 0.001
@@ -547,8 +551,8 @@ def test_where_readings_are_not_trusted_what_is_seen_tells_how_the_gripper_swing
     wrong = 3 * at.gripper @ np.array([[0.5, 0.8, 0.3], [-0.8, 0.5, 0.1], [0.0, 0.3, 1.0]])
 
     def mean(doubt: float) -> float:
-        one = at._replace(gripper=wrong, doubt=np.full(len(at.tones), doubt))
-        return float(foresight.load("stem_strain", answered(foresight, one, 1, 0.0).members).mean())
+        one = at._replace(gripper=wrong, doubt=np.full(len(at.frequency_indices), doubt))
+        return float(foresight.load("stem_strain", update_answer(foresight, one, 1, 0.0).members).mean())
 
     assert abs(np.log(mean(1.0) / true)) < 0.5 * abs(np.log(mean(0.0) / true))
     assert mean(0.0) > 1.5 * true
@@ -559,10 +563,10 @@ def test_a_flower_that_jumps_from_one_look_to_the_next_is_another(times: float, 
     foresight = made_foresight(3)
     at = look(World(foresight, foresight.vectors[5]))
     once = told(foresight, at, 1, 0.0)
-    calm = np.where(np.arange(FLOWERS) == 2, 1 / times, 1.0) * once.most
-    again = answered(foresight, at, 1, 0.0, once._replace(most=calm))
+    calm = np.where(np.arange(FLOWERS) == 2, 1 / times, 1.0) * once.detectable
+    again = update_answer(foresight, at, 1, 0.0, once._replace(detectable=calm))
     assert np.isfinite(again.flowers[:, 0]).tolist() == [counts or f != 2 for f in range(FLOWERS)]
-    lost = once._replace(most=np.full(FLOWERS, np.nan))
-    assert np.isfinite(answered(foresight, at, 1, 0.0, lost).flowers[:, 0]).all(), (
+    lost = once._replace(detectable=np.full(FLOWERS, np.nan))
+    assert np.isfinite(update_answer(foresight, at, 1, 0.0, lost).flowers[:, 0]).all(), (
         "of what was not followed nothing is known"
     )

@@ -15,12 +15,12 @@ from anther.core.errors import InputError
 from anther.plant.bench import density_from_samples, fit_free_vibration
 from anther.plant.model import TOMATO, PlantModel, build_plant
 from anther.pollination.learning import ObservedShake, Params, Refinement, _refinement, refine
-from anther.pollination.learning._refinement import told
+from anther.pollination.learning._refinement import predict_members
 from anther.pollination.shake import Params as ShakeParams
 from anther.pollination.shake import ShakePlan, plan_shake
 from anther.pollination.shake.observables import branch_of, semi_major
 from anther.pollination.shake.pads import PADS, Pads, grip_rows, pad_nodes
-from anther.pollination.shake.search import Version, answer, deviates, drawn_version, gains
+from anther.pollination.shake.search import Version, answer, draw_deviates, draw_version, gains
 from evaluation.prediction.expectation import amplitude_at
 
 
@@ -99,7 +99,7 @@ def amplitude_of(truth: PlantModel, plant: PlantModel, plan: ShakePlan) -> np.nd
 def predicted(plant: PlantModel, after: Refinement, plan: ShakePlan) -> np.ndarray:
     """What the members now say of the flowers' amplitudes in a shake."""
     nothing = np.full(len(plan.predicted_amplitude), np.nan)
-    said = told(Version(plant, plan.pads), after.members, [ObservedShake(plan, nothing, nothing)])[0]
+    said = predict_members(Version(plant, plan.pads), after.members, [ObservedShake(plan, nothing, nothing)])[0]
     return np.exp(np.log(semi_major(said.flowers)).mean(axis=0))
 
 
@@ -217,9 +217,9 @@ def test_a_branch_that_is_softer_than_the_others_is_learned_and_no_other_one(
 ) -> None:
     branch = branch_of(known)
     own = int(branch[known.flower_nodes].max())
-    z = np.zeros(deviates(known, 1).shape[1])
+    z = np.zeros(draw_deviates(known, 1).shape[1])
     z[8 + own] = -1.4
-    truth = drawn_version(known, PADS, z, 0.5)
+    truth = draw_version(known, PADS, z, 0.5)
     assert truth is not None
     seen = list[ObservedShake]()
     for frequency in (3.0, 6.0, 9.0):
@@ -254,12 +254,12 @@ def test_a_late_camera_is_not_taken_for_a_softer_plant(
             ObservedShake(shake, shake.predicted_amplitude, error, phase=phase, phase_std=0 * phase + 0.05, axis=along)
         )
     params = Params(branch_spread=0.05, model_error=0.1, phase_error=0.1)
-    told = np.array([one.shake.predicted_amplitude for one in seen])
+    earlier = np.array([one.shake.predicted_amplitude for one in seen])
 
     def missed() -> float:
         after = refine(plant, seen, params)
         again = np.array([predicted(plant, after, one.shake) for one in seen])
-        return float(np.abs(np.log(again / told)).mean())
+        return float(np.abs(np.log(again / earlier)).mean())
 
     knowing = missed()
     monkeypatch.setattr(_refinement, "CLOCK_ERROR", 0.0)

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 from made_foresight import ALONG, FLOWERS, TONES, made_foresight
 
-from anther.pollination.escalation._knowledge import SIGNIFICANCE, Answer, known, settled, sharpened
+from anther.pollination.escalation._knowledge import (
+    SIGNIFICANCE,
+    Answer,
+    extrapolate_growth,
+    measure_sharpness,
+    predict,
+)
 from anther.pollination.response.points import Swings
 from anther.pollination.response.thresholds import LARGE, OVERTONES, overtones
 
@@ -25,21 +31,23 @@ def seen(second: complex, error: float = 1e-6) -> Swings:
 def test_the_peak_is_that_of_the_sum_whose_second_part_counts_four_times(second: complex) -> None:
     t = np.linspace(0, 1, 5000)
     path = np.imag(np.exp(2j * np.pi * t)) + 4 * np.imag(second * np.exp(4j * np.pi * t))
-    assert sharpened(seen(second), OWN) == pytest.approx([np.abs(path).max(), 1.0], rel=0.01)
+    assert measure_sharpness(seen(second), OWN) == pytest.approx([np.abs(path).max(), 1.0], rel=0.01)
 
 
 def test_an_overtone_within_its_error_does_not_count() -> None:
     error = 0.1e-3
     least = SIGNIFICANCE * np.sqrt(3) * error / 1e-3
-    assert sharpened(seen(0.9 * least, error), OWN) == pytest.approx([1.0, 1.0])
-    assert sharpened(seen(1.1 * least, error), OWN)[0] > 1.5
-    assert sharpened(seen(0.5)._replace(overtones=np.zeros((0, 0, 3), complex)), OWN) == pytest.approx([1.0, 1.0])
+    assert measure_sharpness(seen(0.9 * least, error), OWN) == pytest.approx([1.0, 1.0])
+    assert measure_sharpness(seen(1.1 * least, error), OWN)[0] > 1.5
+    assert measure_sharpness(seen(0.5)._replace(overtones=np.zeros((0, 0, 3), complex)), OWN) == pytest.approx(
+        [1.0, 1.0]
+    )
 
 
 def test_a_swing_that_still_grows_keeps_its_shape() -> None:
-    grown = settled(seen(0.5)._replace(growing=1.0), 5.0)
+    grown = extrapolate_growth(seen(0.5)._replace(growing=1.0), 5.0)
     assert np.abs(grown.phasors[0, 0, 0]) > 1e-3
-    assert sharpened(grown, OWN) == pytest.approx(sharpened(seen(0.5), OWN))
+    assert measure_sharpness(grown, OWN) == pytest.approx(measure_sharpness(seen(0.5), OWN))
 
 
 def test_overtones_are_looked_for_where_swings_are_large_enough() -> None:
@@ -52,7 +60,7 @@ def test_a_flower_whose_acceleration_is_sharper_feels_more_and_bends_its_pedicel
     shown = np.asarray(members[3, foresight.where["flowers"]])
     axes, std = np.repeat(np.eye(3)[None], FLOWERS, axis=0), np.full((FLOWERS, 3), 1e-6)
     plain, sharp = (
-        known(foresight, float(TONES[0]), Answer(members, shown, std, axes, np.full(FLOWERS, peak)), 0.0)
+        predict(foresight, float(TONES[0]), Answer(members, shown, std, axes, np.full(FLOWERS, peak)), 0.0)
         for peak in (1.0, 2.5)
     )
     assert sharp.flowers == pytest.approx(2.5 * plain.flowers)
@@ -61,4 +69,4 @@ def test_a_flower_whose_acceleration_is_sharper_feels_more_and_bends_its_pedicel
         {k: v for k, v in plain.loads.items() if k != "joint_strain"}
     )
     assert sharp.answer.flowers == pytest.approx(2.5 * plain.answer.flowers)
-    assert sharp.picture == pytest.approx(plain.picture), "where it is looked for next is where it swings"
+    assert sharp.phasors == pytest.approx(plain.phasors), "where it is looked for next is where it swings"

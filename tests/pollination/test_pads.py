@@ -13,7 +13,7 @@ from sample_plants import branched
 
 from anther.core.errors import InputError
 from anther.plant.model import TOMATO, PlantModel, build_plant
-from anther.pollination.learning import Felt, ObservedShake, Params, Refinement, refine
+from anther.pollination.learning import GripMeasurement, ObservedShake, Params, Refinement, refine
 from anther.pollination.response import StemMotion
 from anther.pollination.shake import PADS, Pads, ShakePlan
 from anther.pollination.shake.observables import semi_major
@@ -53,7 +53,7 @@ def seen(plant: PlantModel, truth: Pads, frequency: float, believed: Pads, *, be
     if beside:
         near = plant.stem_nodes[[HELD - 2, HELD + 2, HELD + 3]]
         places = plant.rods.nodes[near]
-        told["beside"] = StemMotion(places, np.tile(WAY, (3, 1)), motion[near] @ WAY, np.full(3, 5e-5))
+        told["stem"] = StemMotion(places, np.tile(WAY, (3, 1)), motion[near] @ WAY, np.full(3, 5e-5))
     return ObservedShake(shake, size, 0.03 * size, **told)
 
 
@@ -92,13 +92,13 @@ def test_the_grips_force_or_the_stem_beside_it_tell_both_stiffnesses(
     for f in (1.0, 4.0, 9.0):
         whole = seen(plant, truth, f, believed, beside=source == "stem")
         nothing = np.full(3, np.nan)
-        only = ObservedShake(whole.shake, nothing, nothing, beside=whole.beside)
+        only = ObservedShake(whole.shake, nothing, nothing, stem=whole.stem)
         if source == "force":
             held = plant.stem_nodes[HELD]
             force = SIZE * truth.stiffness * (WAY - dense_motion(plant, HELD, truth, f)[held])
             square = force @ force
-            felt = Felt(SIZE, 0.0, float(abs(square) ** 0.5), 0.01, float(np.angle(square) / 2))
-            only = replace(only, felt=felt)
+            felt = GripMeasurement(SIZE, 0.0, float(abs(square) ** 0.5), 0.01, float(np.angle(square) / 2))
+            only = replace(only, grip=felt)
         told.append(only)
         blind.append(ObservedShake(whole.shake, nothing, nothing))
     found = refine(plant, told, sharp, pads=believed).pads

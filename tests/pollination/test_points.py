@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from anther.core.geometry import Array, Intrinsics
-from anther.pollination.escalation._knowledge import sharpened
+from anther.pollination.escalation._knowledge import measure_sharpness
 from anther.pollination.response._petals import smoothed
 from anther.pollination.response.points import (
     SLOW,
@@ -572,7 +572,7 @@ def test_what_a_flowers_depth_does_at_overtones_is_noise() -> None:
     assert np.isfinite(found.overtones[..., :2]).all()
     assert np.isnan(found.overtones[..., 2]).all()
     assert np.abs(found.phasors[0, 0, 2]) < 0.001
-    assert sharpened(found, slice(0, 1)) == pytest.approx(1.0, abs=0.1)
+    assert measure_sharpness(found, slice(0, 1)) == pytest.approx(1.0, abs=0.1)
 
 
 def test_flowers_come_first_and_one_that_is_hidden_is_not_in_sight() -> None:

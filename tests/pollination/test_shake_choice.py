@@ -41,14 +41,14 @@ from anther.pollination.shake.choice import (
     Grips,
     Search,
     _directions,
-    as_earlier,
+    find_candidates,
+    match_earlier,
     predicted_at,
     search,
-    tones_at,
 )
 from anther.pollination.shake.choice import QUICK as SLOWEST
 from anther.pollination.shake.pads import friction_force, grip_rows, pad_nodes
-from anther.pollination.shake.search import Gains, Version, drawn_material, gains, scenarios
+from anther.pollination.shake.search import Gains, Version, draw_material, gains, scenarios
 from anther.robot.pressing import PRESSING, Pressing
 from anther.rods import Clamp, Rods, observed_response
 from anther.rods._response import displacements
@@ -146,7 +146,8 @@ def test_a_shake_is_chosen_for_the_measure_of_motion_that_is_believed(
         regret = dict(plans[sure].regret)
         assert regret[sure] == pytest.approx(0.0, abs=1e-9)
         assert min(regret.values()) >= -1e-9
-        assert [f"If {m} alone" in plans[sure].reason for m in regret] == [r > shake.TOLD for r in regret.values()]
+        limit = shake.LEAST_REGRET
+        assert [f"If {m} alone" in plans[sure].reason for m in regret] == [r > limit for r in regret.values()]
     assert plans["velocity"].frequency < plans["jerk"].frequency
     assert dict(plans["velocity"].regret)["jerk"] > 0
 
@@ -349,7 +350,7 @@ def test_tones_are_those_that_are_worth_most_each_apart_from_the_others(most: in
     found = SimpleNamespace(frequencies=hertz, bounds={"arm": own}, amplitude=amplitude, least=1e-4, score=score)
     found.grips, first = SimpleNamespace(directions=np.eye(3)[None, :2]), 30
     given = cast(Any, (found, (first, 0, 1)))
-    tones = tones_at(*given, most, None)
+    tones = find_candidates(*given, most, None)
     assert tones.frequencies[0] == hertz[first], "the plan's own comes first"
     assert len(tones.frequencies) <= most
     assert np.all(np.abs(np.diff(np.log(np.sort(tones.frequencies)))) >= np.log(APART) - 1e-9)
@@ -380,7 +381,7 @@ def test_a_tone_reaches_as_far_as_the_machine_allows_in_every_way_and_the_plant_
         EXACT,
         1e-4,
     )
-    tones = tones_at(found, (0, 0, 0), 2, None)
+    tones = find_candidates(found, (0, 0, 0), 2, None)
     assert tones.reach[:, 0] == pytest.approx(0.01 / tones.frequencies)
 
 
@@ -392,11 +393,11 @@ def test_an_earlier_shake_is_done_again_only_where_the_same_pads_would_hold() ->
     found = Search(
         grips, np.ones((1, *shape, 1)), NO_ANSWER, hertz, np.ones(shape), np.ones(shape), {}, {}, EXACT, 1e-4
     )
-    again = as_earlier(found, EarlierShake(0.2, np.array([0, -1.0, 0]), 9.1, 1e-3))
+    again = match_earlier(found, EarlierShake(0.2, np.array([0, -1.0, 0]), 9.1, 1e-3))
     assert again is not None
     assert np.argwhere(again.score >= 0).tolist() == [[1, g, 1] for g in (2, 3, 4)]
     for height, frequency in ((0.25, 9.1), (0.2, 7.0)):
-        assert as_earlier(found, EarlierShake(height, np.array([0, -1.0, 0]), frequency, 1e-3)) is None
+        assert match_earlier(found, EarlierShake(height, np.array([0, -1.0, 0]), frequency, 1e-3)) is None
 
 
 @pytest.mark.parametrize("hertz", [2.0, GUSTS, 9.0])
@@ -434,7 +435,7 @@ def test_what_is_worth_nothing_is_refused_with_the_reason(plant: PlantModel, gra
      (4, "radius_scale", "radius_spread"), (5, "response_gain", "response_spread")],
 )  # fmt: skip
 def test_what_is_drawn_a_deviation_higher_is_larger_by_its_spread(deviate: int, name: str, spread: str) -> None:
-    higher, believed = drawn_material(TOMATO, np.eye(6)[deviate], 1e3), drawn_material(TOMATO, np.zeros(6), 1e3)
+    higher, believed = draw_material(TOMATO, np.eye(6)[deviate], 1e3), draw_material(TOMATO, np.zeros(6), 1e3)
     assert getattr(higher, name) == pytest.approx(getattr(believed, name) * np.exp(getattr(TOMATO, spread)))
     assert getattr(TOMATO, spread) > 0
 

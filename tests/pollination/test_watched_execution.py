@@ -13,8 +13,8 @@ from fake_robot import LIMITS, FakeArm, FakeCamera, FakeGripper, fake_robot
 from test_execution import GRASP, PLANNER, Blind, Plan
 
 from anther.core.errors import InputError
-from anther.pollination.execution import PHASES, Line, Step, Trial, execute
-from anther.pollination.execution._beside import LONGER, PATIENCE, Deciding
+from anther.pollination.execution import PHASES, ShakeDirection, Step, Trial, execute
+from anther.pollination.execution._concurrent import EXTENSION, PATIENCE, DecisionThread
 from anther.pollination.grasp import STAND_OFF
 from anther.robot.arm import sawyer
 from anther.robot.devices import LEAD, ArmSample, DeviceError, Frame, Robot
@@ -30,7 +30,7 @@ class Scripted:
     """Asks for the same pieces whatever it sees; `fault` may raise when a piece is decided."""
 
     rate = 15.0
-    lines: tuple[Line, ...] = (Line(np.array([0, 1.0, 0]), np.ones(2, bool), 0.003),)
+    directions: tuple[ShakeDirection, ...] = (ShakeDirection(np.array([0, 1.0, 0]), np.ones(2, bool), 0.003),)
 
     def __init__(self, fault: Callable[[int], None] = lambda _: None, pieces: Sequence[Sequence[float]] = ()) -> None:
         self.fault, self.sizes = fault, list(pieces or PIECES.values())
@@ -48,14 +48,14 @@ class Scripted:
         self.pieces = [Swing.first(TONES, self.sizes[0], 1.5, 0.4)]
         return self.pieces[0]
 
-    def since(self, piece: Swing) -> float:
+    def steady_from(self, piece: Swing) -> float:
         return piece.begin + 0.5
 
-    def go_on(self, piece: Swing, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
+    def next_piece(self, piece: Swing, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
         count = len(self.pieces)
         self.fault(count)
         self.looks.append((list(frames), list(samples)))
-        when = samples[0].time + self.since(piece), samples[-1].time
+        when = samples[0].time + self.steady_from(piece), samples[-1].time
         flowers = (1.5, float("nan"))
         self.steps += (
             Step(*when, tuple(TONES), (0.1, 0.2), (0.0, 1.0, 0.0), flowers, {"slip": 0.5}, f"piece {count}", 0.01),
@@ -98,15 +98,17 @@ def test_the_pieces_follow_each_other_without_a_stop() -> None:
 def test_tones_of_two_lines_move_the_pads_along_both() -> None:
     """From one piece to the next the shake turns from y to z without a stop."""
     watched, ends = Scripted(pieces=[(0.002, 0.0), (0.0, 0.0015), (0.0, 0.0)]), ([0, 1.0, 0], [0, 0, 1.0])
-    watched.lines = tuple(Line(np.array(end), tone == TONES, 0.003) for end, tone in zip(ends, TONES, strict=True))
+    watched.directions = tuple(
+        ShakeDirection(np.array(end), tone == TONES, 0.003) for end, tone in zip(ends, TONES, strict=True)
+    )
     trial = execute(PLANNER, Plan(), fake_robot(), LIMITS, watched=watched)
     assert trial.finished
     away = sawyer.forward(trial.measured)[:, :3, 3] - GRASP.T_world_flange[:3, 3]
     passed = trial.shake_times - trial.shake_times[0]
     for i, piece in enumerate(watched.pieces):
         own = (passed >= piece.begin + 0.01 * i) & (passed <= piece.begin + 0.01 * i + piece.seconds)
-        for line in watched.lines:
-            wanted = piece.only(line.tones).motion(passed[own] - piece.begin - 0.01 * i)[0]
+        for line in watched.directions:
+            wanted = piece.only(line.active).motion(passed[own] - piece.begin - 0.01 * i)[0]
             assert away[own] @ line.direction == pytest.approx(wanted, abs=3e-5)
     assert np.abs(away[:, 1:]).max(axis=0) == pytest.approx([0.002, 0.0015], rel=0.02)
     assert trial.commanded[-1] == pytest.approx(trial.commanded[0], abs=1e-6)
@@ -131,17 +133,17 @@ def test_only_by_the_arms_clock_is_a_decision_late() -> None:
         return wanted
 
     felt = [ArmSample(0.0, np.zeros(7), np.zeros(7), 0.0)]
-    deciding = Deciding(felt)
+    deciding = DecisionThread(felt)
     Timer(0.1, decided.set).start()
-    assert deciding.after(first, decide).amplitudes == pytest.approx(wanted.amplitudes)
+    assert deciding.wait_for_next(first, decide).amplitudes == pytest.approx(wanted.amplitudes)
     decided.clear()
     Timer(0.05, lambda: felt.append(replace(felt[0], time=2 * PATIENCE))).start()
-    longer = deciding.after(first, decide)
-    assert deciding.under_way
+    longer = deciding.wait_for_next(first, decide)
+    assert deciding.pending
     assert longer.amplitudes == pytest.approx(first.amplitudes)
-    assert longer.seconds == LONGER
+    assert longer.seconds == EXTENSION
     decided.set()
-    late = deciding.after(longer, decide)
+    late = deciding.wait_for_next(longer, decide)
     assert late.begin == longer.begin + longer.seconds
     assert late.amplitudes == pytest.approx(wanted.amplitudes)
     deciding.close()
@@ -295,11 +297,11 @@ def test_a_piece_beyond_the_limits_is_not_begun(sizes: tuple[float, float], mess
 
 def test_tones_and_lines_that_together_exceed_a_limit_are_not_begun() -> None:
     """Each tone would pass alone; the sum passes a little above what it reaches, along one line or two."""
-    ends = tuple(Line(end, tone == TONES, 0.003) for end, tone in zip(np.eye(3)[1:], TONES, strict=True))
+    ends = tuple(ShakeDirection(end, tone == TONES, 0.003) for end, tone in zip(np.eye(3)[1:], TONES, strict=True))
     limits, plan = replace(LIMITS, shake_acceleration=2.2), Plan(amplitude=0.0005)
-    for lines, most in ((Scripted.lines, 3.1), (ends, 2.4)):
+    for lines, most in ((Scripted.directions, 3.1), (ends, 2.4)):
         watched, wider = (Scripted(pieces=[(0.0001, 0.0001), (0.0015, 0.0015), (0.0, 0.0)]) for _ in range(2))
-        watched.lines = wider.lines = lines
+        watched.directions = wider.directions = lines
         trial = execute(PLANNER, plan, fake_robot(), limits, watched=watched)
         assert trial.failure == "limits_exceeded"
         assert "acceleration of the shake" in trial.stop_reason
@@ -343,8 +345,8 @@ def test_a_shake_that_goes_on_for_too_long_is_ended() -> None:
 
 def test_one_who_never_stops_the_pads_is_not_left_so() -> None:
     class Endless(Scripted):
-        def go_on(self, piece: Swing, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
-            new = super().go_on(piece, frames, samples)
+        def next_piece(self, piece: Swing, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
+            new = super().next_piece(piece, frames, samples)
             return replace(new, amplitudes=np.zeros(2), ramp=new.seconds) if len(self.pieces) > 2 else new
 
     arm, gripper = FakeArm(), FakeGripper()

@@ -264,8 +264,8 @@ def response_of(after: tuple[float, ...], at_most: tuple[float, ...]) -> Respons
 def test_a_flower_counts_as_measured_after_the_shake_or_else_in_its_last_step() -> None:
     response = response_of((np.nan, 3.0, np.nan, np.nan), (np.nan, np.nan, 1e-4, np.nan))
     last: Any = [SimpleNamespace(flowers=flowers) for flowers in ((9.0,) * 4, (8.0, 7.0, 6.0, np.nan))]
-    assert response.felt(last) == pytest.approx([8.0, 3.0, 6.0, np.nan], nan_ok=True)
-    assert response.felt() == pytest.approx([np.nan, 3.0, 0.0, np.nan], nan_ok=True)
+    assert response.flower_acceleration(last) == pytest.approx([8.0, 3.0, 6.0, np.nan], nan_ok=True)
+    assert response.flower_acceleration() == pytest.approx([np.nan, 3.0, 0.0, np.nan], nan_ok=True)
 
 
 UNSEEN = (np.nan, np.nan, np.nan)

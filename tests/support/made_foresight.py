@@ -17,7 +17,7 @@ from anther.pollination.escalation._foresight import Foresight
 from anther.pollination.response.points import Swings
 from anther.pollination.shake import Params as Limits
 from anther.pollination.shake import ResponseMap, ShakePlan
-from anther.pollination.shake._plan import Tones
+from anther.pollination.shake._plan import CandidateShakes
 from anther.pollination.shake.observables import ComplexArray, semi_major
 from anther.robot.devices import LEAD, ArmSample, Frame
 from anther.robot.swing import Swing
@@ -92,7 +92,7 @@ def made_plan(
         regret=(),
         reason="The test's own.",
         response_map=ResponseMap(TONES, np.zeros(1), *np.ones((3, 1, len(TONES)))),
-        tones=Tones(TONES, lines_across(lines), *alike),
+        tones=CandidateShakes(TONES, lines_across(lines), *alike),
     )
 
 
@@ -163,7 +163,7 @@ class World:
 
     def shaken(self, watched: Escalation) -> Escalation:
         """Shake until the last piece."""
-        self.directions = sum(np.outer(line.tones, line.direction) for line in watched.lines)
+        self.directions = sum(np.outer(line.active, line.direction) for line in watched.directions)
         frame = Frame(self.begin, np.zeros((6, 8, 3), np.uint8), np.zeros((6, 8), np.float32))
         self.pieces, samples = [watched.begin(frame)], list[ArmSample]()
         while not self.pieces[-1].stops:
@@ -172,8 +172,8 @@ class World:
                 q = np.concatenate([self.place(piece, t), np.zeros(4)])
                 samples.append(ArmSample(self.begin + piece.begin + t, q, q, 0.0))
             told = [s for s in samples if s.time <= self.begin + piece.begin + piece.seconds - LEAD]
-            assert samples[0].time + watched.since(piece) <= told[-1].time, "there is something to look at"
-            self.pieces.append(watched.go_on(piece, [frame], told))
+            assert samples[0].time + watched.steady_from(piece) <= told[-1].time, "there is something to look at"
+            self.pieces.append(watched.next_piece(piece, [frame], told))
             assert len(self.pieces) < 40, "it ends"
         return watched
 

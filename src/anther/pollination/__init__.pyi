@@ -3,7 +3,7 @@
 from .escalation import Foresight, foresee
 from .execution import Step, Trial, execute
 from .grasp import Grasp, load_grasps, plan_grasps, save_grasps
-from .learning import ObservedShake, Refinement, feel, refine
+from .learning import ObservedShake, Refinement, measure_grip, refine
 from .pipeline import Done, Params, Seen, model_plant, perceive, pollinate
 from .response import Response, measure_response
 from .shake import Actuator, Pads, ShakePlan, arm_shaker, plan_shake
@@ -24,9 +24,9 @@ __all__ = [
     "Trial",
     "arm_shaker",
     "execute",
-    "feel",
     "foresee",
     "load_grasps",
+    "measure_grip",
     "measure_response",
     "model_plant",
     "perceive",

@@ -111,7 +111,7 @@ class Worth(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Weighed(Record):
+class WorthCurve(Record):
     """What one way to shake is worth by its amplitude. S amplitudes, rising.
 
     Attributes:
@@ -191,24 +191,26 @@ def worth(
         spread, sizes = np.hypot(spread, delivered[1]), [member + size + delivered[0] for member in logs]
         return [np.asarray(sum(curve(one, spread) for one in sizes) / len(sizes)) for curve in curves]
 
-    curves = [_freed(hertz, power) for power, _ in DOSE_MEASURES.values()]
+    curves = [_dose_curve(hertz, power) for power, _ in DOSE_MEASURES.values()]
     parts, count = np.zeros((len(curves) + 1, *size.shape)), answer.flowers.shape[-1]
     for f in range(count):
         known = None if measured is None else bool(measured[f])
-        parts += np.array(means(answer.flowers[..., f], "flowers", *curves, _passed(LOST_AT), known=known)) / count
+        parts += (
+            np.array(means(answer.flowers[..., f], "flowers", *curves, _failure_curve(LOST_AT), known=known)) / count
+        )
     freed, lost = dict(zip(DOSE_MEASURES, parts, strict=False)), parts[-1]
     gain = np.sum([share * freed[measure] for measure, (_, share) in DOSE_MEASURES.items()], axis=0)
     bent = {
-        kind: means(getattr(answer, kind), kind, _passed(TOLERANCE[organ]))[0]
+        kind: means(getattr(answer, kind), kind, _failure_curve(TOLERANCE[organ]))[0]
         for kind, organ in (("base_strain", "base"), ("stem_strain", "stem"), ("leaf_load", "leaf"))
     }
     bent["leaf_load"] = np.where(hertz > GUSTS, 0.0, bent["leaf_load"])
-    (bent["grip_force"],) = means(answer.grip_force / np.asarray(held), "grip_force", _passed(GRIP))
+    (bent["grip_force"],) = means(answer.grip_force / np.asarray(held), "grip_force", _failure_curve(GRIP))
     others = np.sum([cost * bent[kind] for kind, cost in COSTS.items()], axis=0)
     return Worth(gain, freed, lost, bent, others, (1 - bent["grip_force"]) * gain - price * (lost + others))
 
 
-def _freed(hertz: Array, power: int) -> Curve:
+def _dose_curve(hertz: Array, power: int) -> Curve:
     """Return the curve of the share of pollen freed by a measure of motion, see `DOSE_MEASURES`."""
 
     def freed(logs: Array, spread: Array) -> Array:
@@ -218,18 +220,18 @@ def _freed(hertz: Array, power: int) -> Curve:
     return freed
 
 
-def _passed(borne: Believed) -> Curve:
+def _failure_curve(tolerance: Believed) -> Curve:
     """Return the curve of the probability that a load passes what is borne."""
-    return lambda logs, spread: ndtr((logs - np.log(borne.median)) / np.hypot(borne.spread, spread))
+    return lambda logs, spread: ndtr((logs - np.log(tolerance.median)) / np.hypot(tolerance.spread, spread))
 
 
-def weighed(answer: Answer, amplitude: Array, *how: Any, **more: Any) -> Weighed:
+def weighed(answer: Answer, amplitude: Array, *how: Any, **more: Any) -> WorthCurve:
     """Return what one shake is worth at amplitudes (S,); arguments as of `worth`."""
     found = worth(answer, amplitude, *how, **more)
     alone = [
         worth(Answer(*(part[m : m + 1] for part in answer)), amplitude, *how, **more).net
         for m in range(len(answer.flowers))
     ]
-    return Weighed(
+    return WorthCurve(
         amplitude, found.gain, found.lost, found.others, found.net, np.quantile(alone, [0.05, 0.95], axis=0).T
     )

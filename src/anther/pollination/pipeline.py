@@ -29,7 +29,7 @@ from anther.pollination import escalation, execution, grasp, shake
 from anther.pollination.escalation import SHORTEST, Escalation, foresee, watch_points
 from anther.pollination.execution import Arrive, Trial, early_reach
 from anther.pollination.grasp import Grasp
-from anther.pollination.learning import ObservedShake, feel, refine
+from anther.pollination.learning import ObservedShake, measure_grip, refine
 from anther.pollination.response import Response, measure_response, stem_near
 from anther.pollination.response.thresholds import FEWEST_FRAMES
 from anther.pollination.shake import Pads, ShakePlan
@@ -220,9 +220,9 @@ def pollinate(
     answer = _watched(cell, trial, shake, seen, run)
     if answer is None:
         return Done(shake, trial, answer, rods.material, rods.material, params.shake.pads, alone, planned)
-    felt = feel(trial, shake, cell.limits.forward)
-    told = [ObservedShake.of(shake, answer, felt)]
-    learned = run.timed("learning", lambda _: refine(rods, told, pads=params.shake.pads))
+    grip = measure_grip(trial, shake, cell.limits.forward)
+    observed = [ObservedShake.of(shake, answer, grip)]
+    learned = run.timed("learning", lambda _: refine(rods, observed, pads=params.shake.pads))
     return Done(shake, trial, answer, learned.material, rods.material, learned.pads, alone, planned)
 
 
@@ -300,7 +300,7 @@ def _shaken(
         )
         arrive, planned = None, plan
         if watched is not None:
-            plan = watched.executed(trial.steps)
+            plan = watched.executed_plan(trial.steps)
         grasps = [g for i, g in enumerate(grasps) if i != planned.grasp_index]
         if trial.failure not in TRY_THE_NEXT or len(trial.shake_times) or not grasps:
             return plan, trial, alone, planned

@@ -259,7 +259,7 @@ def _motion(results: RunResults) -> str:
         return ""
     picture = _image(lambda narrow: draw_motion(shake, response, narrow), "predicted and measured flower motion")
     steps = () if results.trial is None else results.trial.steps
-    measured = response.felt(steps)
+    measured = response.flower_acceleration(steps)
     rows = [
         [
             f"Flower {i + 1}",

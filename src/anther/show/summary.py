@@ -98,7 +98,7 @@ def _felt(done: Done) -> Array:
     """Return what the side camera measured of the flowers that it saw [m/s2]."""
     if done.response is None:
         return np.zeros(0)
-    felt = done.response.felt(done.trial.steps)
+    felt = done.response.flower_acceleration(done.trial.steps)
     return felt[np.isfinite(felt)]
 
 

@@ -1,6 +1,6 @@
-"""Escalation: a shake that begins gently and is raised as far as the camera sees that the plant bears it.
+"""Escalation: a shake starts gently and is raised stepwise while the camera measures the plant.
 
-F flowers, P points that the camera may see, R readings of the arm, N shakes: a frequency along a line each.
+F flowers, P visible plant points, R arm readings, N candidate shakes (one frequency along one direction each).
 """
 
 from __future__ import annotations
@@ -14,24 +14,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.core.geometry import Array, Intrinsics
-from anther.pollination.decision import Weighed, believed, interval
+from anther.pollination.decision import WorthCurve, believed, interval
 from anther.pollination.escalation._foresight import Foresight, foresee, watch_points
 from anther.pollination.escalation._knowledge import (
     Answer,
-    Known,
-    Look,
-    answered,
-    gripper_motion,
-    known,
-    lateness,
-    links,
-    proven,
-    settled,
-    summed,
-    unproven,
+    Observation,
+    Prediction,
+    correct_for_links,
+    extrapolate_growth,
+    fit_camera_delay,
+    fit_gripper_motion,
+    predict,
+    prior_answer,
+    shows_plant,
+    sum_answers,
+    update_answer,
 )
 from anther.pollination.escalation._option import SHORTEST, WORDS, Option, Params, limits_of
-from anther.pollination.execution import Line, Step
+from anther.pollination.execution import ShakeDirection, Step
 from anther.pollination.response.points import likeness, sight, swings
 from anther.pollination.response.thresholds import overtones
 from anther.pollination.shake import Params as Limits
@@ -44,32 +44,31 @@ __all__ = ["SHORTEST", "WORDS", "Escalation", "Foresight", "Params", "foresee", 
 
 DEFAULTS = Params()
 RAMP = 0.5
-"""In which the amplitude changes [s], or half a period of the slowest tone if that is longer."""
+"""Shortest time of an amplitude change [s]; half a period of the slowest frequency if that is longer."""
 PERIODS, LOOK = 2.0, 0.6
-"""A step is watched for so many of its periods, and so long [s], at least."""
+"""Least observation of a step, in periods and in seconds."""
 PROBE_PERIODS, SHORTEST_PROBE, LONGEST_PROBE = 8.0, 0.5, 1.4
-"""All frequencies are watched at once for so many periods of the slowest, along each of two lines; at least and at most
-so long [s]."""
+"""Length of a probe, in periods of its slowest frequency, and its bounds [s]."""
 WORSE = 1.5
-"""A frame rate will do if tones look no more than so many times as much alike as at the fastest."""
-PROBED = 0.3
-"""Of the probe: the rms of its loads over that of the plan's shake. With 0.55 a probe bent the pedicels of one plant of
-24 by 2.3 %. Between 0.22 and 0.55 what 53 plants (MuJoCo's linear equations) feel in the end is the same within 3 %."""
+"""Largest loss of frequency separation, relative to the fastest frame rate, that a slower rate may cost."""
+PROBE_SHARE = 0.3
+"""Root mean square of a probe's loads over those of the planned shake; between 0.22 and 0.55 the final flower
+acceleration of 53 simulated plants is the same within 3 %."""
 OUT_OF_SIGHT, NO_TIME = "no flower is in sight", "no time is left"
 UNPROVEN = "what was seen does not move as the gripper does"
 RAISED, HOLD = 2.0, 1.2
-"""A step is at most so many times the one before; the last one goes on so long [s]: a flower approaches what it can
-free within 0.6 s."""
+"""Largest ratio of successive step amplitudes; length of the last step [s], twice
+the time constant of pollen release."""
 BETTER = 1.25
-"""Another tone or line is turned to when it is worth so many times as much: turning takes seconds, and of many promises
-the largest is too large."""
+"""Least ratio of predicted worths that justifies another shake: a change takes seconds, and the largest of many
+predictions is biased upwards."""
 ENOUGH = 1.05
-"""A raise by less is not worth its time, nor is going back to what was worth more."""
-LOST = 0.5  # a shake is ended when fewer than this share of the points followed in the probe still are
+"""Least ratio of amplitudes or worths that justifies another step."""
+LOST = 0.5  # the shake ends when a smaller share of the points tracked in the probe is still tracked
 
 
-class Next(NamedTuple):
-    """What follows: amplitudes (N,) [m], for how long [s] after a ramp, and why."""
+class NextPiece(NamedTuple):
+    """The next piece of a shake: amplitudes (N,) [m], steady time after the ramp [s], and the reason."""
 
     amplitudes: Array
     seconds: float
@@ -77,27 +76,26 @@ class Next(NamedTuple):
 
 
 class Escalation:
-    """One watched shake at the grip of a plan; it satisfies `execution.Watched`.
+    """One observed shake at the grip of a plan; it satisfies `execution.WatchedShake`.
 
-    A gentle mixture of tones is watched first, along the plan's line and then across it: what it does to flowers, stem
-    and leaves corrects what the model says of each tone at this grip (`_foresight.narrowed`), and along any other line
-    the plant does the sum of both. The tone and line are taken with which the flowers can be moved most, and raised in
-    steps, each watched, until more would cost more than it adds. Where the camera sees nothing, the plan is
-    done as it is.
+    Two gentle probes excite all frequencies at once, along the planned direction and across it. The observations
+    update the ensemble prediction of every frequency at this grip (`_foresight.update_members`); a shake along another
+    direction is the sum of the two. The shake of largest predicted worth is then raised in observed steps until more
+    amplitude would cost more than it adds. If the camera sees nothing, the plan is executed unchanged.
 
     Attributes:
         plan, params: as given.
-        steps: what was done so far.
+        steps: executed so far.
 
     Args:
-        plan: where, and by the model how far at most.
-        foresight: of the plan's grip and tones.
+        plan: gives the grip, the candidate shakes and their modelled limits.
+        foresight: prior responses at the plan's grip and frequencies.
         flowers: (F, 3) at rest, world [m].
-        points: (P, 3) the plant's other points, those of `foresee`.
+        points: (P, 3) other plant points at rest, those of `foresee`, world [m].
         camera: intrinsics and T_world_cam (4, 4) of the side camera.
-        middle: joints (R, J) -> (R, 3) place of the grip by the arm's own readings, world [m]; None: a motor moves the
-            pads, and as it was told.
-        limits: of plant and grip.
+        middle: joints (R, J) -> (R, 3) grip position from the arm's own readings, world [m]; None: a motor moves the
+            pads exactly as commanded.
+        limits: parameters of the shake plan.
         params: see `Params`.
     """
 
@@ -115,105 +113,116 @@ class Escalation:
     ) -> None:
         self.plan, self.params = plan, params
         self.steps: tuple[Step, ...] = ()
-        self._foresight, self._places, self._camera, self._middle = foresight, (flowers, points), camera, middle
+        self._foresight, self._rest_points, self._camera, self._grip_position = (
+            foresight,
+            (flowers, points),
+            camera,
+            middle,
+        )
         tones = plan.tones
-        self._tone, self._line = (part.ravel() for part in np.indices(tones.reach.shape))
-        self._hertz = tones.frequencies[self._tone]
-        self._limits = [limits_of(limits, plan.press, hertz) for hertz in self._hertz.tolist()]
-        self._held, self._price = limits.held(plan.press), limits.price
-        self._answers: list[list[Answer]] = []
+        self._frequency_index, self._direction_index = (part.ravel() for part in np.indices(tones.reach.shape))
+        self._frequencies = tones.frequencies[self._frequency_index]
+        self._limits = [limits_of(limits, plan.press, hertz) for hertz in self._frequencies.tolist()]
+        self._friction_limit, self._price = limits.held(plan.press), limits.price
+        self._probe_answers: list[list[Answer]] = []
         self._options: list[Option] = []
-        self._late, self._in_sight, self._last = 0.0, 0, False
-        self._proofs: list[bool] = []  # by step, whether only the plant can have been seen
-        self._proven: list[Look] = []  # the looks of those steps
-        self._sure = 0.0
-        self._doubted = False
+        self._camera_delay, self._visible_count, self._holding = 0.0, 0, False
+        self._proofs: list[bool] = []  # by step, whether the observation can only show the plant
+        self._proven_observations: list[Observation] = []  # of the steps that passed
+        self._proven_amplitude = 0.0
+        self._repeated = False
 
     @property
-    def lines(self) -> tuple[Line, ...]:
-        """The lines along which pieces move the pads."""
+    def directions(self) -> tuple[ShakeDirection, ...]:
+        """The directions along which pieces move the pads."""
         tones = self.plan.tones
         return tuple(
-            Line(direction, self._line == d, float(tones.reach[:, d].max()))
+            ShakeDirection(direction, self._direction_index == d, float(tones.reach[:, d].max()))
             for d, direction in enumerate(tones.directions)
         )
 
     def frame_rate(self, rates: Sequence[float]) -> float:
-        """Return the slowest of a camera's rates [1/s] that tells the tones apart about as well as the fastest does."""
-        looks = [(self._watch(n), hertz * np.arange(1, 2 + overtones(hertz))) for n, hertz in enumerate(self._hertz)]
-        looks.append((self._probe, np.unique(self._hertz)))
-        best = [likeness(max(rates), *look) for look in looks]
+        """Return the slowest camera rate [1/s] that separates the frequencies about as well as the fastest one."""
+        looks = [
+            (self._watch_seconds(n), hertz * np.arange(1, 2 + overtones(hertz)))
+            for n, hertz in enumerate(self._frequencies)
+        ]
+        looks.append((self._probe_seconds, np.unique(self._frequencies)))
+        best = [likeness(max(rates), *observation) for observation in looks]
         return min(r for r in rates if all(likeness(r, *a) <= WORSE * b for a, b in zip(looks, best, strict=True)))
 
     def begin(self, frame: Frame) -> Swing:
-        """Return the probe along the plan's line: all its tones, each `PROBED` times what the model allows of one over
-        the root of their number."""
+        """Return the probe along the planned direction: all K frequencies, each at `PROBE_SHARE` / sqrt(K) times its
+        modelled amplitude."""
         intrinsics, T_world_cam = self._camera
-        self._sight = sight(frame, intrinsics, T_world_cam, *self._places)
+        self._sight = sight(frame, intrinsics, T_world_cam, *self._rest_points)
         probe = self._probe_along(0)
-        ramp = self._ramp(np.flatnonzero(probe.amplitudes))
-        return Swing.first(self._hertz, probe.amplitudes, ramp + probe.seconds + LEAD, ramp)
+        ramp = self._ramp_seconds(np.flatnonzero(probe.amplitudes))
+        return Swing.first(self._frequencies, probe.amplitudes, ramp + probe.seconds + LEAD, ramp)
 
-    def since(self, piece: Swing) -> float:
-        """Return from when on the piece under way is steady [s], counted from the shake's begin."""
-        steady = self._probe if self._probing else self._watch(int(piece.amplitudes.argmax()))
+    def steady_from(self, piece: Swing) -> float:
+        """Return the time from which the current piece is steady [s], from the start of the shake."""
+        steady = self._probe_seconds if self._probing else self._watch_seconds(int(piece.amplitudes.argmax()))
         return piece.begin + max(piece.ramp, piece.seconds - LEAD - steady)
 
-    def go_on(self, piece: Swing, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
-        """Return what follows what was seen; the last piece ends at rest."""
-        started, steady = perf_counter(), [s for s in samples if s.time >= samples[0].time + self.since(piece)]
+    def next_piece(self, piece: Swing, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
+        """Return the next piece, chosen from the observation of the current one; the last piece ends at rest."""
+        started, steady = perf_counter(), [s for s in samples if s.time >= samples[0].time + self.steady_from(piece)]
         self._piece = piece
-        look = self._looked(frames, steady, samples[0].time)
+        observation = self._observe(frames, steady, samples[0].time)
         if not self.steps:
-            self._in_sight = look.followed
-        if not any(self._proofs) and look.followed:
-            self._late = lateness(self._foresight, look)
-        self._proofs.append(proven(self._foresight, look, self._late, self._proven))
+            self._visible_count = observation.followed
+        if not any(self._proofs) and observation.followed:
+            self._camera_delay = fit_camera_delay(self._foresight, observation)
+        self._proofs.append(shows_plant(self._foresight, observation, self._camera_delay, self._proven_observations))
         if self._proofs[-1]:
-            self._proven.append(look)
+            self._proven_observations.append(observation)
         active = np.flatnonzero(piece.amplitudes).tolist()
-        before = [self._options[n].told for n in active] if self._options else [None] * len(active)
+        before = [self._options[n].prediction for n in active] if self._options else [None] * len(active)
         if self._probing and not self._proofs[-1]:
-            answers = [unproven(self._foresight, look, i) for i in range(len(active))]
+            answers = [prior_answer(self._foresight, observation, i) for i in range(len(active))]
         else:
-            answers = [answered(self._foresight, look, i, self._late, last) for i, last in enumerate(before)]
-        told = [self._known(n, one) for n, one in zip(active, answers, strict=True)]
-        shaken = list(zip(piece.amplitudes[active].tolist(), active, told, strict=True))
+            answers = [
+                update_answer(self._foresight, observation, i, self._camera_delay, last)
+                for i, last in enumerate(before)
+            ]
+        predictions = [self._predict(n, one) for n, one in zip(active, answers, strict=True)]
+        shaken = list(zip(piece.amplitudes[active].tolist(), active, predictions, strict=True))
         shares = {k: sum(a * one.loads[k] / self._limits[n][k] for a, n, one in shaken) for k in WORDS}
-        if self._last:
-            follows = Next(np.zeros(len(self._hertz)), 0.0, "Held long enough.")
-        elif look.followed < LOST * self._in_sight:
-            words = f"Only {look.followed} of {self._in_sight} points are still followed: ended."
-            follows = Next(np.zeros(len(self._hertz)), 0.0, words)
+        if self._holding:
+            follows = NextPiece(np.zeros(len(self._frequencies)), 0.0, "Held long enough.")
+        elif observation.followed < LOST * self._visible_count:
+            words = f"Only {observation.followed} of {self._visible_count} points are still followed: ended."
+            follows = NextPiece(np.zeros(len(self._frequencies)), 0.0, words)
         elif self._probing:
-            self._answers.append(answers)
+            self._probe_answers.append(answers)
             follows = self._after_probe(max(shares.values()))
         else:
-            self._options[active[0]].looked_at(told[0])
-            follows = self._decided(active[0])
-        measured = [a * one.answer.flowers[0] for a, _, one in shaken]  # of a flower that was, all members say the same
-        felt = np.sqrt(np.sum(np.square(measured), axis=0))
+            self._options[active[0]].update(predictions[0])
+            follows = self._decide(active[0])
+        measured = [a * one.answer.flowers[0] for a, _, one in shaken]  # all members agree on a measured flower
+        acceleration = np.sqrt(np.sum(np.square(measured), axis=0))
         step = Step(
             steady[0].time,
             steady[-1].time,
-            tuple(self._hertz[active].tolist()),
+            tuple(self._frequencies[active].tolist()),
             tuple(piece.amplitudes[active].tolist()),
-            tuple(look.direction.tolist()),
-            tuple(np.where(told[0].seen, felt, np.nan).tolist()),
+            tuple(observation.direction.tolist()),
+            tuple(np.where(predictions[0].seen, acceleration, np.nan).tolist()),
             {WORDS[kind]: share for kind, share in shares.items()},
             follows.words,
             perf_counter() - started,
         )
         self.steps = (*self.steps, step)
-        ramp = self._ramp(np.flatnonzero(piece.amplitudes + follows.amplitudes))
+        ramp = self._ramp_seconds(np.flatnonzero(piece.amplitudes + follows.amplitudes))
         moving = follows.seconds + LEAD if follows.amplitudes.any() else 0.0
         return piece.then(follows.amplitudes, ramp + moving, ramp)
 
-    def executed(self, steps: Sequence[Step]) -> ShakePlan:
-        """Return the plan as it was carried out: the last step, and what the plant as believed would do in it."""
+    def executed_plan(self, steps: Sequence[Step]) -> ShakePlan:
+        """Return the plan as executed: its last step, with the prior prediction for that step."""
         if not steps:
             return self.plan
-        last, tones = steps[-1], self._foresight.tones
+        last, tones = steps[-1], self._foresight.frequencies
         tone, amplitude = int(np.abs(tones - last.frequencies[0]).argmin()), last.amplitudes[0]
         direction = np.array(last.direction)
         hertz = float(tones[tone])
@@ -233,139 +242,147 @@ class Escalation:
             predicted_amplitude_interval=wide / omega2,
             predicted_acceleration=middle,
             predicted_acceleration_interval=wide,
-            weighed=self._weighed(tone, direction),
+            weighed=self._worth_curve(tone, direction),
             reason=f"{self.plan.reason} Watched on the way: {' '.join(step.decided for step in steps)}",
         )
 
-    def _weighed(self, tone: int, direction: Array) -> Weighed | None:
-        """Return what the shake that was ended with was worth by its amplitude, as far as it was looked at."""
-        lines = np.abs(self.plan.tones.directions @ direction)
-        number = np.flatnonzero((self._tone == tone) & (self._line == int(lines.argmax())))
+    def _worth_curve(self, tone: int, direction: Array) -> WorthCurve | None:
+        """Return the worth by amplitude of the final shake; that of the plan if nothing was observed."""
+        alignment = np.abs(self.plan.tones.directions @ direction)
+        number = np.flatnonzero((self._frequency_index == tone) & (self._direction_index == int(alignment.argmax())))
         return self._options[int(number[0])].weighed if self._options else self.plan.weighed
 
     @property
-    def _probe(self) -> float:
-        return min(LONGEST_PROBE, max(PROBE_PERIODS / float(self._hertz.min()), SHORTEST_PROBE))
+    def _probe_seconds(self) -> float:
+        return min(LONGEST_PROBE, max(PROBE_PERIODS / float(self._frequencies.min()), SHORTEST_PROBE))
 
     @property
     def _probing(self) -> bool:
-        """Whether the piece under way is a probe."""
-        return not self._last and len(self.steps) < len(self.plan.tones.probed)
+        """Whether the current piece is a probe."""
+        return not self._holding and len(self.steps) < len(self.plan.tones.probed)
 
-    def _probe_along(self, line: int, gentler: float = 1.0) -> Next:
+    def _probe_along(self, line: int, gentler: float = 1.0) -> NextPiece:
         tones = self.plan.tones
         alone = np.minimum(tones.amplitudes[:, line], tones.reach[:, line])
-        size = PROBED / gentler * alone / np.sqrt(len(alone))
+        size = PROBE_SHARE / gentler * alone / np.sqrt(len(alone))
         size /= max(1.0, float(np.sum(size / tones.reach[:, line])))  # peaks add up
-        amplitudes = np.where(self._line == line, size[self._tone], 0.0)
-        return Next(amplitudes, self._probe, "Probed across that line as well.")
+        amplitudes = np.where(self._direction_index == line, size[self._frequency_index], 0.0)
+        return NextPiece(amplitudes, self._probe_seconds, "Probed across that line as well.")
 
-    def _looked(self, frames: Sequence[Frame], steady: Sequence[ArmSample], begin: float) -> Look:
+    def _observe(self, frames: Sequence[Frame], steady: Sequence[ArmSample], begin: float) -> Observation:
         piece, active = self._piece, np.flatnonzero(self._piece.amplitudes)
-        direction, tones = self.plan.tones.directions[self._line[active[0]]], piece.frequencies[active]
+        direction, tones = self.plan.tones.directions[self._direction_index[active[0]]], piece.frequencies[active]
         commanded = np.asarray(piece.amplitudes[active] * np.exp(-2j * np.pi * tones * begin), dtype=np.complex128)
-        if self._middle is None:
+        if self._grip_position is None:
             gripper, doubt = np.asarray(commanded[:, None] * direction, dtype=np.complex128), np.zeros(len(tones))
         else:
-            gripper, doubt = links(gripper_motion(steady, self._middle, tones), tones)
+            gripper, doubt = correct_for_links(fit_gripper_motion(steady, self._grip_position, tones), tones)
         expected = None
         if self._options:
-            expected = np.stack([c * self._options[n].told.picture for c, n in zip(commanded, active)], axis=1)  # noqa: B905
-        seen = settled(swings(self._sight, frames, tones, expected), float(tones[0]))
-        return Look(self._tone[active], direction, commanded, gripper, doubt, seen, len(self.steps))
+            expected = np.stack([c * self._options[n].prediction.phasors for c, n in zip(commanded, active)], axis=1)  # noqa: B905
+        seen = extrapolate_growth(swings(self._sight, frames, tones, expected), float(tones[0]))
+        return Observation(self._frequency_index[active], direction, commanded, gripper, doubt, seen, len(self.steps))
 
-    def _known(self, shake: int, answer: Answer) -> Known:
-        return known(self._foresight, float(self._hertz[shake]), answer, self._late)
+    def _predict(self, shake: int, answer: Answer) -> Prediction:
+        return predict(self._foresight, float(self._frequencies[shake]), answer, self._camera_delay)
 
-    def _after_probe(self, borne: float) -> Next:
-        """Return what follows a probe: the next one, or the shake with which flowers can be moved most.
+    def _after_probe(self, largest_load: float) -> NextPiece:
+        """Return the piece after a probe: the next probe, or the shake of largest predicted worth.
 
-        `borne`: the largest of the probe's loads, over what may be borne. The next probe is as much gentler.
+        `tolerated`: the largest of the probe's loads, over what may be borne. The next probe is as much gentler.
         """
         tones = self.plan.tones
-        if not self._in_sight:
-            self._last = True
+        if not self._visible_count:
+            self._holding = True
             words = "Nothing is in sight: the plan alone is carried out."
-            return self._only(0, self.plan.amplitude, self.plan.duration, words)
-        if len(self._answers) < len(tones.probed):
-            return self._probe_along(tones.probed[len(self._answers)], gentler=max(borne, 1.0))
+            return self._excite(0, self.plan.amplitude, self.plan.duration, words)
+        if len(self._probe_answers) < len(tones.probed):
+            return self._probe_along(tones.probed[len(self._probe_answers)], gentler=max(largest_load, 1.0))
         planned, reach = tones.amplitudes.ravel().tolist(), tones.reach.ravel().tolist()
-        for shake, (tone, line) in enumerate(zip(self._tone, self._line, strict=True)):
-            answer = summed([along[tone] for along in self._answers], tones.parts(int(line)))
-            known_of, hertz = self._known(shake, answer), float(self._hertz[shake])
-            option = Option(hertz, self._held, self._price, planned[shake], reach[shake], known_of)
+        for shake, (tone, line) in enumerate(zip(self._frequency_index, self._direction_index, strict=True)):
+            answer = sum_answers([along[tone] for along in self._probe_answers], tones.parts(int(line)))
+            prediction, hertz = self._predict(shake, answer), float(self._frequencies[shake])
+            option = Option(hertz, self._friction_limit, self._price, planned[shake], reach[shake], prediction)
             self._options.append(option)
-        return self._decided(0) if len(self._hertz) == 1 else self._turned_to(self._best())
+        return self._decide(0) if len(self._frequencies) == 1 else self._switch_to(self._best())
 
     def _best(self) -> int:
-        """Return the shake that is worth most."""
-        return max(range(len(self._options)), key=lambda n: self._options[n].promised)
+        """Return the index of the shake of largest predicted worth."""
+        return max(range(len(self._options)), key=lambda n: self._options[n].predicted_worth)
 
-    def _decided(self, now: int) -> Next:
-        """Return what follows a shake that was looked at."""
+    def _decide(self, now: int) -> NextPiece:
+        """Return the piece after an observed shake: another shake, or this one at another amplitude."""
         amplitude, option = float(self._piece.amplitudes[now]), self._options[now]
-        why = "" if np.isfinite(option.told.most).any() else OUT_OF_SIGHT
+        why = "" if np.isfinite(option.prediction.most).any() else OUT_OF_SIGHT
         why = why if self._proofs[-1] else UNPROVEN
         if not why:
-            self._sure = amplitude
-            option.tried = max(option.tried, amplitude)
+            self._proven_amplitude = amplitude
+            option.raised_to = max(option.raised_to, amplitude)
             best = self._best()
-            if self._options[best].promised > BETTER * option.promised and self._fits(best):
-                return self._turned_to(best)
-        return self._raised(now, amplitude, why)
+            if self._options[best].predicted_worth > BETTER * option.predicted_worth and self._has_time(best):
+                return self._switch_to(best)
+        return self._raise(now, amplitude, why)
 
-    def _only(self, shake: int, amplitude: float, seconds: float, words: str) -> Next:
-        return Next(amplitude * (np.arange(len(self._hertz)) == shake), seconds, words)
+    def _excite(self, shake: int, amplitude: float, seconds: float, words: str) -> NextPiece:
+        return NextPiece(amplitude * (np.arange(len(self._frequencies)) == shake), seconds, words)
 
-    def _again(self, shake: int, amplitude: float, why: str) -> Next:
-        self._doubted = True
-        return self._only(shake, amplitude, self._watch(shake), f"Watched again at {1e3 * amplitude:.2g} mm: {why}.")
+    def _repeat(self, shake: int, amplitude: float, why: str) -> NextPiece:
+        self._repeated = True
+        return self._excite(
+            shake, amplitude, self._watch_seconds(shake), f"Watched again at {1e3 * amplitude:.2g} mm: {why}."
+        )
 
-    def _turned_to(self, shake: int) -> Next:
-        option, lines = self._options[shake], self.plan.tones.directions
-        most, seen = option.may, bool(option.told.seen.any()) and all(self._proofs[: len(self.plan.tones.probed)])
-        self._sure, self._doubted = option.planned, False
+    def _switch_to(self, shake: int) -> NextPiece:
+        option, directions = self._options[shake], self.plan.tones.directions
+        most, seen = (
+            option.allowed,
+            bool(option.prediction.seen.any()) and all(self._proofs[: len(self.plan.tones.probed)]),
+        )
+        self._proven_amplitude, self._repeated = option.planned, False
         begin = min(most.amplitude, option.planned * (RAISED if seen else 1.0))
-        turned = np.degrees(np.arccos(min(abs(float(lines[self._line[shake]] @ lines[0])), 1.0)))
+        turned = np.degrees(np.arccos(min(abs(float(directions[self._direction_index[shake]] @ directions[0])), 1.0)))
         words = (
             f"At {self._hertz[shake]:.3g} Hz, {turned:.0f}° from the plan's line, flowers may reach {most.flowers:.3g}"
             f" m/s² with {1e3 * most.amplitude:.2g} mm, more than otherwise; {most.binds} ends it there."
         )
-        return self._only(shake, begin, self._watch(shake), words)
+        return self._excite(shake, begin, self._watch_seconds(shake), words)
 
-    def _raised(self, shake: int, now: float, doubt: str) -> Next:
-        """Return a larger shake, or the last one.
+    def _raise(self, shake: int, now: float, doubt: str) -> NextPiece:
+        """Return a larger amplitude, or the last piece.
 
-        Where `doubt` says why what was seen proves nothing, no larger than what was proven before or the model allows.
+        `doubt`: why the observation proves nothing; the amplitude is then at most the last proven or the planned one.
         """
-        option, may = self._options[shake], self._options[shake].may
-        higher, why = min(may.amplitude, RAISED * now), may.binds
+        option, allowed = self._options[shake], self._options[shake].allowed
+        higher, why = min(allowed.amplitude, RAISED * now), allowed.binds
         if doubt:
-            higher, why = min(max(self._sure, option.planned), higher), doubt
-        if not self._fits(shake):
+            higher, why = min(max(self._proven_amplitude, option.planned), higher), doubt
+        if not self._has_time(shake):
             higher, why = min(now, higher), NO_TIME
         if higher > ENOUGH * now:
-            return self._only(shake, higher, self._watch(shake), f"Raised to {1e3 * higher:.2g} mm.")
-        if doubt and not self._doubted and why != NO_TIME:
-            return self._again(shake, higher, why)
-        self._last = True
-        done = [one.worth_at(one.borne) for one in self._options]
+            return self._excite(shake, higher, self._watch_seconds(shake), f"Raised to {1e3 * higher:.2g} mm.")
+        if doubt and not self._repeated and why != NO_TIME:
+            return self._repeat(shake, higher, why)
+        self._holding = True
+        done = [one.worth_at(one.tolerated) for one in self._options]
         best = int(np.argmax(done))
         if best != shake and done[best] > ENOUGH * option.worth_at(now):
             why = f"{why}; {self._hertz[best]:.3g} Hz was worth more"
-            shake, higher = best, self._options[best].borne
+            shake, higher = best, self._options[best].tolerated
         else:
             higher = min(now, higher)
-        return self._only(shake, higher, HOLD, f"Held at {1e3 * higher:.2g} mm: {why}.")
+        return self._excite(shake, higher, HOLD, f"Held at {1e3 * higher:.2g} mm: {why}.")
 
-    def _fits(self, shake: int) -> bool:
-        """Return whether there is time for one more step, the hold after it, and coming to rest."""
+    def _has_time(self, shake: int) -> bool:
+        """Return whether there is time for another step, the last one, and the ramp to rest."""
         ends = self._piece.begin + self._piece.seconds
-        return ends + 3 * self._ramp([shake]) + self._watch(shake) + HOLD + 2 * LEAD <= self.params.most_seconds
+        return (
+            ends + 3 * self._ramp_seconds([shake]) + self._watch_seconds(shake) + HOLD + 2 * LEAD
+            <= self.params.most_seconds
+        )
 
-    def _ramp(self, shakes: Sequence[int] | NDArray[np.int64]) -> float:
-        """Return how long changes of some shakes take [s]."""
-        return float(np.max(0.5 / self._hertz[shakes], initial=RAMP))
+    def _ramp_seconds(self, shakes: Sequence[int] | NDArray[np.int64]) -> float:
+        """Return the time of an amplitude change of some shakes [s]."""
+        return float(np.max(0.5 / self._frequencies[shakes], initial=RAMP))
 
-    def _watch(self, shake: int) -> float:
-        return max(LOOK, PERIODS / float(self._hertz[shake]))
+    def _watch_seconds(self, shake: int) -> float:
+        return max(LOOK, PERIODS / float(self._frequencies[shake]))

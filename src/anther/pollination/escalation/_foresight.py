@@ -1,6 +1,6 @@
-"""What a shake at one grip should do by the model, and what is left of that once the camera has seen a small one.
+"""Ensemble prediction of shakes at one grip, and its Kalman update from camera observations.
 
-M members, K tones, S vectors.
+M members, K frequencies, S vectors.
 """
 
 from __future__ import annotations
@@ -19,60 +19,59 @@ from anther.pollination.shake.pads import PADS, Pads, friction_force, grip_rows,
 from anther.pollination.shake.search import held_radius, motions, scenarios
 
 MEMBERS = 32
-"""Plants that are drawn; more change the narrowed loads by less than the camera's errors do."""
+"""Ensemble size; a larger ensemble changes the updated loads by less than the camera's errors do."""
 BRANCH_SPREAD = 0.5
-"""Of ln of a branch's stiffness, as in `identification.Params`."""
+"""Standard deviation of ln of a branch's stiffness, as in `learning.Params`."""
 MISFIT = 0.2
-"""Of a point's modelled or seen motion, relative: no model's node is the piece of plant that a camera sees, and a
-stem's motion along itself cannot be seen. Measured on three simulated plants."""
+"""Relative model error of a tracked point: a model node is not exactly the tracked patch, and motion along a stem is
+invisible; measured on simulated plants."""
 STILL = 0.1
-"""Share of the believed motion with which a plant as good as stands still. Where its stem and leaves move by a third,
-neither this nor the whole is likelier; of 5 simulated plants the tracker showed 0.2 to 1.1."""
+"""Share of the predicted motion that the hypothesis of a still plant assumes (`evidence`); a judgement."""
 SIGNIFICANCE = 3.0
-"""A flower's motion counts as measured from so many standard deviations on; below, it only narrows what is believed."""
+"""Detection limit of a motion, in standard deviations; a weaker one only updates the ensemble."""
 FLOWER_SPREAD = 0.65
 """Standard deviation of ln(true over modelled amplitude) of a flower about its plant's mean, measured by us on 16
 simulated plants at 5 and 10 Hz (docs/reports/response.md)."""
-STAND_OUT = 2.0
-"""Of flowers that swing less than stem and leaves do, for what the members say of both, in standard deviations: from
-here on what is followed in their place stands still. The least in 47 looks at 5 simulated plants was -1.4."""
+STILL_DEVIATIONS = 2.0
+"""Deficit of flower motion against stem and leaf motion, in standard deviations, from which the tracked flowers are
+taken for still background; the largest deficit in simulated observations was 1.4."""
 MOST_POINTS = 60
-"""Of the plant that are watched beside the flowers."""
+"""Largest number of tracked points other than flowers."""
 
 
 class Foresight(NamedTuple):
-    """What one metre of gripper motion along each axis of the world does, as phasors.
+    """Response of an ensemble to one metre of gripper motion along each world axis, as phasors.
 
     Attributes:
-        tones: (K,) [Hz].
+        frequencies: (K,) [Hz].
         vectors: (M, K, 3, S, 3), by axis of the gripper's motion; the first member is the plant as believed.
         where: kind -> rows of S, see `search.motions`: flowers first, then points, then loads.
         radius: of the stem between the pads [m].
         pad_width: along the stem [m].
     """
 
-    tones: Array
+    frequencies: Array
     vectors: ComplexArray
     where: Mapping[str, slice]
     radius: float
     pad_width: float
 
     def of(self, tone: int, motion: Array | ComplexArray) -> ComplexArray:
-        """Return (M, S, 3) what the gripper's motion does at a tone: (3,) world, phasors of it, or (M, 3) of each."""
+        """Return the response (M, S, 3) at a frequency index to gripper motion (3,), world, or (M, 3) by member."""
         motions = np.broadcast_to(motion, (len(self.vectors), 3))
         return np.asarray(np.einsum("masx,ma->msx", self.vectors[:, tone], motions))
 
     def load(self, kind: str, vectors: ComplexArray) -> Array:
-        """Return (M,) the largest load of a kind, of vectors (M, S, 3) of one shake."""
+        """Return (M,) the largest load of a kind in responses (M, S, 3) to one shake."""
         sizes = semi_major(vectors[:, self.where[kind]])
         if kind == "grip_force":
             return friction_force(*sizes.T, radius=self.radius, width=self.pad_width)
         return sizes.max(axis=1, initial=0.0)
 
     def answer(self, vectors: ComplexArray, hertz: float, peak: Array | float = 1.0) -> Answer:
-        """Return what a decision asks for of vectors (M, S, 3) of one shake.
+        """Return the input of a decision from responses (M, S, 3) to one shake.
 
-        `peak`: (F,) of each flower's acceleration over what it would be without overtones.
+        `peak`: (F,) ratio of each flower's peak acceleration to that without overtones.
         """
         flowers = peak * semi_major(vectors[:, self.where["flowers"]])
         loads = (self.load(kind, vectors) for kind in ("base_strain", "stem_strain", "leaf_load", "grip_force"))
@@ -82,29 +81,29 @@ class Foresight(NamedTuple):
 def foresee(
     plant: PlantModel,
     point: Array,
-    tones: Array,
+    frequencies: Array,
     seen: NDArray[np.int64],
     *,
     pads: Pads = PADS,
 ) -> Foresight:
-    """Return what shakes of one grip should do, for plants and pads drawn from what is believed.
+    """Return the responses to shakes at one grip, for plants and pads drawn from the prior.
 
     Args:
-        plant: as believed.
-        point: (3,) where it is held [m].
-        tones: (K,) [Hz].
+        plant: prior model.
+        point: (3,) of the grip [m].
+        frequencies: (K,) [Hz].
         seen: (P,) rod nodes that a camera may see.
-        pads: as believed.
+        pads: prior of the pads.
     """
     grip = pad_nodes(plant, grip_rows(plant, point[None]), pads.width)
     members = scenarios(plant, MEMBERS, pads=pads, branch_spread=BRANCH_SPREAD)
-    found = [motions(member, grip, tones, like=plant, points=seen)[0] for member in members]
+    found = [motions(member, grip, frequencies, like=plant, points=seen)[0] for member in members]
     ends = np.cumsum([0, *(part.shape[2] for part in found[0].values())])
     where = {kind: slice(int(a), int(b)) for kind, a, b in zip(found[0], ends[:-1], ends[1:], strict=True)}
     vectors = np.array(
         [np.moveaxis(np.concatenate([part[:, 0] for part in one.values()], axis=1), -1, 1) for one in found]
     )
-    return Foresight(tones, vectors, where, float(held_radius(plant, grip)[0]), pads.width)
+    return Foresight(frequencies, vectors, where, float(held_radius(plant, grip)[0]), pads.width)
 
 
 def watch_points(plant: PlantModel) -> NDArray[np.int64]:
@@ -119,23 +118,24 @@ def watch_points(plant: PlantModel) -> NDArray[np.int64]:
     return nodes[chosen]
 
 
-def narrowed(members: ComplexArray, motion: ComplexArray, std: Array, axes: Array, number: int = 0) -> ComplexArray:
-    """Return (M, S, 3) what a shake does, once points were seen to move in the camera's picture.
+def update_members(
+    members: ComplexArray, motion: ComplexArray, std: Array, axes: Array, number: int = 0
+) -> ComplexArray:
+    """Return the members' responses (M, S, 3), updated by observed point motions.
 
-    The members' answers are regressed on what a camera sees of them (ensemble Kalman update, Evensen 2003): loads and
-    hidden flowers follow as the members have them follow, so that at a tone and grip that were measured no resonance
-    has to be known. What is seen is drawn anew for each member with its errors, so that they stay as different as what
-    is not known has them. With fewer members than numbers seen they end too much alike: what is left of a load's error
-    beside them is measured (`decision.OBSERVED_ERRORS`).
+    Stochastic ensemble Kalman update (Evensen 2003). Loads and occluded flowers follow through the members' own
+    covariances, so no resonance has to be known at an observed frequency and grip. The observation is perturbed for
+    each member. An ensemble smaller than the observation becomes too narrow; `decision.OBSERVED_ERRORS` holds the
+    measured remaining error of the loads.
 
     Args:
-        members: (M, S, 3) what they say of that shake, `Foresight.of`, per metre commanded.
-        motion: (P, 3) of the first P of S per metre commanded, along `axes`; any where it was not seen.
-        std: (P, 3) standard deviation of either part; NaN where it was not seen.
+        members: (M, S, 3) predicted responses, `Foresight.of`, per metre commanded.
+        motion: (P, 3) observed motion of the first P of S per metre commanded, along `axes`; any where `std` is NaN.
+        std: (P, 3) standard deviation of real and imaginary part; NaN where not observed.
         axes: (P, 3, 3) see `response.points.Sight`.
-        number: of the observation: the errors that are drawn of two have nothing in common.
+        number: of the observation, seeds its perturbations.
     """
-    miss, spread, gram, _ = _seen(members, motion, std, axes)
+    miss, spread, gram, _ = _innovations(members, motion, std, axes)
     off = (members - members.mean(axis=0)).reshape(len(members), -1) / np.sqrt(len(members) - 1)
     drawn = np.random.default_rng(number).normal(size=(2, *miss.shape)) / np.sqrt(2)
     drawn -= drawn.mean(axis=1, keepdims=True)
@@ -145,8 +145,8 @@ def narrowed(members: ComplexArray, motion: ComplexArray, std: Array, axes: Arra
 
 
 def misfit(members: ComplexArray, motion: ComplexArray, std: Array, axes: Array) -> float:
-    """Return -ln likelihood of what was seen of one shake, up to a constant; arguments as of `narrowed`."""
-    misses, spread, gram, noise = _seen(members, motion, std, axes)
+    """Return -ln likelihood of the observation of one shake, up to a constant; arguments as of `update_members`."""
+    misses, spread, gram, noise = _innovations(members, motion, std, axes)
     miss = misses.mean(axis=0)
     explained = np.linalg.solve(gram, spread.conj() @ miss) @ spread
     fit = float(np.vdot(miss, miss - explained).real)
@@ -154,68 +154,68 @@ def misfit(members: ComplexArray, motion: ComplexArray, std: Array, axes: Array)
 
 
 def evidence(members: ComplexArray, motion: ComplexArray, std: Array, axes: Array) -> float:
-    """Return ln of how many times likelier what was seen is if the plant moves as the members say than `STILL` as far.
+    """Return the ln likelihood ratio of two hypotheses: the plant moves as predicted, or `STILL` times as far.
 
-    It is low where nothing that was followed moves, where it moves at another phase than the pads do, and where too
-    little was seen to tell. Arguments as of `narrowed`.
+    The ratio is low if tracked points stand still, move at another phase than the pads, or are too few. Arguments as
+    of `update_members`.
     """
     return misfit(STILL * members, motion, std, axes) - misfit(members, motion, std, axes)
 
 
-def stand(members: ComplexArray, motion: ComplexArray, std: Array, axes: Array, count: int) -> bool:
-    """Return whether what is taken for flowers, the first `count` of F + P points, stands still while the others move.
+def flowers_stand_still(members: ComplexArray, motion: ComplexArray, std: Array, axes: Array, count: int) -> bool:
+    """Return whether the first `count` of F + P points, the flowers, stand still while the others move.
 
-    By how much a point swings more than members (M, S, 3) say, ln, with what may be of it without being measured.
+    Compares ln of observed motion, with its detection limit, over predicted motion of flowers and of other points.
     """
     used = np.isfinite(std)
     flowers, points = used[:count, 0], used[count:, 0]
     if not flowers.any() or not points.any():
         return False
-    said = np.where(used, np.abs(np.einsum("mpx,pxa->mpa", members[:, : len(motion)], axes)), 0.0)
-    said = np.log(np.maximum(np.linalg.norm(said, axis=2), 1e-12))
-    may = np.where(used, np.hypot(np.abs(motion), SIGNIFICANCE * std), 0.0)
-    more = np.log(np.maximum(np.linalg.norm(may, axis=1), 1e-12)) - said.mean(axis=0)
-    alike = float(said[:, :count][:, flowers].mean(axis=1).std())
+    predicted = np.where(used, np.abs(np.einsum("mpx,pxa->mpa", members[:, : len(motion)], axes)), 0.0)
+    predicted = np.log(np.maximum(np.linalg.norm(predicted, axis=2), 1e-12))
+    upper = np.where(used, np.hypot(np.abs(motion), SIGNIFICANCE * std), 0.0)
+    more = np.log(np.maximum(np.linalg.norm(upper, axis=1), 1e-12)) - predicted.mean(axis=0)
+    alike = float(predicted[:, :count][:, flowers].mean(axis=1).std())
     spread = np.hypot(FLOWER_SPREAD, alike)  # flowers of one plant may all be off alike
-    return bool(np.median(more[:count][flowers]) - np.median(more[count:][points]) < -STAND_OUT * spread)
+    return bool(np.median(more[:count][flowers]) - np.median(more[count:][points]) < -STILL_DEVIATIONS * spread)
 
 
-def repeated(
+def repeats_motion(
     now: tuple[ComplexArray, Array], before: tuple[ComplexArray, Array], raised: float, changing: float
 ) -> bool:
-    """Return whether a look after a raise shows the motion of a look before it.
+    """Return whether an observation after a raise repeats the motion of an earlier one, as a frozen camera would.
 
-    A plant is about linear: all its points swing further by the raise. One gain is fitted to them all; where it is
-    nearer to 1 than to the raise, in logarithm, they are shown as they were. Not where its error leaves that open.
+    A plant is nearly linear, so all points should scale with the gripper. One gain is fitted to all points; the motion
+    is repeated if ln gain is nearer to 0 than to ln `raised`, unless its error leaves that open.
 
     Args:
-        now: (P, 3) motion [m], in the phase of its shake, and its standard deviation; NaN where it was not seen.
-        before: the same of the earlier look.
-        raised: amplitude of the gripper over the earlier one.
-        changing: share by which the swings of both looks still grow or die out, which they may show instead.
+        now: (P, 3) motion [m], in the phase of its shake, and its standard deviation; NaN where not observed.
+        before: the same of the earlier observation.
+        raised: gripper amplitude over the earlier one.
+        changing: relative growth or decay of the swings still to come in both observations.
     """
     (moved, std), (last, last_std) = now, before
     used = np.isfinite(std) & np.isfinite(last_std)
     sizes = [np.linalg.norm(np.where(used, one, 0.0), axis=1, keepdims=True) for one in (moved, raised * last)]
     noise = std**2 + (raised * last_std) ** 2 + MISFIT**2 * (sizes[0] ** 2 + sizes[1] ** 2)
     weight, moved, last, last_std = 1 / noise[used], moved[used], last[used], last_std[used]
-    added = 2 * float(np.sum(weight * last_std**2))  # by the noise of the earlier look
-    known = float(np.sum(weight * np.abs(last) ** 2)) - added
-    if raised <= 1 or known <= 0:
+    added = 2 * float(np.sum(weight * last_std**2))  # by the noise of the earlier observation
+    reference = float(np.sum(weight * np.abs(last) ** 2)) - added
+    if raised <= 1 or reference <= 0:
         return False
-    gain = abs(np.vdot(last, weight * moved)) / known
-    error = np.linalg.norm([changing, added / known, 1 / (raised * np.sqrt(known))])
+    gain = abs(np.vdot(last, weight * moved)) / reference
+    error = np.linalg.norm([changing, added / reference, 1 / (raised * np.sqrt(reference))])
     return bool(np.log(raised) > SIGNIFICANCE * error and gain < np.sqrt(raised))
 
 
-def _seen(
+def _innovations(
     members: ComplexArray, motion: ComplexArray, std: Array, axes: Array
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray, Array]:
-    """Return what was seen less what each member says (M, V), in standard deviations of those V complex numbers; the
-    members' spread about their mean over the root of M - 1 (M, V); its gram (M, M), and 1; and the deviations (V,)."""
-    said, used = np.einsum("mpx,pxa->mpa", members[:, : len(motion)], axes), np.isfinite(std)
-    sizes = [np.linalg.norm(np.where(used, one, 0.0), axis=1) for one in (motion, said.mean(axis=0))]
+    """Return the innovations (M, V) in standard deviations of the V observed complex numbers, the members' deviations
+    from their mean over sqrt(M - 1) (M, V), their gram matrix plus the identity (M, M), and the deviations (V,)."""
+    predicted, used = np.einsum("mpx,pxa->mpa", members[:, : len(motion)], axes), np.isfinite(std)
+    sizes = [np.linalg.norm(np.where(used, one, 0.0), axis=1) for one in (motion, predicted.mean(axis=0))]
     noise = np.hypot(np.sqrt(2) * std, MISFIT * np.max(sizes, axis=0)[:, None])[used]
-    miss, off = (motion - said)[:, used] / noise, (said - said.mean(axis=0))[:, used] / noise
+    miss, off = (motion - predicted)[:, used] / noise, (predicted - predicted.mean(axis=0))[:, used] / noise
     spread = off / np.sqrt(len(members) - 1)
     return miss, spread, np.eye(len(members)) + spread.conj() @ spread.T, noise

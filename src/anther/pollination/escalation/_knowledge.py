@@ -1,6 +1,6 @@
-"""What is known of a watched shake, once camera and arm have measured it or its parts.
+"""Prediction of a watched shake from the observations of camera and arm.
 
-F flowers, K tones, M members, P points, S vectors.
+F flowers, K frequencies, M members, P points, S vectors.
 """
 
 from __future__ import annotations
@@ -21,87 +21,81 @@ from anther.pollination.escalation._foresight import (
     SIGNIFICANCE,
     Foresight,
     evidence,
+    flowers_stand_still,
     misfit,
-    narrowed,
-    repeated,
-    stand,
+    repeats_motion,
+    update_members,
 )
 from anther.pollination.response.points import Swings
 from anther.pollination.shake.observables import ComplexArray, semi_major
 from anther.pollination.shake.params import FAST
 from anther.robot.devices import ArmSample
 
-MISTAKEN = 4.0
-"""A flower is not measured when it seems to swing exp(4 `FLOWER_SPREAD`), 13, times as far as the members say of it
-while the others do not: something else was followed."""
+LARGEST_EXCESS = 4.0
+"""A flower whose observed over predicted motion exceeds that of the others by so many `FLOWER_SPREAD` (a factor of 13)
+is rejected as an outlier."""
 
-PROOF = 3.0
-"""ln of the odds, 20 to 1, from which on a look is taken for one at the plant (`evidence`). Of 36 looks at 4 simulated
-plants 34 had more, 7 to 290; the others were probes of 0.1 mm. Had nothing moved, with the tracker's noise or without,
-or a tenth, all would have had less than -5."""
+LEAST_LOG_ODDS = 3.0
+"""Least ln odds (20 to 1) that an observation shows the plant (`evidence`)."""
 
-JUMP = 4.0
-"""Nor when it seems to swing, per metre, more than so many times as far as it could have, unseen or seen, by the look
-before: of 1045 pairs of looks at one shake four did so, by 5 to 12 times, and none of these flowers had. Probes count
-too: two flowers that jumped after them turned a shake back from 0.12 to 0.04 mm."""
+LARGEST_JUMP = 4.0
+"""A flower is also rejected if its motion per metre exceeds the detection limit of the previous observation by this
+factor; in simulation only wrong tracks did, by 5 to 12."""
 
 DAMPING = 0.03
-"""Damping ratio by which a swing that still grows goes on growing: branching alone dissipates 0.028 (facts: pollination
-2); the more lightly damped a plant is, the longer it grows."""
+"""Damping ratio for the extrapolation of growth: branching alone dissipates 0.028 (facts: pollination 2), and lighter
+damping lets a swing grow for longer."""
 MOST_GROWTH = 3.0
-"""A swing settles at no more than so many times what was seen."""
+"""Largest ratio of an extrapolated swing to the observed one; a guess."""
 
-DEEP = 0.001
-"""Above `FAST` flowers swing by tenths of a millimetre, and depth is read to 0.1 to 0.3 mm: it counts from here on [m],
-several times that. A judgement."""
+LEAST_DEPTH_MOTION = 0.001
+"""Least depth motion used above `FAST` [m]: several times the depth error of 0.1 to 0.3 mm; a judgement."""
 
-LATE = np.arange(-0.005, 0.0451, 0.0025)
-"""By how much a camera's clock may be late on the robot's [s]; what fits best is taken."""
+DELAYS = np.arange(-0.005, 0.0451, 0.0025)
+"""Candidate delays of the camera's clock against the robot's [s]; the best fit is taken."""
 
 
-class Known(NamedTuple):
-    """Of one shake, per metre of the commanded amplitude.
+class Prediction(NamedTuple):
+    """Prediction of one shake, per metre of commanded amplitude.
 
     Attributes:
-        flowers: (F,) peak acceleration, median of what is expected [1/s2].
-        seen: (F,) whether the camera measured it.
-        most: (F,) acceleration above which the camera would have measured it [1/s2]; NaN where it was not followed.
-        loads: kind of load -> the largest, as expected.
-        answer: what members say that it does; of flowers that are seen, what the camera measured, and of others that it
-            followed, no more than it would have measured.
+        flowers: (F,) median of the predicted peak acceleration [1/s2].
+        seen: (F,) whether the camera measured the flower.
+        most: (F,) detection limit of the acceleration [1/s2]; NaN where the flower was not tracked.
+        loads: kind of load -> expected value of the largest.
+        answer: of the members; a measured flower has its measurement, and a tracked one at most its detection limit.
         picture: (F, 3) phasors of the flowers as `Swings` has them, on the camera's clock [m/m].
-        observed: whether a camera taught anything of it.
+        observed: whether a valid observation supports the prediction.
     """
 
     flowers: Array
     seen: NDArray[np.bool_]
-    most: Array
+    detectable: Array
     loads: Mapping[str, float]
     answer: decision.Answer
-    picture: ComplexArray
+    phasors: ComplexArray
     observed: bool = True
 
     @property
     def measured(self) -> NDArray[np.bool_] | None:
-        """(F,) whether the camera measured a flower; None: nothing was observed (`decision.worth`)."""
+        """(F,) whether the camera measured a flower; None without an observation (`decision.worth`)."""
         return self.seen if self.observed else None
 
 
-class Look(NamedTuple):
-    """One look at a shake of K tones along one line; phasors are on the robot's clock.
+class Observation(NamedTuple):
+    """One observation of a shake at K frequencies along one direction; phasors are on the robot's clock.
 
     Attributes:
-        tones: (K,) numbers of them.
-        direction: (3,) unit, of the line.
-        commanded: (K,) phasors along it [m].
-        gripper: (K, 3) phasors of what the gripper did, world [m]: an arm that is soft goes less far than it is told
-            to, and aside.
-        doubt: (K,) standard deviation of that, relative to what was commanded.
+        frequency_indices: (K,) into `Foresight.frequencies`.
+        direction: (3,) unit, world.
+        commanded: (K,) phasors along the direction [m].
+        gripper: (K, 3) phasors of the gripper's true motion, world [m]; a compliant arm deviates from its command.
+        doubt: (K,) standard deviation of `gripper`, relative to `commanded`.
         swings: of flowers and points.
-        number: of the shake's looks.
+        number: of the observation within the shake.
     """
 
-    tones: NDArray[np.int64]
+    frequency_indices: NDArray[np.int64]
     direction: Array
     commanded: ComplexArray
     gripper: ComplexArray
@@ -111,20 +105,20 @@ class Look(NamedTuple):
 
     @property
     def followed(self) -> int:
-        """Points and flowers that were followed."""
+        """Number of points and flowers tracked."""
         return int(np.isfinite(self.swings.std[:, 0]).sum())
 
 
 class Answer(NamedTuple):
-    """What a plant is known to answer to one shake, per metre commanded.
+    """Posterior response of a plant to one shake, per metre commanded.
 
     Attributes:
-        members: (M, S, 3) as narrowed by what was seen.
-        flowers: (F, 3) motion that the camera measured, along `axes`; NaN where it did not.
+        members: (M, S, 3) after the Kalman update.
+        flowers: (F, 3) measured motion along `axes`; NaN where not measured.
         std: (F, 3) its standard deviation.
         axes: (F, 3, 3) see `response.points.Sight`.
-        peak: (F,) see `sharpened`.
-        observed: whether a camera taught anything of it.
+        peak: (F,) see `measure_sharpness`.
+        observed: whether a valid observation supports it.
     """
 
     members: ComplexArray
@@ -135,98 +129,121 @@ class Answer(NamedTuple):
     observed: bool = True
 
 
-def unsettled(swings: Swings, hertz: float) -> float:
-    """Return by which share of itself a swing of a tone [Hz] will still grow, negative: die out.
+def predict_growth(swings: Swings, hertz: float) -> float:
+    """Return the relative growth still to come of a swing at a frequency [Hz]; negative: decay.
 
-    After a change of the shake a mode nears its new swing as exp(-`DAMPING` omega t): where it is, and how fast it
-    changes, say where it ends.
+    After a change of the shake a mode approaches its steady swing as exp(-`DAMPING` omega t).
     """
     return swings.growing / (2 * np.pi * hertz * DAMPING)
 
 
-def settled(swings: Swings, hertz: float) -> Swings:
-    """Return the swings of a tone [Hz] as they will be once they no longer grow; of what dies out, as they are."""
-    times = float(np.clip(1 + unsettled(swings, hertz), 1.0, MOST_GROWTH))
+def extrapolate_growth(swings: Swings, hertz: float) -> Swings:
+    """Return the steady swings at a frequency [Hz] that growing swings approach; decaying swings are unchanged."""
+    times = float(np.clip(1 + predict_growth(swings, hertz), 1.0, MOST_GROWTH))
     return swings._replace(phasors=times * swings.phasors, std=times * swings.std, overtones=times * swings.overtones)
 
 
-def lateness(foresight: Foresight, look: Look) -> float:
-    """Return by how much the camera's clock is late [s]: that of `LATE` which the members explain best."""
-    members = [_members(foresight, look, i) for i in range(len(look.tones))]
+def fit_camera_delay(foresight: Foresight, observation: Observation) -> float:
+    """Return the delay of the camera's clock [s]: the one of `DELAYS` that the members explain best."""
+    members = [_predict_members(foresight, observation, i) for i in range(len(observation.frequency_indices))]
     off = [
-        sum(misfit(m, *_turned(foresight, look, i, late), look.swings.axes) for i, m in enumerate(members))
-        for late in LATE
+        sum(
+            misfit(m, *_align_phase(foresight, observation, i, delay), observation.swings.axes)
+            for i, m in enumerate(members)
+        )
+        for delay in DELAYS
     ]
-    return float(LATE[int(np.argmin(off))])
+    return float(DELAYS[int(np.argmin(off))])
 
 
-def proven(foresight: Foresight, look: Look, late: float, before: Sequence[Look] = ()) -> bool:
-    """Return whether what was seen can only be a plant that the gripper moves, with the flowers that hang on it.
+def shows_plant(
+    foresight: Foresight, observation: Observation, delay: float, before: Sequence[Observation] = ()
+) -> bool:
+    """Return whether an observation can only show a plant that the gripper moves.
 
-    Stem, branches and leaves alone give the `evidence`: flowers may move little. But not, in the middle of them, by
-    `STAND_OUT` standard deviations less than the others, beside what the members say of both. Nor may what is seen be
-    `repeated` from a look before at a gentler shake.
+    The `evidence` of stem, branches and leaves must suffice; flowers may move little, but may not stand still
+    (`flowers_stand_still`); and the motion must not repeat that of a gentler shake (`repeats_motion`).
     """
     points, count = foresight.where["points"], foresight.where["flowers"].stop
     odds, stands = 0.0, False
-    for i in range(len(look.tones)):
-        members, (motion, std), axes = _members(foresight, look, i), _turned(foresight, look, i, late), look.swings.axes
+    for i in range(len(observation.frequency_indices)):
+        members, (motion, std), axes = (
+            _predict_members(foresight, observation, i),
+            _align_phase(foresight, observation, i, delay),
+            observation.swings.axes,
+        )
         odds += evidence(members[:, points], motion[points], std[points], axes[points])
-        stands |= stand(members, motion, std, axes, count)
-    return odds > PROOF and not stands and not _repeats(foresight, look, late, before)
+        stands |= flowers_stand_still(members, motion, std, axes, count)
+    return odds > LEAST_LOG_ODDS and not stands and not _repeats_earlier(foresight, observation, delay, before)
 
 
-def _repeats(foresight: Foresight, look: Look, late: float, before: Sequence[Look]) -> bool:
-    """Return whether a look shows the motion of one before it at the same tone and line that was gentler."""
+def _repeats_earlier(
+    foresight: Foresight, observation: Observation, delay: float, before: Sequence[Observation]
+) -> bool:
+    """Return whether an observation repeats an earlier one at the same frequency and direction."""
     points = foresight.where["points"]
 
-    def moved(one: Look, i: int) -> tuple[ComplexArray, Array]:
-        motion, std = _turned(foresight, one, i, late)
+    def moved(one: Observation, i: int) -> tuple[ComplexArray, Array]:
+        motion, std = _align_phase(foresight, one, i, delay)
         return motion[points] * abs(one.commanded[i]), std[points] * abs(one.commanded[i])
 
     for last in before:
-        alike = np.argwhere(look.tones[:, None] == last.tones) if np.allclose(last.direction, look.direction) else ()
+        alike = (
+            np.argwhere(observation.frequency_indices[:, None] == last.frequency_indices)
+            if np.allclose(last.direction, observation.direction)
+            else ()
+        )
         for i, j in alike:
-            hertz = float(foresight.tones[look.tones[i]])
-            raised = float(np.linalg.norm(look.gripper[i]) / np.linalg.norm(last.gripper[j]))
-            changing = float(np.hypot(unsettled(look.swings, hertz), unsettled(last.swings, hertz)))
-            if repeated(moved(look, i), moved(last, j), raised, changing):
+            hertz = float(foresight.frequencies[observation.frequency_indices[i]])
+            raised = float(np.linalg.norm(observation.gripper[i]) / np.linalg.norm(last.gripper[j]))
+            changing = float(np.hypot(predict_growth(observation.swings, hertz), predict_growth(last.swings, hertz)))
+            if repeats_motion(moved(observation, i), moved(last, j), raised, changing):
                 return True
     return False
 
 
-def answered(foresight: Foresight, look: Look, i: int, late: float, before: Known | None = None) -> Answer:
-    """Return what is known of the look's tone number i.
+def update_answer(
+    foresight: Foresight, observation: Observation, i: int, delay: float, before: Prediction | None = None
+) -> Answer:
+    """Return the posterior response at frequency number i of an observation.
 
     Args:
-        foresight: of the members.
-        look: what was seen.
-        i: of its tones.
-        late: see `lateness`.
-        before: what was known of the same shake.
+        foresight: prior responses of the members.
+        observation: of flowers and points.
+        i: into the observation's frequencies.
+        delay: of the camera's clock [s], see `fit_camera_delay`.
+        before: previous prediction of the same shake.
     """
-    motion, std = _turned(foresight, look, i, late)
+    motion, std = _align_phase(foresight, observation, i, delay)
     own = slice(foresight.where["flowers"].stop - foresight.where["flowers"].start)
-    members = _members(foresight, look, i)
-    mistaken = ~_like_the_others(members[:, foresight.where["flowers"]], motion[own], std[own], look.swings.axes[own])
+    members = _predict_members(foresight, observation, i)
+    mistaken = ~_agrees_with_others(
+        members[:, foresight.where["flowers"]], motion[own], std[own], observation.swings.axes[own]
+    )
     if before is not None:
-        across, omega = np.linalg.norm(motion[own][:, :2], axis=1), 2 * np.pi * foresight.tones[look.tones[i]]
-        mistaken |= _measured(motion[own], std[own]) & (omega**2 * across > JUMP * before.most)
+        across, omega = (
+            np.linalg.norm(motion[own][:, :2], axis=1),
+            2 * np.pi * foresight.frequencies[observation.frequency_indices[i]],
+        )
+        mistaken |= _measured(motion[own], std[own]) & (omega**2 * across > LARGEST_JUMP * before.detectable)
     motion[own][mistaken] = std[own][mistaken] = np.nan
-    found = narrowed(members, motion, std, look.swings.axes, look.number)
-    return Answer(found, motion[own], std[own], look.swings.axes[own], sharpened(look.swings, own))
+    found = update_members(members, motion, std, observation.swings.axes, observation.number)
+    return Answer(
+        found, motion[own], std[own], observation.swings.axes[own], measure_sharpness(observation.swings, own)
+    )
 
 
-def unproven(foresight: Foresight, look: Look, i: int) -> Answer:
-    """Return what is believed of the look's tone number i where it proves nothing: only what the gripper did counts."""
+def prior_answer(foresight: Foresight, observation: Observation, i: int) -> Answer:
+    """Return the prior response at frequency number i of an observation that proves nothing; only the gripper's motion
+    is used."""
     own = slice(foresight.where["flowers"].stop - foresight.where["flowers"].start)
     nothing = np.full((own.stop, 3), np.nan)
-    members = _members(foresight, look, i)
-    return Answer(members, nothing.astype(np.complex128), nothing, look.swings.axes[own], observed=False)
+    members = _predict_members(foresight, observation, i)
+    return Answer(members, nothing.astype(np.complex128), nothing, observation.swings.axes[own], observed=False)
 
 
-def summed(answers: Sequence[Answer], parts: Array) -> Answer:
-    """Return what a plant answers to a shake that is the sum of others at the same frequency, so much of each."""
+def sum_answers(answers: Sequence[Answer], parts: Array) -> Answer:
+    """Return the response to a shake that is a sum of others at the same frequency, with weights `parts`."""
     used = [(part, one) for part, one in zip(parts, answers, strict=True) if abs(part) > 1e-9]
     return Answer(
         np.asarray(sum(part * one.members for part, one in used)),
@@ -237,61 +254,61 @@ def summed(answers: Sequence[Answer], parts: Array) -> Answer:
     )
 
 
-def known(foresight: Foresight, hertz: float, one: Answer, late: float) -> Known:
-    """Return what is known of a shake for which the plant's answer is.
+def predict(foresight: Foresight, hertz: float, one: Answer, delay: float) -> Prediction:
+    """Return the prediction of a shake from the plant's response.
 
     Args:
-        foresight: of the members.
+        foresight: prior responses of the members.
         hertz: frequency of the shake [Hz].
-        one: the answer.
-        late: see `lateness`.
+        one: response of the plant.
+        delay: of the camera's clock [s], see `fit_camera_delay`.
     """
     own, omega = foresight.where["flowers"], 2 * np.pi * hertz
     moved = np.einsum("mfx,fxa->mfa", one.members[:, own], one.axes)
     least = SIGNIFICANCE * one.std
     shown, unsure = (np.sqrt(np.nansum(np.abs(part) ** 2, axis=1)) for part in (one.flowers, least))
-    may = omega**2 * np.where(np.isfinite(one.std[:, 0]), np.hypot(shown, unsure), np.nan)
+    upper = omega**2 * np.where(np.isfinite(one.std[:, 0]), np.hypot(shown, unsure), np.nan)
     seen = _measured(one.flowers, one.std)
     parts = moved.mean(axis=0)
     deep = np.abs(one.flowers[:, 2]) >= least[:, 2]
-    away = np.where(deep, one.flowers[:, 2], _away(moved, one.flowers[:, :2]))
+    away = np.where(deep, one.flowers[:, 2], _infer_depth_motion(moved, one.flowers[:, :2]))
     parts[seen] = np.column_stack([one.flowers[:, :2], away])[seen]
-    swing = one.peak * semi_major(np.einsum("fa,fax->fx", parts, np.linalg.inv(one.axes)))  # without overtones, as much
+    swing = one.peak * semi_major(np.einsum("fa,fax->fx", parts, np.linalg.inv(one.axes)))  # with its overtones
     answer = foresight.answer(one.members, hertz, one.peak)
-    answer = answer._replace(flowers=np.where(seen, omega**2 * swing, np.fmin(answer.flowers, may)))
-    known_of = seen.tolist() if one.observed else [None] * len(seen)
-    flowers = np.array([expected("flowers", answer.flowers[:, f], hertz, at) for f, at in enumerate(known_of)])
+    answer = answer._replace(flowers=np.where(seen, omega**2 * swing, np.fmin(answer.flowers, upper)))
+    measured = seen.tolist() if one.observed else [None] * len(seen)
+    flowers = np.array([expected("flowers", answer.flowers[:, f], hertz, at) for f, at in enumerate(measured)])
     at_all = False if one.observed else None
     loads = {kind: float(expected(kind, getattr(answer, kind), hertz, at_all)) for kind in COSTS}
     loads["joint_strain"] = PEDICEL_STRAIN.median * float(flowers.max(initial=0.0))
-    return Known(flowers, seen, may, loads, answer, np.exp(-1j * omega * late) * parts, one.observed)
+    return Prediction(flowers, seen, upper, loads, answer, np.exp(-1j * omega * delay) * parts, one.observed)
 
 
 def _measured(motion: ComplexArray, std: Array) -> NDArray[np.bool_]:
-    """Return (F,) whether motion (F, 3) is more than its error; not where it is NaN."""
+    """Return (F,) whether motion (F, 3) exceeds its detection limit; False where NaN."""
     return np.any(np.abs(motion) >= SIGNIFICANCE * std, axis=1)
 
 
-def _like_the_others(members: ComplexArray, motion: ComplexArray, std: Array, axes: Array) -> NDArray[np.bool_]:
-    """Return (F,) whether a flower swings about as much more than members (M, F, 3) say as others that are seen do."""
+def _agrees_with_others(members: ComplexArray, motion: ComplexArray, std: Array, axes: Array) -> NDArray[np.bool_]:
+    """Return (F,) whether a flower's ratio of observed to predicted motion agrees with that of the other flowers."""
     used, seen = np.isfinite(std), _measured(motion, std)
-    said = np.where(used, np.sqrt(np.mean(np.abs(np.einsum("mfx,fxa->mfa", members, axes)) ** 2, axis=0)), 0.0)
+    predicted = np.where(used, np.sqrt(np.mean(np.abs(np.einsum("mfx,fxa->mfa", members, axes)) ** 2, axis=0)), 0.0)
     shown = np.linalg.norm(np.where(used, motion, 0.0), axis=1)
-    more = shown / np.maximum(np.linalg.norm(said, axis=1), 1e-12)
+    more = shown / np.maximum(np.linalg.norm(predicted, axis=1), 1e-12)
     others = [np.delete(more, k)[np.delete(seen, k)] for k in range(len(more))]
     usual = np.array([max(1.0, float(np.median(rest))) if len(rest) else 1.0 for rest in others])
-    return ~seen | (more <= usual * np.exp(MISTAKEN * FLOWER_SPREAD))
+    return ~seen | (more <= usual * np.exp(LARGEST_EXCESS * FLOWER_SPREAD))
 
 
-def _away(members: ComplexArray, across: ComplexArray) -> ComplexArray:
-    """Return (F,) motion away from the camera that it did not see.
+def _infer_depth_motion(members: ComplexArray, across: ComplexArray) -> ComplexArray:
+    """Return (F,) unobserved motion away from the camera.
 
-    It has the phase of the members' mean and the size of their root mean square, since members that disagree do not
-    say that nothing moves: no more than that, nor in a larger ratio to what was seen than theirs.
+    The phase is that of the members' mean and the size their root mean square, because members that disagree in phase
+    still move. The size is scaled by observed over predicted motion across the line of sight, at most by 1.
 
     Args:
-        members: (M, F, 3) motion across, down and away, as they are narrowed.
-        across: (F, 2) motion that was seen across and down.
+        members: (M, F, 3) posterior motion across, down and away.
+        across: (F, 2) observed motion across and down.
     """
     across_size, down_size, away_size = np.sqrt(np.mean(np.abs(members) ** 2, axis=0)).T
     share = np.linalg.norm(across, axis=1) / np.maximum(np.hypot(across_size, down_size), 1e-12)
@@ -300,31 +317,31 @@ def _away(members: ComplexArray, across: ComplexArray) -> ComplexArray:
     )
 
 
-def _members(foresight: Foresight, look: Look, i: int) -> ComplexArray:
-    """Return (M, S, 3) what the members say per metre commanded; each has its own error of the gripper's motion."""
-    tone = int(look.tones[i])
-    error = drawn_errors(len(foresight.vectors), look.direction, tone)
-    return foresight.of(tone, look.gripper[i] / look.commanded[i] + look.doubt[i] * error)
+def _predict_members(foresight: Foresight, observation: Observation, i: int) -> ComplexArray:
+    """Return (M, S, 3) predicted responses per metre commanded; each member has its own gripper error."""
+    tone = int(observation.frequency_indices[i])
+    error = draw_gripper_errors(len(foresight.vectors), observation.direction, tone)
+    return foresight.of(tone, observation.gripper[i] / observation.commanded[i] + observation.doubt[i] * error)
 
 
-def _turned(foresight: Foresight, look: Look, i: int, late: float) -> tuple[ComplexArray, Array]:
-    """Return (F + P, 3) motion per metre commanded, as `Swings` has it, and its standard deviation.
+def _align_phase(foresight: Foresight, observation: Observation, i: int, delay: float) -> tuple[ComplexArray, Array]:
+    """Return (F + P, 3) motion per metre commanded, in the phase of the shake, and its standard deviation.
 
-    Above `FAST` without depths that swing by less than `DEEP`.
+    Above `FAST`, depth motion below `LEAST_DEPTH_MOTION` is NaN.
     """
-    tone, moved = float(foresight.tones[look.tones[i]]), look.swings.phasors[:, i]
-    shallow = (tone > FAST) & ~(np.abs(moved[:, 2]) >= DEEP)
+    tone, moved = float(foresight.frequencies[observation.frequency_indices[i]]), observation.swings.phasors[:, i]
+    shallow = (tone > FAST) & ~(np.abs(moved[:, 2]) >= LEAST_DEPTH_MOTION)
     parts = np.where(shallow[:, None], [1.0, 1.0, np.nan], 1.0)
-    turned = parts * np.exp(2j * np.pi * tone * late) / look.commanded[i]
-    return np.asarray(moved * turned), look.swings.std * np.abs(turned)
+    turned = parts * np.exp(2j * np.pi * tone * delay) / observation.commanded[i]
+    return np.asarray(moved * turned), observation.swings.std * np.abs(turned)
 
 
-def sharpened(swings: Swings, own: slice) -> Array:
-    """Return (F,) the peak of each flower's acceleration over what it would be without overtones.
+def measure_sharpness(swings: Swings, own: slice) -> Array:
+    """Return (F,) the ratio of each flower's peak acceleration to that without overtones.
 
     Args:
-        swings: of one tone.
-        own: of its points, the flowers.
+        swings: at one frequency.
+        own: rows of the flowers.
     """
     tone, over = np.nan_to_num(swings.phasors[own, 0]), np.nan_to_num(swings.overtones[own])
     if not over.size:
@@ -336,51 +353,52 @@ def sharpened(swings: Swings, own: slice) -> Array:
 
 
 ARM_MODE, ARM_ERROR = 28.0, 0.6
-"""Links swing beyond their motors, which is what an arm reads, by 1 / (1 - (f / `ARM_MODE`)^2) [Hz], with an error of
-`ARM_ERROR` (f / `FAST`)^3 times what was commanded. Measured on 24 simulated Sawyers
-(evaluation/trials/arm_readings.py, wide truth, two lines each) that hold nothing: by 1.10 at 8.5, 1.19 at 11.3, 1.5 at
-16.9 Hz; median and 75 % quantile of the error 3 and 12 % at 6.4, 8 and 33 % at 11.3, 20 and 104 % at 16.9 Hz."""
+"""Compliance of the links: the gripper moves 1 / (1 - (f / `ARM_MODE` [Hz])^2) times as far as the motors read, with a
+relative error of `ARM_ERROR` (f / `FAST`)^3 (evaluation/trials/arm_readings.py)."""
 ARM_FOLLOWS, ARM_ASIDE = 0.9, 0.3
-"""Whatever it reads an arm does about so much of what is commanded, at any phase (the same arms: 0.54 to 1.55 at 18.5
-Hz), and so much of that along any other line."""
+"""Prior of the arm's motion over its command, at any phase, and its share along other directions (same source)."""
 
 
-def gripper_motion(samples: Sequence[ArmSample], middle: Callable[[Array], Array], tones: Array) -> ComplexArray:
-    """Return (K, 3) phasors of the gripper's motion by the arm's readings, world, on the robot's clock [m].
+def fit_gripper_motion(
+    samples: Sequence[ArmSample], middle: Callable[[Array], Array], frequencies: Array
+) -> ComplexArray:
+    """Fit the gripper's motion to the arm's readings: (K, 3) phasors, world, on the robot's clock [m].
 
     Args:
-        samples: of the arm while the tones were steady.
-        middle: joints (R, J) -> (R, 3) place of the grip, world [m].
-        tones: (K,) [Hz].
+        samples: of the arm during the steady shake.
+        middle: joints (R, J) -> (R, 3) grip position, world [m].
+        frequencies: (K,) [Hz].
     """
     times = np.array([s.time for s in samples])
     places = middle(np.array([s.measured for s in samples]))
-    phase = 2 * np.pi * times[:, None] * tones
+    phase = 2 * np.pi * times[:, None] * frequencies
     basis = np.column_stack([np.sin(phase), np.cos(phase), np.ones_like(times), times - times.mean()])
     parts = np.linalg.solve(basis.T @ basis + 1e-12 * np.eye(basis.shape[1]), basis.T @ places)
-    return np.asarray(parts[: len(tones)] + 1j * parts[len(tones) : 2 * len(tones)], dtype=np.complex128)
+    return np.asarray(
+        parts[: len(frequencies)] + 1j * parts[len(frequencies) : 2 * len(frequencies)], dtype=np.complex128
+    )
 
 
-def links(readings: ComplexArray, tones: Array) -> tuple[ComplexArray, Array]:
-    """Return how the gripper swings, (K, 3) phasors [m], and `Look.doubt`, when an arm reads so.
+def correct_for_links(readings: ComplexArray, frequencies: Array) -> tuple[ComplexArray, Array]:
+    """Return the gripper's motion, (K, 3) phasors [m], and `Observation.doubt` from the motors' readings.
 
-    An arm reads its motors. Above the modes of its links that says less of its gripper than what it was told.
+    Towards the modes of the links the readings say little of the gripper, and the estimate falls back to the prior.
 
     Args:
-        readings: (K, 3) phasors of the gripper, if links went as their motors do [m].
-        tones: (K,) [Hz].
+        readings: (K, 3) phasors of the gripper for rigid links [m].
+        frequencies: (K,) [Hz].
     """
-    error = ARM_ERROR * (tones / FAST) ** 3
+    error = ARM_ERROR * (frequencies / FAST) ** 3
     weight = ARM_FOLLOWS**2 / (ARM_FOLLOWS**2 + error**2)
-    beyond = 1 / (1 - np.minimum(tones / ARM_MODE, 0.7) ** 2)  # nearer to the mode readings count for little
+    beyond = 1 / (1 - np.minimum(frequencies / ARM_MODE, 0.7) ** 2)  # nearer to the mode readings count for little
     return readings * (weight * beyond)[:, None], error * np.sqrt(weight)
 
 
-def drawn_errors(count: int, direction: Array, tone: int) -> ComplexArray:
-    """Return (M, 3) what `count` members add to the gripper's motion, with a `Look.doubt` of 1.
+def draw_gripper_errors(count: int, direction: Array, tone: int) -> ComplexArray:
+    """Return (M, 3) errors of the gripper's motion for `count` members, for an `Observation.doubt` of 1.
 
-    Each turns the `direction` (3,) that is commanded in its own way, the same in every look at a tone, so that lines
-    still add up.
+    Each member maps the commanded `direction` (3,) linearly, the same way in every observation at a frequency, so that
+    directions still superpose.
     """
     parts = np.random.default_rng([0, tone]).normal(size=(2, count, 10)) / np.sqrt(2)
     along, aside = np.split(parts[0] + 1j * parts[1], [1], axis=1)

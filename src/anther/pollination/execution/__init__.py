@@ -12,15 +12,15 @@ import numpy as np
 
 from anther.core.errors import AntherError, FailureKind, InputError, StageFailure
 from anther.core.oscillation import choose_rate
-from anther.pollination.execution._beside import (
+from anther.pollination.execution._closing import close, lost_grip
+from anther.pollination.execution._concurrent import (
     APPROACH_SPEED,
     Arrive,
-    Deciding,
-    Line,
-    Watched,
+    DecisionThread,
+    ShakeDirection,
+    WatchedShake,
     early_reach,
 )
-from anther.pollination.execution._closing import close, lost_grip
 from anther.pollination.execution._trial import EARLY, PHASES, Step, Trial
 from anther.pollination.grasp import STAND_OFF, Grasp
 from anther.robot.cell import TrajectoryPlanner
@@ -43,19 +43,29 @@ if TYPE_CHECKING:
     from anther.pollination.shake import ShakePlan
 
 __all__ = [
-    "APPROACH_SPEED", "EARLY", "PHASES", "Arrive", "Line", "Progress", "Step", "Trial", "Watched",
-    "early_reach", "execute", "lost_grip",
+    "APPROACH_SPEED",
+    "EARLY",
+    "PHASES",
+    "Arrive",
+    "Progress",
+    "ShakeDirection",
+    "Step",
+    "Trial",
+    "WatchedShake",
+    "early_reach",
+    "execute",
+    "lost_grip",
 ]  # fmt: skip
 
 Progress = Callable[[int, int, str], None]  # called with (phases done, phases in all, the phase that begins)
-THERE = 1e-3  # rad; an arm this near to where the approach begins need not go there (simulated servos: 4e-6)
+THERE = 1e-3  # rad; within this of the start of the approach the reach is skipped (simulated servos: 4e-6)
 BESIDE = 0.002
-"""The pads meet a petiole beside the stem where it is expected to reach so far beyond it (`Grasp.squeezed`) [m], or
-nobody knows."""
+"""Extent of a petiole beyond the stem (`Grasp.squeezed`) from which the pads touch it [m]; an unknown extent counts as
+touching."""
 SETTLE = 0.6
-"""Leaves that the gripper touched calm down for so long before the shake [s]."""
+"""Wait before the shake for touched leaves to come to rest [s]."""
 CALM = 2.0
-"""A petiole that the pads meet swings for so long [s]."""
+"""The same for a petiole that the pads touch [s]."""
 _KINDS: dict[type, FailureKind] = {InputError: "limits_exceeded", KeyboardInterrupt: "interrupted"}
 
 
@@ -67,12 +77,12 @@ def execute(
     *,
     progress: Progress | None = None,
     arrive: Arrive | None = None,
-    watched: Watched | None = None,
+    watched: WatchedShake | None = None,
 ) -> Trial:
     """Open, reach, approach, close, shake, let go and retreat.
 
     Whatever goes wrong, Ctrl-C included, the arm holds, the gripper opens, the arm retreats along the approach where it
-    still can, and the returned trial says what was done and why it stopped (`finished`, `failure`, `stop_reason`).
+    still can, and the returned trial says how far it came and why it stopped (`finished`, `failure`, `stop_reason`).
     Nothing is raised, so that no record is lost. A side camera that fails stops nothing: the trial is a "device_fault".
     It may start with the gripper closed on a plant: it opens first, and the planner draws the arm back.
 
@@ -82,9 +92,9 @@ def execute(
         robot: the machines.
         limits: every command is checked against them.
         progress: called before each phase.
-        arrive: waits for a motion of the arm that was begun before (`early_reach`), as the phase "early reach".
-        watched: decides the shake's pieces on the way, at the grasp of `shake`; None, or
-            without a side camera: as planned.
+        arrive: waits for an earlier motion of the arm (`early_reach`), as the phase "early reach".
+        watched: chooses the shake's pieces during the motion, at the grasp of `shake`; None, or without a side camera:
+            the shake is executed as planned.
     """
     watched = None if robot.side_camera is None else watched
     work = _Work(planner, shake, guard(robot, limits), limits, progress, watched)
@@ -94,11 +104,11 @@ def execute(
                 work.note(arrive())
         if work.robot.motor is None:
             check_shake(shake.amplitude, shake.frequency, shake.duration, limits)
-        _forward(work)
-        _back(work)
+        _execute_phases(work)
+        _release(work)
     except (Exception, KeyboardInterrupt) as error:
         work.fail(error)
-        _retire(work)
+        _recover(work)
     return work.trial()
 
 
@@ -111,11 +121,11 @@ class _Work:
     robot: Robot
     limits: SafetyLimits
     progress: Progress | None
-    watched: Watched | None = None
+    watched: WatchedShake | None = None
     marks: list[tuple[str, float, float]] = field(default_factory=list)
     grips: list[GripperState] = field(default_factory=list)
     shaken: ArmRecord = field(default_factory=lambda: ArmRecord.of([]))
-    felt: list[ArmSample] = field(default_factory=list)
+    samples: list[ArmSample] = field(default_factory=list)
     frames: tuple[Frame, ...] = ()
     clock: float = 0.0
     in_plant: bool = False
@@ -133,7 +143,7 @@ class _Work:
             self.marks[-1] = (name, self.marks[-1][1], self.clock)
 
     def fail(self, error: BaseException) -> None:
-        """Note what went wrong; of several things the first names the failure."""
+        """Record an error; the first one names the failure."""
         reason = str(error) if isinstance(error, AntherError) else f"{type(error).__name__}: {error}"
         if self.stop_reason != "finished":
             self.stop_reason += f"; then: {reason}"
@@ -142,11 +152,11 @@ class _Work:
         self.stop_reason, self.failure = reason, kind
 
     def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:
-        """Follow, and note when."""
+        """Follow a trajectory and record its times."""
         return self.note(self.robot.arm.follow(trajectory, watch, more))
 
     def note(self, record: ArmRecord) -> ArmRecord:
-        """Note when the arm moved, and return that; what passed since the last motion was the previous phase's."""
+        """Record and return a motion; the time since the last motion belongs to the previous phase."""
         begin = float(record.times[0])
         if len(self.marks) > 1:
             self.marks[-2] = (*self.marks[-2][:2], begin)
@@ -167,12 +177,12 @@ class _Work:
             self.stop_reason,
             self.failure,
             self.frames,
-            np.array([(s.time, s.force) for s in self.felt], dtype=float).reshape(-1, 2),
+            np.array([(s.time, s.force) for s in self.samples], dtype=float).reshape(-1, 2),
             self.watched.steps if self.watched else (),
         )
 
 
-def _forward(work: _Work) -> None:
+def _execute_phases(work: _Work) -> None:
     """From wherever the arm is to the end of the shake."""
     grasp, arm = work.plan.grasp, work.robot.arm
     if grasp.joints is None:
@@ -197,16 +207,16 @@ def _forward(work: _Work) -> None:
         if why := lost_grip(closed, work.robot.gripper.state()):
             raise StageFailure("nothing_grasped", f"{why}. Try the next grasp.")
     with work.phase("shake"):
-        first = _first(work, work.watched)
+        first = _first_piece(work, work.watched)
         if work.watched is None or first is None:
-            _shake(work, lambda: work.follow(shake, work.felt.append))
+            _shake(work, lambda: work.follow(shake, work.samples.append))
         else:
-            _watch(work, work.watched, first)
+            _shake_watched(work, work.watched, first)
         work.grips.append(work.robot.gripper.state())
 
 
-def _first(work: _Work, watched: Watched | None) -> Swing | None:
-    """Return the first piece of a shake that is watched; None: it is not, or the camera is blind, so do as planned."""
+def _first_piece(work: _Work, watched: WatchedShake | None) -> Swing | None:
+    """Return the first piece of a watched shake; None if it is not watched or the camera fails: shake as planned."""
     if watched is None or work.robot.side_camera is None:
         return None
     try:
@@ -218,14 +228,14 @@ def _first(work: _Work, watched: Watched | None) -> Swing | None:
         return None
 
 
-def _watch(work: _Work, watched: Watched, first: Swing) -> None:
-    """Shake in pieces, each decided by what was seen of the one before, without a stop between them."""
+def _shake_watched(work: _Work, watched: WatchedShake, first: Swing) -> None:
+    """Shake in pieces without a stop, each chosen from the observation of the one before."""
     camera, motor = work.robot.side_camera, work.robot.motor
     assert camera is not None
-    rest, done, deciding = work.robot.arm.joints(), [first], Deciding(work.felt)
+    rest, done, deciding = work.robot.arm.joints(), [first], DecisionThread(work.samples)
 
     def joints(piece: Swing) -> JointTrajectory:
-        moved = [(line, piece.only(line.tones)) for line in watched.lines]
+        moved = [(line, piece.only(line.active)) for line in watched.directions]
         check_pieces([(line.direction, own) for line, own in moved], work.limits)
         paths = [
             work.planner.swing(rest, line.direction, [own], line.reach)
@@ -242,12 +252,12 @@ def _watch(work: _Work, watched: Watched, first: Swing) -> None:
         piece, frames = done[-1], list[Frame]()
         if piece.stops:
             return None
-        if not deciding.under_way:
+        if not deciding.pending:
             try:
-                frames = camera.recorded(work.felt[0].time + watched.since(piece))
+                frames = camera.recorded(work.samples[0].time + watched.steady_from(piece))
             except DeviceError as error:
                 work.fail(error)
-        done.append(deciding.after(piece, partial(watched.go_on, piece, frames, tuple(work.felt))))
+        done.append(deciding.wait_for_next(piece, partial(watched.next_piece, piece, frames, tuple(work.samples))))
         return done[-1]
 
     def onward() -> JointTrajectory | None:
@@ -256,25 +266,25 @@ def _watch(work: _Work, watched: Watched, first: Swing) -> None:
 
     try:
         if motor is None:
-            _shake(work, lambda: work.follow(joints(first), work.felt.append, onward))
+            _shake(work, lambda: work.follow(joints(first), work.samples.append, onward))
         else:
-            _shake(work, lambda: work.note(motor.swing(first, work.felt.append, more)))
+            _shake(work, lambda: work.note(motor.swing(first, work.samples.append, more)))
     finally:
         deciding.close()
 
 
 def _shake(work: _Work, move: Callable[[], ArmRecord]) -> None:
-    with _filmed(work):
+    with _record_frames(work):
         try:
             work.shaken = move()
         except BaseException:
-            work.shaken = ArmRecord.of(work.felt)
+            work.shaken = ArmRecord.of(work.samples)
             raise
 
 
 @contextmanager
-def _filmed(work: _Work) -> Iterator[None]:
-    """Record with the side camera, if there is one; what goes wrong with it is noted and stops nothing."""
+def _record_frames(work: _Work) -> Iterator[None]:
+    """Record with the side camera, if any; a camera error is recorded and stops nothing."""
     camera = work.robot.side_camera
     if camera is None:
         yield
@@ -294,12 +304,12 @@ def _filmed(work: _Work) -> Iterator[None]:
             if shaken:
                 if not work.frames:
                     raise DeviceError("the side camera returned no frame of the shake.")
-                camera.read()  # a camera that failed after the last look would go unnoticed
+                camera.read()  # reveals a failure after the last recorded frame
         except DeviceError as error:
             work.fail(error)
 
 
-def _back(work: _Work) -> None:
+def _release(work: _Work) -> None:
     with work.phase("release"):
         work.grips.append(work.robot.gripper.move(work.plan.grasp.opening))
     with work.phase("retreat"):
@@ -308,8 +318,8 @@ def _back(work: _Work) -> None:
     work.in_plant = False
 
 
-def _retire(work: _Work) -> None:
-    """Hold, open, and leave the plant by the way the gripper came: only if the arm held and the pads opened."""
+def _recover(work: _Work) -> None:
+    """Hold, open, and retreat along the approach; the retreat only if the arm held and the pads opened."""
 
     def done(step: Callable[[], Any]) -> bool:
         try:
@@ -324,10 +334,10 @@ def _retire(work: _Work) -> None:
     held = done(work.robot.arm.hold)
     opened = done(lambda: work.robot.gripper.move(work.plan.grasp.opening))
     if held and opened and work.in_plant:
-        done(lambda: _back(work))
+        done(lambda: _release(work))
 
 
 def _wait_after(grasp: Grasp) -> float:
-    """Return how long what the gripper touched swings after closing [s]: a petiole between the pads for longer."""
+    """Return the wait after closing for touched organs to come to rest [s]; longer with a petiole between the pads."""
     free = grasp.squeezed is not None and grasp.squeezed < BESIDE
     return SETTLE if free else CALM

@@ -1,6 +1,6 @@
-"""Identification: a plant's material refined by what a shake of it showed (P22). From bench tests: `plant.bench`."""
+"""Learning: a plant's material refined from measured shakes (P22). From bench tests: `plant.bench`."""
 
-from anther.pollination.learning._observed import Felt, ObservedShake, feel
+from anther.pollination.learning._observed import GripMeasurement, ObservedShake, measure_grip
 from anther.pollination.learning._refinement import Params, Refinement, refine
 
-__all__ = ["Felt", "ObservedShake", "Params", "Refinement", "feel", "refine"]
+__all__ = ["GripMeasurement", "ObservedShake", "Params", "Refinement", "measure_grip", "refine"]

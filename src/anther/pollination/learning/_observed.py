@@ -1,4 +1,4 @@
-"""Observed: what one shake did to a plant and to the gripper, as `refine` takes it. F flowers, S points of the stem."""
+"""Observed shakes: measured motion of flowers, stem and grip, input of `refine`. F flowers, S points of the stem."""
 
 from __future__ import annotations
 
@@ -23,42 +23,42 @@ def _unknown() -> Array:
 
 
 @dataclass(frozen=True, slots=True)
-class Felt:
-    """What the arm did and felt in a shake. What was not measured is NaN.
+class GripMeasurement:
+    """Measurement of the grip by the arm during a shake. NaN: not measured.
 
     Attributes:
-        moved: amplitude of the gripper along the shake [m]; NaN: as planned.
-        began: the gripper moves as sin(2 pi f (t - began)), on the robot's clock [s].
+        amplitude: of the gripper along the shake [m]; NaN: as planned.
+        start: the gripper moves as sin(2 pi f (t - start)), on the robot's clock [s].
         force: of the grip at the shake's frequency [N]: sqrt |F . F| of its phasor F, without conjugation, which is its
-            amplitude where it does not go round. An arm that tells the size of a force alone tells this.
+            amplitude for a force along one line; the magnitude of a force suffices to measure it.
         force_std: its standard deviation [N].
-        force_phase: by which the force is ahead of the gripper's motion [rad], up to half a turn: arg(F . F) / 2.
+        force_phase: lead of the force over the gripper's motion [rad], up to half a turn: arg(F . F) / 2.
     """
 
-    moved: float = float("nan")
-    began: float = float("nan")
+    amplitude: float = float("nan")
+    start: float = float("nan")
     force: float = float("nan")
     force_std: float = float("nan")
     force_phase: float = float("nan")
 
 
-NOTHING_FELT = Felt()
+NOT_MEASURED = GripMeasurement()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservedShake:
-    """What one shake did. What was not measured is NaN, and so is what is not given.
+    """Measured response to one shake. NaN: not measured or not given.
 
     Attributes:
-        shake: what was done.
+        shake: as executed.
         amplitude: (F,) of the flowers [m].
         uncertainty: (F,) standard errors [m]; read only where `amplitude` is finite.
-        at_most: (F,) bounds of flowers that moved too little to be measured [m].
-        phase: (F,) by which a flower's motion along `axis` is ahead of the grip's along the shake [rad].
+        at_most: (F,) upper bounds for flowers below the detection limit [m].
+        phase: (F,) lead of a flower's motion along `axis` over the grip's along the shake [rad].
         phase_std: (F,) its standard deviation [rad].
         axis: (F, 3) unit vectors, world.
-        felt: what the arm did and felt.
-        beside: what the stem did beside the pads; its phasors are relative to the gripper's sine.
+        grip: measurement by the arm.
+        stem: motion of the stem near the grasp; phasors relative to the gripper's sine.
     """
 
     shake: ShakePlan
@@ -68,8 +68,8 @@ class ObservedShake:
     phase: Array = field(default_factory=_unknown)
     phase_std: Array = field(default_factory=_unknown)
     axis: Array = field(default_factory=_unknown)
-    felt: Felt = NOTHING_FELT
-    beside: StemMotion = field(default_factory=lambda: StemMotion.of([]))
+    grip: GripMeasurement = NOT_MEASURED
+    stem: StemMotion = field(default_factory=lambda: StemMotion.of([]))
 
     def __post_init__(self) -> None:
         count = np.size(self.amplitude)
@@ -86,22 +86,21 @@ class ObservedShake:
             raise bad_input("response", given=given, allowed="> 0 m", do="Check.")
 
     @classmethod
-    def of(cls, shake: ShakePlan, response: Response, felt: Felt = NOTHING_FELT) -> ObservedShake:
-        """Return what camera and arm measured of a shake.
+    def of(cls, shake: ShakePlan, response: Response, grip: GripMeasurement = NOT_MEASURED) -> ObservedShake:
+        """Return the measurements of a shake by camera and arm.
 
         Args:
-            shake: what was done.
-            response: what was seen.
-            felt: what the arm did and felt. Where it is not known when the motion began, phases and the stem beside the
-                pads are left out.
+            shake: as executed.
+            response: measured by the camera.
+            grip: measured by the arm. Without its `start`, phases and the stem motion are left out.
         """
         measured = response.amplitude, response.amplitude_std, response.at_most
-        if not np.isfinite(felt.began):
-            return cls(shake, *measured, felt=felt)
-        ahead = response.phase + 2 * np.pi * shake.frequency * felt.began
-        turned, stem = np.exp(2j * np.pi * shake.frequency * felt.began), response.stem
-        beside = replace(stem, motion=stem.motion * turned)
-        return cls(shake, *measured, ahead, response.phase_std, response.direction, felt, beside)
+        if not np.isfinite(grip.start):
+            return cls(shake, *measured, grip=grip)
+        ahead = response.phase + 2 * np.pi * shake.frequency * grip.start
+        turned, stem = np.exp(2j * np.pi * shake.frequency * grip.start), response.stem
+        stem = replace(stem, motion=stem.motion * turned)
+        return cls(shake, *measured, ahead, response.phase_std, response.direction, grip, stem)
 
     @property
     def seen(self) -> NDArray[np.bool_]:
@@ -110,72 +109,72 @@ class ObservedShake:
 
     @property
     def faint(self) -> NDArray[np.bool_]:
-        """(F,) bool: the flower was followed, and moved too little to be measured."""
+        """(F,) bool: the flower was tracked, and moved less than the detection limit."""
         return np.isfinite(self.at_most) & ~self.seen
 
     @property
     def useless(self) -> str:
-        """Why it teaches nothing; empty when it does."""
-        if not np.any(self.seen | self.faint) and not np.isfinite(self.felt.force) and not len(self.beside.points):
+        """Reason why the shake holds no information; empty if it does."""
+        if not np.any(self.seen | self.faint) and not np.isfinite(self.grip.force) and not len(self.stem.points):
             return "no flower's motion was measurable"
         return ""
 
 
-STEADY = (0.3, 0.9)
-"""Share of a shake between which it is steady: it has begun and its free vibrations have faded, and it goes on."""
+STEADY_SHARE = (0.3, 0.9)
+"""Start and end of the steady part of a shake, as shares of its length: free vibrations have decayed."""
 
-LEAST = 16
-"""Readings without which nothing is said."""
+LEAST_READINGS = 16
+"""Least number of readings for a fit."""
 
 SIGNIFICANCE = 3.0
-"""A force below so many standard deviations is not told."""
+"""Detection limit of a force, in standard deviations."""
 
 
-def feel(trial: Trial, shake: ShakePlan, forward: Callable[[Array], Array]) -> Felt:
-    """Return what the arm did and felt; nothing above `FAST`, where its links do not go as its motors, which it reads
-    (`escalation._knowledge.ARM_ERROR`), and where a motor in the gripper shakes.
+def measure_grip(trial: Trial, shake: ShakePlan, forward: Callable[[Array], Array]) -> GripMeasurement:
+    """Measure the grip's motion and force; nothing above `FAST`, where the links deviate from the motors that the arm
+    reads (`escalation._knowledge.ARM_ERROR`), nor where a motor in the gripper shakes.
 
-    The gripper's motion follows from the measured joints. Of the force an arm tells the size alone, in which the stem's
-    constant pull is mixed. But of its square, |F0 + Im(F exp(i w t))|^2, only the motion's force F has a part at twice
-    the frequency, -Re(F . F exp(2 i w t)) / 2: from it F . F follows, whatever F0.
+    The gripper's motion follows from the measured joints. The arm reports the magnitude of a force, which contains the
+    stem's constant pull F0. In its square, |F0 + Im(F exp(i w t))|^2, only the motion's force F has a component at
+    twice the frequency, -Re(F . F exp(2 i w t)) / 2, which gives F . F for any F0.
 
     Args:
-        trial: that has shaken.
-        shake: what it was to do.
+        trial: record of the shake.
+        shake: as planned.
         forward: joints (T, J) [rad] -> flange poses (T, 4, 4) in the world.
     """
-    moving = _steady(trial.shake_times, trial)
+    moving = _select_steady(trial.shake_times, trial)
     times, joints = trial.shake_times[moving], trial.measured[moving]
-    if len(times) < LEAST or shake.frequency > FAST:
-        return NOTHING_FELT
+    if len(times) < LEAST_READINGS or shake.frequency > FAST:
+        return NOT_MEASURED
     try:
         swing = fit_swing(times, shake.grasp.carried(forward)(joints), shake.frequency)
     except InputError:
-        return NOTHING_FELT
+        return NOT_MEASURED
     omega = 2 * np.pi * shake.frequency
     cosine, sine = swing.coefficients[:2] @ shake.direction
     motion = (sine + 1j * cosine) * np.exp(-1j * omega * swing.span[0])
-    moved, began = float(abs(motion)), float(-np.angle(motion) / omega)
-    return Felt(moved, began, *_force(trial, omega, began))
+    amplitude, start = float(abs(motion)), float(-np.angle(motion) / omega)
+    return GripMeasurement(amplitude, start, *_fit_force(trial, omega, start))
 
 
-def _steady(times: Array, trial: Trial) -> slice:
+def _select_steady(times: Array, trial: Trial) -> slice:
     begin, end = trial.steady
-    shares = (0.0, 1.0) if trial.steps else STEADY
+    shares = (0.0, 1.0) if trial.steps else STEADY_SHARE
     return slice(*np.searchsorted(times, [begin + share * (end - begin) for share in shares]))
 
 
-def _force(trial: Trial, omega: float, began: float) -> tuple[float, float, float]:
-    """Return the force at the shake's frequency [N], its standard deviation, and by what it is ahead [rad]."""
+def _fit_force(trial: Trial, omega: float, start: float) -> tuple[float, float, float]:
+    """Return the force at the shake's frequency [N], its standard deviation [N], and its phase lead [rad]."""
     nothing = float("nan"), float("nan"), float("nan")
-    rows = trial.felt[_steady(trial.felt[:, 0], trial)]
-    if len(rows) < LEAST or not np.isfinite(rows).all():
+    rows = trial.felt[_select_steady(trial.felt[:, 0], trial)]
+    if len(rows) < LEAST_READINGS or not np.isfinite(rows).all():
         return nothing
-    times, square = rows[:, 0] - began, rows[:, 1] ** 2
+    times, square = rows[:, 0] - start, rows[:, 1] ** 2
     angle, drift = omega * times, (times - times.mean()) / np.ptp(times)
     basis = np.column_stack([np.ones_like(times), drift, *(f(k * angle) for k in (1, 2) for f in (np.cos, np.sin))])
     gram = basis.T @ basis
-    if np.linalg.cond(gram) > 1e4:  # a reading so often a period that its harmonics look alike
+    if np.linalg.cond(gram) > 1e4:  # the sampling rate does not separate the harmonics
         return nothing
     parts = np.linalg.solve(gram, basis.T @ square)
     noise = np.sqrt(np.sum((square - basis @ parts) ** 2) / (len(times) - len(parts)) * np.linalg.inv(gram)[4, 4])

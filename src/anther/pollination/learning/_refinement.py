@@ -18,15 +18,14 @@ from anther.plant.model import LEARNED, Material, PlantModel
 from anther.pollination.learning._observed import ObservedShake
 from anther.pollination.shake.observables import ComplexArray, branch_of, semi_major
 from anther.pollination.shake.pads import PADS, PADS_LEARNED, Pads, grip_rows, pad_nodes
-from anther.pollination.shake.search import Phasors, Version, answer, deviates, drawn_version
+from anther.pollination.shake.search import Phasors, Version, answer, draw_deviates, draw_version
 from anther.rods import Array
 
 CLOCK_ERROR = 0.02
 """Standard deviation of the camera's clock against the gripper's [s]; frames are stamped on arrival, up to a frame
 late at 30 Hz. It is learned with the plant."""
 STEPS, SEED = 4, 1
-"""In how many steps the measurements are told to the members, each time with errors so much larger that all steps
-together tell them once; and of the draws."""
+"""Number of assimilation steps, each with error variances enlarged by that number; seed of the draws."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,12 +36,12 @@ class Params(Record):
         members: drawn from the present belief.
         branch_spread: standard deviation of ln of a branch's stiffness about the stem's: scanned radii of branches are
             off by 15 %, stiffness goes with the fourth power (docs/reports/prediction.md).
-        model_error: standard deviation of ln(true over modelled amplitude) of a flower, beside what the draws explain
-            [-]; measured by us on simulated plants that were scanned.
+        model_error: standard deviation of ln(true over modelled amplitude) of a flower that the draws do
+            not explain [-]; measured on scanned simulated plants.
         phase_error: the same of the phase [rad].
-        grip_error: standard deviation of ln of the modelled force in the grip, and of the modelled motion of the stem
-            beside the pads relative to itself [-]; a guess, below that of flowers since no branch lies between.
-        likeness: correlation of these errors between flowers of one branch [-], measured by us likewise.
+        grip_error: standard deviation of ln of the modelled force in the grip, and relative error of the modelled
+            stem motion near the grasp [-]; a guess, below that of flowers since no branch lies between.
+        likeness: correlation of these errors between flowers of one branch [-], measured likewise.
     """
 
     members: Annotated[int, Range(8, 100_000)] = 128
@@ -55,13 +54,13 @@ class Params(Record):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Refinement:
-    """What measured responses taught.
+    """Posterior of a plant's material after measured shakes.
 
     Attributes:
-        material: the belief afterwards; its stiffness and damping have moved and their spreads shrunk.
-        pads: the same of the gripper's pads.
-        notes: what the user should know.
-        members: (M,) plants and pads that agree with what was measured, as far as is known.
+        material: posterior values and spreads.
+        pads: posterior of the gripper's pads.
+        notes: for the user.
+        members: (M,) posterior ensemble of plants and pads.
     """
 
     material: Material
@@ -73,32 +72,31 @@ class Refinement:
 def refine(
     plant: PlantModel, observed: Sequence[ObservedShake], params: Params = Params(), *, pads: Pads = PADS
 ) -> Refinement:
-    """Update what is believed of a plant's material, and of the pads that hold it, from measured responses.
+    """Update the belief about a plant's material and the pads that hold it from measured responses.
 
-    An ensemble is drawn from the present belief (`shake.search.scenarios`: E, damping, EI/GJ, pedicels, radius,
-    gain; the pads' two stiffnesses; and each branch's own stiffness), each member's flowers' motion in every shake
-    follows from linear theory. The members are then moved towards what was measured by an ensemble smoother with
-    multiple data assimilation (Emerick and Reynolds 2013, "Ensemble smoother with
-    multiple data assimilation", Computers & Geosciences 55): `STEPS` Kalman updates of all drawn numbers, the gains
-    from the members' own covariances, the measurements perturbed for each member and their variances times `STEPS`.
-    What is told is ln amplitude and phase of every flower that was seen, the force in the grip, and the stem's motion
-    beside the pads, which tell how far these give. The camera's clock is drawn besides. Flowers of one branch err alike
-    (`likeness`). What all members miss by far has its error enlarged, as a Student-t likelihood with 4 degrees of
-    freedom would, so that a flower mistaken for another does not decide alone.
-    Of what `plant.LEARNED` names, the new material is moved and narrowed as the members were, and the pads
-    likewise; the members themselves predict.
+    An ensemble is drawn from the prior (`shake.search.scenarios`: E, damping, EI/GJ, pedicels, radius, gain; the pads'
+    two stiffnesses; and each branch's own stiffness); linear theory predicts each member's motion in every shake. The
+    members are then updated by an ensemble smoother with multiple data assimilation (Emerick and Reynolds 2013,
+    "Ensemble smoother with multiple data assimilation", Computers & Geosciences 55): `STEPS` Kalman updates of all
+    drawn numbers, the gains from the members' own covariances, the measurements perturbed for each member and their
+    variances times `STEPS`.
+    The data are ln amplitude and phase of every measured flower, the grip's force, and the stem's motion near the
+    grasp, which determines the pads' compliance. The camera's delay is drawn as well. Errors of flowers on one branch
+    are correlated (`likeness`). The error of an outlier is enlarged as by a Student-t likelihood with 4 degrees of
+    freedom. The mean and spread of every parameter in `plant.LEARNED` change as those of the members do, and the
+    pads' likewise; the members themselves predict.
 
-    A flower that was followed but moved too little to be measured is left-censored: it counts with a member that moves
-    it more than `at_most`. Were it left out, only lively flowers would teach, and the gain would come out too high.
+    A tracked flower below the detection limit is left-censored: it counts against members that move it more than
+    `at_most`. Without it the gain would be biased upwards.
 
     Limits: one amplitude near a resonance fits two stiffnesses, one on either side; a phase, or a second frequency,
-    tells them apart.
+    separates them.
 
     Args:
         plant: the model the shakes were planned with.
-        observed: shakes of this plant; with none, the members stand for the belief as it is.
+        observed: shakes of this plant; with none, the members are drawn from the prior.
         params: of the ensemble.
-        pads: what is believed of them so far.
+        pads: their prior.
 
     Raises:
         InputError: wrong number of flowers.
@@ -110,26 +108,30 @@ def refine(
             given = f"{len(one.amplitude)} flowers"
             raise bad_input("response", given=given, allowed=f"the plant's {flowers}", do="Use its own response.")
     believed, useful = Version(plant, pads), [one for one in observed if not one.useless]
-    drawn = deviates(plant, params.members, SEED)
+    drawn = draw_deviates(plant, params.members, SEED)
     rng = np.random.default_rng([SEED, 1])
-    first, z = _standing(believed, np.concatenate([drawn, rng.normal(size=(len(drawn), 1))], axis=1), params)
+    first, z = _build_standing_members(
+        believed, np.concatenate([drawn, rng.normal(size=(len(drawn), 1))], axis=1), params
+    )
     members = first
     for _ in range(STEPS if useful else 0):
-        wrong = misses(plant, told(believed, members, useful), useful, CLOCK_ERROR * z[:, -1], params)
-        members, z = _standing(believed, z + _update(z, wrong, params, rng), params)
+        wrong = collect_misfits(
+            plant, predict_members(believed, members, useful), useful, CLOCK_ERROR * z[:, -1], params
+        )
+        members, z = _build_standing_members(believed, z + _update(z, wrong, params, rng), params)
     before, after = ([m.plant.material for m in ms] for ms in (first, members))
     held_before, held_after = ([m.pads for m in ms] for ms in (first, members))
     return Refinement(
-        plant.material.changed(**_moved(plant.material, before, after, LEARNED)) if useful else plant.material,
-        replace(pads, **_moved(pads, held_before, held_after, PADS_LEARNED)) if useful else pads,
+        plant.material.changed(**_update_belief(plant.material, before, after, LEARNED)) if useful else plant.material,
+        replace(pads, **_update_belief(pads, held_before, held_after, PADS_LEARNED)) if useful else pads,
         tuple(f"refinement: {one.useless}; the shake teaches nothing." for one in observed if one.useless),
         members,
     )
 
 
-def _standing(believed: Version, z: Array, params: Params) -> tuple[list[Version], Array]:
-    """Return the members at deviates z (M, 9 + B) that stand, and their deviates, of E as it had to be for that."""
-    versions = [drawn_version(*believed, one[:-1], params.branch_spread) for one in z]
+def _build_standing_members(believed: Version, z: Array, params: Params) -> tuple[list[Version], Array]:
+    """Return the stable members at deviates z (M, 9 + B), and their deviates, with E as raised for stability."""
+    versions = [draw_version(*believed, one[:-1], params.branch_spread) for one in z]
     members, z = [v for v in versions if v is not None], z[[v is not None for v in versions]]
     if len(members) < 2:
         raise StageFailure("no_convergence", "refinement: the plant model falls over whatever its stiffness.")
@@ -140,8 +142,8 @@ def _standing(believed: Version, z: Array, params: Params) -> tuple[list[Version
     return members, z
 
 
-def _update(z: Array, wrong: Misses, params: Params, rng: np.random.Generator) -> Array:
-    """Return (M, P) by how much one of the Kalman updates moves the members' deviates z (M, P)."""
+def _update(z: Array, wrong: Misfits, params: Params, rng: np.random.Generator) -> Array:
+    """Return the change (M, P) of the members' deviates z (M, P) by one Kalman update."""
     off = np.where(wrong.bound, np.minimum(wrong.miss, 0.0), wrong.miss)
     alike = (wrong.kind[:, None] == wrong.kind) & (wrong.branch[:, None] == wrong.branch)
     error = params.likeness * np.where(alike, np.outer(wrong.model, wrong.model), 0.0)
@@ -150,16 +152,18 @@ def _update(z: Array, wrong: Misses, params: Params, rng: np.random.Generator) -
     larger = np.sqrt(np.maximum((4 + usual) / 5, 1.0))  # weight of a Student-t with 4 degrees of freedom, inverted
     error *= STEPS * np.outer(larger, larger)
     noise = rng.normal(size=off.shape) @ np.linalg.cholesky(error + 1e-12 * np.eye(len(error))).T
-    said, drawn = wrong.miss.mean(axis=0) - wrong.miss, z - z.mean(axis=0)
-    gain = np.linalg.solve(said.T @ said + (len(z) - 1) * error, said.T @ drawn)
+    prediction, drawn = wrong.miss.mean(axis=0) - wrong.miss, z - z.mean(axis=0)
+    gain = np.linalg.solve(prediction.T @ prediction + (len(z) - 1) * error, prediction.T @ drawn)
     return (off + noise - noise.mean(axis=0)) @ gain
 
 
-def _moved(before: Any, drawn: Sequence[Any], now: Sequence[Any], learned: Mapping[str, str]) -> dict[str, float]:
-    """Return by name the values and spreads that members `now` have; `learned` names both.
+def _update_belief(
+    before: Any, drawn: Sequence[Any], now: Sequence[Any], learned: Mapping[str, str]
+) -> dict[str, float]:
+    """Return the posterior values and spreads by name; `learned` names both.
 
-    Draws that would not stand are stiffened, so the members' own mean E lies above the belief, by 0.27 in ln on eight
-    plants (measured). What counts is the difference from it: a shake that tells nothing leaves the belief as it is.
+    Unstable draws are stiffened, so the members' mean E lies above the prior. The change of the members is applied to
+    the prior, so that a shake without information leaves it unchanged.
     """
     moved: dict[str, float] = {}
     for name, spread in learned.items():
@@ -171,16 +175,16 @@ def _moved(before: Any, drawn: Sequence[Any], now: Sequence[Any], learned: Mappi
 
 
 ON_STEM = -1
-"""Of data that no branch has."""
+"""Branch number of data on the main stem."""
 
 
-class Misses(NamedTuple):
-    """What members get wrong of D data.
+class Misfits(NamedTuple):
+    """Differences between D data and the members' predictions.
 
     Attributes:
         miss: (M, D) measured minus predicted: of ln amplitude, of phase [rad], or relative.
-        bound: (D,) bool: the measurement is an upper bound, so that only a negative miss is one.
-        model: (D,) standard deviation of what the model gets wrong, alike where `kind` and `branch` are the same.
+        bound: (D,) bool: the measurement is an upper bound, so that only a negative difference counts.
+        model: (D,) standard deviation of the model error, correlated where `kind` and `branch` are equal.
         own: (D,) of the measurement itself.
         kind: (D,) amplitudes, phases, ... of one shake have the same number.
         branch: (D,) of the plant, or `ON_STEM`.
@@ -195,20 +199,20 @@ class Misses(NamedTuple):
 
 
 class Predicted(NamedTuple):
-    """What the members say of one shake, as phasors: flowers (M, F, 3) [m], stem (M, S, 3) [m], force (M, 3) [N]."""
+    """The members' prediction of one shake, as phasors: flowers (M, F, 3) [m], stem (M, S, 3) [m], force (M, 3) [N]."""
 
     flowers: ComplexArray
     stem: ComplexArray
     force: ComplexArray
 
 
-def told(believed: Version, members: Sequence[Version], observed: Sequence[ObservedShake]) -> list[Predicted]:
-    """Return what the members say of every shake.
-
-    Shakes in one hold are answered together, which costs little more than one of them.
+def predict_members(
+    believed: Version, members: Sequence[Version], observed: Sequence[ObservedShake]
+) -> list[Predicted]:
+    """Predict every shake with every member; shakes in one hold are computed together.
 
     Args:
-        believed: the plant of the plans; the pads may be believed otherwise since.
+        believed: prior of plant and pads.
         members: M of them.
         observed: the shakes.
     """
@@ -217,21 +221,23 @@ def told(believed: Version, members: Sequence[Version], observed: Sequence[Obser
         holds.setdefault((*one.shake.grasp.point, *one.shake.direction), []).append(k)
     out = dict[int, Predicted]()
     for which in holds.values():
-        out |= zip(which, _of_one_hold(believed, members, [observed[k] for k in which]), strict=True)
+        out |= zip(which, _predict_one_hold(believed, members, [observed[k] for k in which]), strict=True)
     return [out[k] for k in range(len(observed))]
 
 
-def _of_one_hold(believed: Version, members: Sequence[Version], observed: Sequence[ObservedShake]) -> list[Predicted]:
+def _predict_one_hold(
+    believed: Version, members: Sequence[Version], observed: Sequence[ObservedShake]
+) -> list[Predicted]:
     (plant, pads), place = believed, observed[0].shake
     grip = pad_nodes(plant, grip_rows(plant, place.grasp.point[None]), pads.width)
-    beside = [plant.stem_nodes[_nearest(plant.rods.nodes[plant.stem_nodes], one.beside.points)] for one in observed]
-    frequencies, starts = np.array([one.shake.frequency for one in observed]), np.cumsum([len(b) for b in beside])
-    answers = [answer(member, grip, place.direction, frequencies, np.concatenate(beside)) for member in members]
+    near_grasp = [plant.stem_nodes[_nearest(plant.rods.nodes[plant.stem_nodes], one.stem.points)] for one in observed]
+    frequencies, starts = np.array([one.shake.frequency for one in observed]), np.cumsum([len(b) for b in near_grasp])
+    answers = [answer(member, grip, place.direction, frequencies, np.concatenate(near_grasp)) for member in members]
     flowers, stem, force = (np.array([a[k][:, 0] for a in answers]) for k in range(len(Phasors._fields)))
     parts = np.split(stem, starts[:-1], axis=2)
     out = list[Predicted]()
     for k, one in enumerate(observed):
-        moved = one.felt.moved if np.isfinite(one.felt.moved) else one.shake.amplitude
+        moved = one.grip.amplitude if np.isfinite(one.grip.amplitude) else one.shake.amplitude
         out.append(Predicted(moved * flowers[:, k], moved * parts[k][:, k], moved * force[:, k]))
     return out
 
@@ -240,64 +246,71 @@ def _nearest(nodes: Array, points: Array) -> NDArray[Any]:
     return np.linalg.norm(nodes - points[:, None], axis=2).argmin(axis=1)
 
 
-def misses(
-    plant: PlantModel, said: Sequence[Predicted], observed: Sequence[ObservedShake], late: Array, params: Params
-) -> Misses:
-    """Return what members get wrong of all shakes.
+def collect_misfits(
+    plant: PlantModel, predictions: Sequence[Predicted], observed: Sequence[ObservedShake], delay: Array, params: Params
+) -> Misfits:
+    """Return the differences between measurements and predictions of all shakes.
 
     Args:
         plant: whose flowers they are.
-        said: by the members, of each shake.
+        predictions: of the members, one for each shake.
         observed: the shakes.
-        late: (M,) by which the camera's clock is late on the gripper's [s].
+        delay: (M,) of the camera's clock against the gripper's [s].
         params: of the refinement.
     """
     branch = branch_of(plant)[plant.flower_nodes]
-    parts = list[Misses]()
-    for one, told_of in zip(observed, said, strict=True):
-        turned = np.exp(-2j * np.pi * one.shake.frequency * late)[:, None]
-        for part in (*_of_flowers(told_of, one, turned, branch, params), *_of_the_grip(told_of, one, turned, params)):
+    parts = list[Misfits]()
+    for one, prediction in zip(observed, predictions, strict=True):
+        turned = np.exp(-2j * np.pi * one.shake.frequency * delay)[:, None]
+        for part in (
+            *_flower_misfits(prediction, one, turned, branch, params),
+            *_grip_misfits(prediction, one, turned, params),
+        ):
             parts.append(part._replace(kind=np.full(len(part.own), len(parts))))
     if not parts:
-        return _part(np.zeros((len(late), 0)), 0.0, 0.0)
-    return Misses(*(np.concatenate(column, axis=-1) for column in zip(*parts, strict=True)))
+        return _make_misfits(np.zeros((len(delay), 0)), 0.0, 0.0)
+    return Misfits(*(np.concatenate(column, axis=-1) for column in zip(*parts, strict=True)))
 
 
-def _part(miss: Array, model: float, own: Any, branch: Any = ON_STEM, *, bound: bool = False) -> Misses:
+def _make_misfits(miss: Array, model: float, own: Any, branch: Any = ON_STEM, *, bound: bool = False) -> Misfits:
     count = miss.shape[1]
     own, branch = np.broadcast_to(own, count), np.broadcast_to(branch, count)
-    return Misses(miss, np.full(count, bound), np.full(count, model), own, np.zeros(count, int), branch)
+    return Misfits(miss, np.full(count, bound), np.full(count, model), own, np.zeros(count, int), branch)
 
 
-def _of_flowers(
-    said: Predicted, one: ObservedShake, turned: ComplexArray, branch: NDArray[Any], params: Params
-) -> tuple[Misses, ...]:
-    """Return what is wrong with the flowers' amplitudes, bounds and phases."""
-    predicted, seen, faint = log_amplitude(said.flowers), one.seen, one.faint
+def _flower_misfits(
+    prediction: Predicted, one: ObservedShake, turned: ComplexArray, branch: NDArray[Any], params: Params
+) -> tuple[Misfits, ...]:
+    """Return the differences of the flowers' amplitudes, bounds and phases."""
+    predicted, seen, faint = log_amplitude(prediction.flowers), one.seen, one.faint
     certain = np.maximum(one.amplitude, one.uncertainty)[seen]
     timed = np.isfinite(one.phase) & np.isfinite(one.phase_std)
-    along = turned * np.einsum("mfi,fi->mf", said.flowers[:, timed], one.axis[timed])
+    along = turned * np.einsum("mfi,fi->mf", prediction.flowers[:, timed], one.axis[timed])
     ahead = np.angle(along * np.exp(-1j * one.phase[timed]))
     return (
-        _part(np.log(certain) - predicted[:, seen], params.model_error, one.uncertainty[seen] / certain, branch[seen]),
-        _part(np.log(one.at_most[faint]) - predicted[:, faint], params.model_error, 0.0, branch[faint], bound=True),
-        _part(-ahead, params.phase_error, one.phase_std[timed], branch[timed]),
+        _make_misfits(
+            np.log(certain) - predicted[:, seen], params.model_error, one.uncertainty[seen] / certain, branch[seen]
+        ),
+        _make_misfits(
+            np.log(one.at_most[faint]) - predicted[:, faint], params.model_error, 0.0, branch[faint], bound=True
+        ),
+        _make_misfits(-ahead, params.phase_error, one.phase_std[timed], branch[timed]),
     )
 
 
-def _of_the_grip(said: Predicted, one: ObservedShake, turned: ComplexArray, params: Params) -> list[Misses]:
-    """Return what is wrong with the grip's force and with the stem's motion beside the pads."""
-    felt, beside, parts = one.felt, one.beside, list[Misses]()
-    if np.isfinite(felt.force):
-        square = np.sum(said.force**2, axis=1, keepdims=True)
-        larger = np.log(felt.force) - 0.5 * np.log(np.maximum(np.abs(square), 1e-18))
-        ahead = 0.5 * np.angle(square * np.exp(-2j * felt.force_phase))
-        parts += [_part(miss, params.grip_error, felt.force_std / felt.force) for miss in (larger, -ahead)]
-    if len(beside.points):
-        along = turned * np.einsum("msi,si->ms", said.stem, beside.axis)
-        size = np.maximum(np.abs(beside.motion), 1e-12)
-        wrong = (beside.motion - along) * np.exp(-1j * np.angle(beside.motion)) / size
-        parts += [_part(miss, params.grip_error, beside.std / size) for miss in (wrong.real, wrong.imag)]
+def _grip_misfits(prediction: Predicted, one: ObservedShake, turned: ComplexArray, params: Params) -> list[Misfits]:
+    """Return the differences of the grip's force and of the stem's motion near the grasp."""
+    grip, near_grasp, parts = one.grip, one.stem, list[Misfits]()
+    if np.isfinite(grip.force):
+        square = np.sum(prediction.force**2, axis=1, keepdims=True)
+        larger = np.log(grip.force) - 0.5 * np.log(np.maximum(np.abs(square), 1e-18))
+        ahead = 0.5 * np.angle(square * np.exp(-2j * grip.force_phase))
+        parts += [_make_misfits(miss, params.grip_error, grip.force_std / grip.force) for miss in (larger, -ahead)]
+    if len(near_grasp.points):
+        along = turned * np.einsum("msi,si->ms", prediction.stem, near_grasp.axis)
+        size = np.maximum(np.abs(near_grasp.motion), 1e-12)
+        wrong = (near_grasp.motion - along) * np.exp(-1j * np.angle(near_grasp.motion)) / size
+        parts += [_make_misfits(miss, params.grip_error, near_grasp.std / size) for miss in (wrong.real, wrong.imag)]
     return parts
 
 

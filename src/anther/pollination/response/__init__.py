@@ -16,8 +16,8 @@ from anther.core.oscillation import find_frequency, fit_swing
 from anther.core.records import Range, Shape, Stored
 from anther.perception.flowers import Flowers
 from anther.pollination.execution import Step
-from anther.pollination.response._beside import StemMotion, StemNear, measure_stem, stem_near
 from anther.pollination.response._following import Followed, Remarks, follow_flowers, without_outliers
+from anther.pollination.response._near_grasp import StemMotion, StemNear, measure_stem, stem_near
 from anther.pollination.response.thresholds import (
     FEWEST_FRAMES,
     LEAST_SPREAD,
@@ -73,7 +73,7 @@ class Response(Stored):
     notes: tuple[str, ...] = ()
     stem: StemMotion = field(default_factory=lambda: StemMotion.of([]))
 
-    def felt(self, steps: Sequence[Step] = ()) -> Array:
+    def flower_acceleration(self, steps: Sequence[Step] = ()) -> Array:
         """Return (F,) the peak acceleration of each flower [m/s2]; NaN where nothing tells.
 
         It is what was measured after the shake; else in the last of its steps; else 0 where the flower was followed,

@@ -16,9 +16,6 @@ POWERS = tuple((i, j) for i in range(4) for j in range(4 - i) if i + j)
 LEAST_SPREAD = 0.001
 """Robust deviation of the readings never taken to be less than this [m]: twice a D455's noise at 0.5 m."""
 
-REJECTED, ROUNDS = 2.0, 12
-"""Readings so many robust deviations off the fit have no weight; rounds of reweighting. Set on twenty films."""
-
 
 def depth_along(frames: Sequence[Frame], patch: Patch, path: Array, swing: Array, depth: Array, gap: float) -> Array:
     """Return a flower's depth (T,) [m] along its path; NaN where fewer than 3 of its own pixels are read.
@@ -44,12 +41,12 @@ def depth_along(frames: Sequence[Frame], patch: Patch, path: Array, swing: Array
     if len(z) < 2 * basis.shape[1]:
         return np.full(len(frames), np.nan)
     fitted, miss = np.zeros(basis.shape[1]), np.zeros(len(z))
-    for _ in range(ROUNDS):
+    for _ in range(12):  # rounds of reweighting, to convergence on films of simulated plants
         weighted = (basis * weight[:, None]).T
         fitted = np.linalg.solve(weighted @ basis + 1e-6 * np.eye(basis.shape[1]), weighted @ (z - rest))
         miss = z - rest - basis @ fitted
         spread = max(1.4826 * float(np.median(np.abs(miss))), LEAST_SPREAD)
-        weight = np.clip(1 - (miss / (REJECTED * spread)) ** 2, 1e-6, 1) ** 2
+        weight = np.clip(1 - (miss / (2.0 * spread)) ** 2, 1e-6, 1) ** 2
     used, share = (np.bincount(frame, w, len(frames)) for w in (weight > 1e-3, weight))
     more = np.bincount(frame, weight * miss, len(frames)) / np.maximum(share, 1e-9)
     return np.where(used >= 3, rest + swing @ fitted[: swing.shape[1]] + more, np.nan)

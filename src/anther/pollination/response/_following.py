@@ -1,4 +1,4 @@
-"""Following flowers through the side camera's frames, and lifting them to 3-D. T frames, F flowers."""
+"""Tracking flowers through the side camera's frames, and lifting them to 3-D. T frames, F flowers."""
 
 from __future__ import annotations
 
@@ -42,25 +42,19 @@ FLOWER_RADIUS = 0.007
 """Of a flower [m]."""
 
 CROWD = 2.0
-"""Flowers closer than this many flower radii are looked for where they should be, not where the petals' middle is."""
-
-OVERLAP = 1.5
-"""Flowers closer than this many flower radii in the image may be mixed up."""
+"""Flowers closer than this many radii are placed by projection, not by the centre of the petals."""
 
 WIDE = 2.0
-"""A flower is first followed with what is around it, out to so many times its radius."""
+"""Radius of the patch with surroundings that is tracked first, in flower radii."""
 
-AGAIN, NEAR_SWING = 2, 3
-"""So often a flower is looked for anew along the swing that was found, within so many pixels of it."""
+NEAR_SWING = 3
+"""A flower is matched again within so many pixels of its fitted swing."""
 
 OWN_LIKENESS = 0.4
 """`LIKENESS` for the flower without its surroundings: what differs more is partly hidden."""
 
 OWN_DEPTH = 0.02
-"""Readings further than this from a flower's depth at rest are not counted when its depth is measured [m]."""
-
-DEPTH_SHARE = 0.8
-"""Of the frames in which depth must be sure; else only the sideways motion is measured."""
+"""Largest distance of a depth reading from the flower's depth at rest [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,7 +97,7 @@ def follow_flowers(
     inside = np.all((begin.pixels >= 0) & (begin.pixels < [intrinsics.width, intrinsics.height]), axis=1)
     shown = np.array([patch.cover >= LEAST_COVER for patch in begin.own])
     seen = np.flatnonzero(inside & shown)
-    mixed = _overlapping(begin.pixels, OVERLAP * begin.radius, seen)
+    mixed = _overlapping(begin.pixels, 1.5 * begin.radius, seen)  # nearer in the image they may be confused
     found = []
     for k in seen:
         path = _path(frames, begin, int(k), hint)
@@ -176,7 +170,7 @@ def _path(frames: Sequence[Frame], begin: _Begin, k: int, hint: float) -> Array:
     ways = begin.images[begin.frame :], begin.images[begin.frame :: -1]
     onward, back = (follow(way, begin.wide[k], reach=reach, worst=LIKENESS) for way in ways)
     path, times = np.concatenate([back[:0:-1], onward]), np.array([frame.time for frame in frames])
-    for _ in range(AGAIN):
+    for _ in range(2):
         try:
             swing = fit_swing(times, without_outliers(times, path, hint, overtones(hint)), hint, overtones(hint))
         except InputError:
@@ -189,7 +183,7 @@ def _depth(frames: Sequence[Frame], patch: Patch, path: Array, hint: float, rest
     """Return whether a flower's depth is sure along its path (T, 2), and that depth (T,) [m], or `rest` where not."""
     swing = swing_basis(np.array([f.time for f in frames]), hint, overtones(hint))
     depth = depth_along(frames, patch, path, swing, np.array(rest), OWN_DEPTH)
-    sure = bool(np.isfinite(depth).mean() >= DEPTH_SHARE * np.isfinite(path[:, 0]).mean() > 0)
+    sure = bool(np.isfinite(depth).mean() >= 0.8 * np.isfinite(path[:, 0]).mean() > 0)
     return sure, depth if sure else np.full(len(frames), rest)
 
 

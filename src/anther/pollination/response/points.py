@@ -1,6 +1,6 @@
-"""Points of the plant followed from one frame at rest: quick enough to watch a shake while it lasts.
+"""Points of the plant tracked from one frame at rest, fast enough for use during a shake.
 
-P points, T frames, K tones. Pixels are (column, row).
+P points, T frames, K frequencies. Pixels are (column, row).
 """
 
 from __future__ import annotations
@@ -23,42 +23,22 @@ from anther.pollination.shake.observables import ComplexArray
 from anther.robot.devices import Frame
 
 WINDOW = 15
-"""Side of the square that is compared [px]: two flowers wide at 0.55 m from a D455."""
-LEVELS = 2
-"""Halvings of the picture, so that a point is found up to about 25 px from where it was looked for."""
-THERE_AND_BACK = 1.0
-"""A point followed there and back must come home to this [px] (Kalal et al. 2010, forward-backward error)."""
+"""Side of the compared square [px]: two flowers wide at 0.55 m from a D455."""
 NEAR = 0.02
-"""A point is in sight where the depth measured there is its own to this [m]."""
+"""A point is visible where the measured depth agrees with its own within this [m]."""
 BRIGHT = 100.0
-"""Median grey of the pictures that are compared: exposure and gain of a camera change from frame to frame."""
-SCALES = (1.0, 1.6, 0.6)
-"""Times what is expected, along which a flower is looked for."""
-SEEK = 8
-"""A flower is looked for so far from there [px], then within `NEAR_SWING` of the swing that fits."""
-SURE = 0.9
-"""Share of the frames in which it is found, over one and the fit's deviation [px]: if more, no other way is tried."""
-ROUGH = 0.6
-"""A flower is not followed where its path is off its swing by more than this from one frame to the next [px]. Of 1200
-paths of five plants, 90 and 30 frames a second, 99 and 97 % of the right ones were less, and of 90 that swung several
-times too far all but two more: those had ended a shake."""
+"""Median grey of compared pictures: a camera's exposure and gain change from frame to frame."""
 SLOW = 4
-"""Legendre polynomials beside the tones: wind, and swings that die out."""
+"""Number of Legendre polynomials fitted for slow motion: wind and decaying swings."""
 SPARE = 5
-"""So many more frames than numbers that are fitted to them."""
-GROWS, LEAST_SPARE = 2.0, 4
-"""Growth counts from so many of its standard deviations on, and with so many more frames than numbers fitted."""
-LEAST_SHARE = 0.6
-"""Of the frames in which a point must be followed."""
+"""Least number of degrees of freedom of a fit."""
 LEAST_ERROR = 0.03
-"""No place is surer than this [px]: a guess, and about what films without motion show."""
-LEAST_DEPTH_ERROR = 0.0005
-"""Nor is a depth, of a frame [m]: a guess."""
+"""Least error of a position [px]: a guess, about the noise in films without motion."""
 NO_OVERTONES = np.zeros((0, 0, 3), np.complex128)
 
 
 class Sight(NamedTuple):
-    """What a camera that stands still has in sight.
+    """Flowers and plant points in the view of a fixed camera.
 
     Attributes:
         picture: (H, W) of the plant at rest.
@@ -81,17 +61,17 @@ class Sight(NamedTuple):
 
 
 class Swings(NamedTuple):
-    """How points swung, by tone: x(t) = Im(phasor exp(2 pi i f t)), t on the cameras' clock.
+    """Swings of points by frequency: x(t) = Im(phasor exp(2 pi i f t)), t on the cameras' clock.
 
     Attributes:
-        phasors: (P, K, 3) along `axes` [m]; NaN where the point was not followed, and away from the camera where its
-            depth was not read.
+        phasors: (P, K, 3) along `axes` [m]; NaN where the point was not tracked, and away from the camera where its
+            depth was not measured.
         std: (P, 3) standard deviation of either part of any of them [m].
         axes: (P, 3, 3) of `Sight`.
-        growing: by which share of itself the swing of all flowers grows in a second, in the middle of the frames [1/s];
-            0 where that is not told from none, or there are several tones.
-        overtones: (P, H, 3) phasors at 2, 3, ... times the one tone, NaN away from the camera; H is 0 where none were
-            looked for or can be told.
+        growing: relative growth rate of all flowers' swings in the middle of the frames [1/s]; 0 if not significant or
+            with several frequencies.
+        overtones: (P, H, 3) phasors at 2, 3, ... times a single frequency, NaN away from the camera; H is 0 where none
+            were fitted.
     """
 
     phasors: ComplexArray
@@ -122,21 +102,20 @@ def sight(frame: Frame, intrinsics: Intrinsics, T_world_cam: Array, flowers: Arr
 
 
 def swings(at: Sight, frames: Sequence[Frame], tones: Array, expected: ComplexArray | None = None) -> Swings:
-    """Return how the points in sight swung in frames of a shake whose tones (K,) [Hz] are known.
+    """Measure the swings of visible points in frames of a shake of known frequencies (K,) [Hz].
 
-    Each point's surroundings in the picture at rest are looked for in every frame (Lucas-Kanade with a pyramid), there
-    and back: where it is going, else at home, else where it was. A flower is small before a background that stands
-    still: its own pixels alone are then looked for along what is expected and along that path, each time once more
-    along the swing that fits; where it is found most often counts. How far away it is then is read from the depth of
-    those pixels. Tones and slow terms are fitted to each path by least squares; of a single tone across the line of
-    sight also its `overtones`, as far as the frames tell them from it. In depth millimetres of noise pass for them: a
-    tomato's flowers (9928) that felt 6 m/s2 were said to feel up to 130.
+    The patch around each point in the picture at rest is tracked in every frame by pyramidal Lucas-Kanade, forward and
+    backward, from the extrapolated, the rest and the last position. A flower is small before a still background, so its
+    own pixels are matched again along the predicted and the tracked path, and once more along the fitted swing; the
+    path with the most matches counts. Its depth is read from those pixels. Sinusoids and slow terms are fitted by least
+    squares; at a single frequency also its `overtones` across the line of sight, if the frames separate them. Depth is
+    too noisy for overtones.
 
     Args:
-        at: what is in sight.
+        at: view of the plant.
         frames: of the shake.
-        tones: (K,) [Hz].
-        expected: (F, K, 3) phasors of the flowers as `Swings` has them [m]; None: nothing is.
+        tones: (K,) frequencies [Hz].
+        expected: (F, K, 3) predicted phasors of the flowers, as `Swings` has them [m]; None: no prediction.
     """
     times = np.array([f.time for f in frames])
     every = _with_overtones(times, tones) if len(tones) == 1 else tones
@@ -184,7 +163,7 @@ def _growing(times: Array, basis: Array, paths: Sequence[Array]) -> float:
     for path in paths:
         used = np.isfinite(path).all(axis=1)
         spare = used.sum() - both.shape[1]
-        if spare < LEAST_SPARE:
+        if spare < 4:  # too few degrees of freedom
             continue
         parts, inverse_gram = _solved(both[used], path[used])
         grown, swung = parts[:2], parts[2 + tone]
@@ -192,7 +171,7 @@ def _growing(times: Array, basis: Array, paths: Sequence[Array]) -> float:
         top += float(np.sum(grown * swung))
         bottom += float(np.sum(swung**2))
         variance += float(noise * np.sum((swung**2).T @ inverse_gram.diagonal()[:2]))
-    return top / bottom if abs(top) > GROWS * np.sqrt(variance) else 0.0
+    return top / bottom if abs(top) > 2.0 * np.sqrt(variance) else 0.0
 
 
 def likeness(rate: float, seconds: float, tones: Array) -> float:
@@ -258,10 +237,10 @@ def _flower_path(
     ways = [np.where(np.isfinite(path), path, middle)]
     if expected is not None:
         swing = _swung(basis, expected)[:, :2] / at.per_pixel[k]
-        ways = [middle + scale * swing for scale in SCALES] + ways
+        ways = [middle + scale * swing for scale in (1.0, 1.6, 0.6)]  # a guess at the error of a prediction + ways
     best, worth = np.full_like(path, np.nan), 0.0
     for way in ways:
-        found = seek(images, own, way - shift, SEEK, OWN_LIKENESS) + shift
+        found = seek(images, own, way - shift, 8, OWN_LIKENESS) + shift
         fitted = _fitted(basis, found, LEAST_ERROR)
         if fitted is None:
             continue
@@ -269,7 +248,7 @@ def _flower_path(
         sure = float(np.isfinite(found[:, 0]).mean()) / (1 + fitted.std)
         if sure > worth:
             best, worth = found, sure
-        if worth > SURE:
+        if worth > 0.9:  # good enough to try no other path; a guess
             break
     return best
 
@@ -282,7 +261,9 @@ def _rough(off: Array) -> bool:
     """
     steps = np.diff(off, axis=0)
     steps = steps[np.isfinite(steps).all(axis=1)]
-    return len(steps) == 0 or float(np.sqrt(np.mean(np.sum(steps**2, axis=1)) / 2)) > ROUGH
+    return (
+        len(steps) == 0 or float(np.sqrt(np.mean(np.sum(steps**2, axis=1)) / 2)) > 0.6
+    )  # px; 97 % of right paths are smoother
 
 
 def _paths(at: Sight, pictures: Sequence[NDArray[np.uint8]]) -> Array:
@@ -292,7 +273,7 @@ def _paths(at: Sight, pictures: Sequence[NDArray[np.uint8]]) -> Array:
     place, before = home.copy(), home.copy()
     options: dict[str, Any] = {
         "winSize": (WINDOW, WINDOW),
-        "maxLevel": LEVELS,
+        "maxLevel": 2,  # image pyramid: a search range of about 25 px
         "flags": cv2.OPTFLOW_USE_INITIAL_FLOW,
         "criteria": (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01),
     }
@@ -303,7 +284,9 @@ def _paths(at: Sight, pictures: Sequence[NDArray[np.uint8]]) -> Array:
             there, ok, _ = cv2.calcOpticalFlowPyrLK(at.picture, picture, home[lost], guess[lost].copy(), **options)
             back, ok_back, _ = cv2.calcOpticalFlowPyrLK(picture, at.picture, there, home[lost].copy(), **options)
             missed = np.linalg.norm(back - home[lost], axis=2)[:, 0]
-            good = (np.asarray(ok) > 0)[:, 0] & (np.asarray(ok_back) > 0)[:, 0] & (missed < THERE_AND_BACK)
+            good = (
+                (np.asarray(ok) > 0)[:, 0] & (np.asarray(ok_back) > 0)[:, 0] & (missed < 1.0)
+            )  # px, forward-backward error (Kalal et al. 2010)
             here = np.flatnonzero(lost)[good]
             found[here], lost[here] = there[good], False
             if not lost.any():
@@ -360,7 +343,7 @@ def _away(
     middle = path - (at.pixels[k] - own.centre)
     for about in ([] if expected is None else [rest + _swung(basis, expected)[:, 2]]) + [np.array(rest)]:
         depth = depth_along(frames, own, middle, basis, about, OWN_DEPTH)
-        found = _fitted(basis, depth[:, None], LEAST_DEPTH_ERROR)
+        found = _fitted(basis, depth[:, None], 0.0005)  # m, least error of a depth reading: a guess
         if found is not None:
             return found
     return None
@@ -368,7 +351,10 @@ def _away(
 
 def _fitted(basis: Array, path: Array, least_error: float) -> _Fit | None:
     """Return what a path (T, D) is a sum of, no place surer than `least_error`; None if it was lost."""
-    used, least = np.isfinite(path).all(axis=1), max(LEAST_SHARE * len(path), basis.shape[1] + 2)
+    used, least = (
+        np.isfinite(path).all(axis=1),
+        max(0.6 * len(path), basis.shape[1] + 2),
+    )  # a share of the frames, a guess
     if used.sum() < least:
         return None
     miss = np.abs(path - basis @ _solved(basis[used], path[used])[0])

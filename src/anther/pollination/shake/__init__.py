@@ -20,15 +20,15 @@ from anther.pollination.shake._plan import ResponseMap, RunnerUp, ShakePlan
 from anther.pollination.shake.choice import (
     Place,
     Search,
-    as_earlier,
     best,
     closest,
-    grips_of,
+    find_candidates,
+    find_grips,
     limit_rows,
+    match_earlier,
     predicted_at,
     search,
-    tones_at,
-    weighed_at,
+    worth_curve_at,
 )
 from anther.pollination.shake.pads import PADS, Pads
 from anther.pollination.shake.params import MOST_DURATION, Params, with_preset
@@ -47,7 +47,7 @@ DRAWS = 6
 """Scenarios drawn from the material's spread, beside the best guess: quasi-random ones, few of which cover it."""
 
 
-TOLD = 0.05
+LEAST_REGRET = 0.05
 """A plan says which measure of motion it is not made for when another shake would be worth so much more."""
 
 
@@ -85,13 +85,13 @@ def plan_shake(
         raise StageFailure("no_flowers_found", "no flower was found, so there is nothing to shake for.")
     if not grasps:
         raise StageFailure("no_grasp_found", "no grasp to choose from: the shake needs at least one.")
-    grips = grips_of(plant, grasps, params, pressing, closing=actuator.closing)
+    grips = find_grips(plant, grasps, params, pressing, closing=actuator.closing)
     frequencies = _frequencies(actuator, params)
     response = gains(scenarios(plant, DRAWS, pads=params.pads), grips.nodes, grips.directions, frequencies)
     found = search(response, grips, grasps, frequencies, actuator, params)
     if not np.any(found.score >= 0):
         raise _nothing_allowed(found, len(grasps), actuator)
-    again = None if earlier is None else as_earlier(found, earlier)
+    again = None if earlier is None else match_earlier(found, earlier)
     found, earlier = (found, None) if again is None else (again, earlier)
     at, notes = best(found), plant.notes
     if earlier is not None:
@@ -118,9 +118,9 @@ def plan_shake(
         regret=tuple((measure, float(values[at])) for measure, values in found.regret.items()),
         reason="",
         response_map=_map(found, len(grasps)),
-        tones=tones_at(found, at, actuator.tones, earlier),
+        tones=find_candidates(found, at, actuator.tones, earlier),
         pads=params.pads,
-        weighed=weighed_at(found, at, params),
+        weighed=worth_curve_at(found, at, params),
         notes=notes,
     )
     return replace(plan, reason=_reason(plan, kept=params.keeps_limits))
@@ -167,7 +167,7 @@ def _reason(plan: ShakePlan, *, kept: bool) -> str:
         f" over {DRAWS} further drawings of the plant's stiffness and damping. {closest(plan.limits[:-1], kept=kept)}"
     )
     for measure, regret in plan.regret:
-        if regret > TOLD:
+        if regret > LEAST_REGRET:
             text += f" If {measure} alone frees pollen, another shake would be worth {regret:.2g} more."
     other = plan.runner_up
     if other is None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from anther.core.geometry import Array
 from anther.core.records import Range, Record, Shape, Stored
-from anther.pollination.decision import Weighed
+from anther.pollination.decision import WorthCurve
 from anther.pollination.grasp import Grasp
 from anther.pollination.shake.pads import PADS, Pads
 
@@ -41,7 +41,7 @@ class ResponseMap(Record):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tones(Record):
+class CandidateShakes(Record):
     """The frequencies and lines most worth trying at the plan's grip; the plan's own come first. K tones, D lines.
 
     Attributes:
@@ -133,7 +133,7 @@ class ShakePlan(Stored):
     regret: tuple[tuple[str, float], ...]
     reason: str
     response_map: ResponseMap
-    tones: Tones
+    tones: CandidateShakes
     pads: Pads = PADS
-    weighed: Weighed | None = None
+    weighed: WorthCurve | None = None
     notes: tuple[str, ...] = ()

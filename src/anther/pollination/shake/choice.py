@@ -15,10 +15,10 @@ from anther.core.geometry import Array
 from anther.plant.belief import EarlierShake
 from anther.plant.limits import DOSE_MEASURES, GUSTS, LOADED, PEAKS, PEDICEL_STRAIN
 from anther.plant.model import PlantModel
-from anther.pollination.decision import Answer, Weighed, believed, expected, interval, weighed, worth
+from anther.pollination.decision import Answer, WorthCurve, believed, expected, interval, weighed, worth
 from anther.pollination.grasp import Grasp
 from anther.pollination.shake._actuators import Actuator
-from anther.pollination.shake._plan import LimitRow, Tones
+from anther.pollination.shake._plan import CandidateShakes, LimitRow
 from anther.pollination.shake.pads import grip_rows, pad_nodes
 from anther.pollination.shake.params import Params
 from anther.pollination.shake.search import Gains
@@ -78,7 +78,9 @@ class Search(NamedTuple):
 OF_THE_MACHINE = 3
 
 
-def grips_of(plant: PlantModel, grasps: Sequence[Grasp], params: Params, pressing: Pressing, *, closing: bool) -> Grips:
+def find_grips(
+    plant: PlantModel, grasps: Sequence[Grasp], params: Params, pressing: Pressing, *, closing: bool
+) -> Grips:
     """Return the grasps' places on the stem, and others for the map, with the directions across the stem.
 
     `closing`: the only one is that of the gripper's closing axis, the flange's y.
@@ -181,7 +183,7 @@ APART = 1.15
 """Frequencies worth trying are this factor from each other: responses lose their likeness within 40 %."""
 
 
-def tones_at(found: Search, at: Place, most: int, earlier: EarlierShake | None) -> Tones:
+def find_candidates(found: Search, at: Place, most: int, earlier: EarlierShake | None) -> CandidateShakes:
     """Return up to `most` frequencies at which a sine is worth most by the model, along any line across a grip.
 
     Of an earlier visit it is that visit's alone, as large as it was there. Where the actuator has no room along one of
@@ -194,14 +196,14 @@ def tones_at(found: Search, at: Place, most: int, earlier: EarlierShake | None) 
     directions, size = found.grips.directions[g, lines], found.amplitude[:, g, lines]
     if earlier is not None:
         own = reach[[q], :1]
-        return Tones(found.frequencies[[q]], directions[:1], np.minimum(earlier.amplitude, own), own)
+        return CandidateShakes(found.frequencies[[q]], directions[:1], np.minimum(earlier.amplitude, own), own)
     promise = found.score[:, g, lines].max(axis=1)
     chosen = [q]
     for k in np.argsort(-promise, kind="stable"):
         far = np.abs(np.log(found.frequencies[chosen] / found.frequencies[k])).min() >= np.log(APART)
         if far and found.frequencies[k] >= QUICK and promise[k] > 0 and len(chosen) < most:
             chosen.append(int(k))
-    return Tones(found.frequencies[chosen], directions, size[chosen], reach[chosen])
+    return CandidateShakes(found.frequencies[chosen], directions, size[chosen], reach[chosen])
 
 
 SAME_PLACE = 0.02
@@ -219,7 +221,7 @@ def predicted_at(found: Search, at: Place) -> tuple[Array, Array]:
     return middle, interval(logs, np.hypot(doubt, wrong))
 
 
-def weighed_at(found: Search, at: Place, params: Params) -> Weighed:
+def worth_curve_at(found: Search, at: Place, params: Params) -> WorthCurve:
     """Return what a shake is worth by its amplitude, up to what the machine manages."""
     q, g, _ = at
     reach = float(_reach(found.bounds)[at])
@@ -232,7 +234,7 @@ def weighed_at(found: Search, at: Place, params: Params) -> Weighed:
     return weighed(alone, tried, found.frequencies[q], held, params.price, delivered=delivered)
 
 
-def as_earlier(found: Search, earlier: EarlierShake) -> Search | None:
+def match_earlier(found: Search, earlier: EarlierShake) -> Search | None:
     """Return the search with no other shakes than an earlier visit's, or None where none of them is allowed."""
     ratio = np.abs(np.log(found.frequencies / earlier.frequency))
     score, q = np.full_like(found.score, -1.0), int(ratio.argmin())

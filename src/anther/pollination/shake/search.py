@@ -76,12 +76,12 @@ def scenarios(
         pads: that hold it.
         branch_spread: standard deviation of ln of what the stiffness of each branch is drawn off besides, one by one.
     """
-    versions = (drawn_version(plant, pads, z, branch_spread) for z in deviates(plant, count, seed))
+    versions = (draw_version(plant, pads, z, branch_spread) for z in draw_deviates(plant, count, seed))
     return [Version(plant, pads), *(version for version in versions if version is not None)]
 
 
-def deviates(plant: PlantModel, count: int, seed: int = 0) -> Array:
-    """Return (count, 8 + B) standard normal deviates for `drawn_version`, B branches."""
+def draw_deviates(plant: PlantModel, count: int, seed: int = 0) -> Array:
+    """Return (count, 8 + B) standard normal deviates for `draw_version`, B branches."""
     generator = np.random.default_rng(seed)
     engine = scipy.stats.qmc.MultivariateNormalQMC(
         np.zeros(8), engine=scipy.stats.qmc.Halton(8, rng=generator), rng=generator
@@ -90,12 +90,12 @@ def deviates(plant: PlantModel, count: int, seed: int = 0) -> Array:
     return np.concatenate([shared, generator.normal(size=(count, len(plant.branch_bases)))], axis=1)
 
 
-def drawn_version(plant: PlantModel, pads: Pads, z: Array, branch_spread: float) -> Version | None:
-    """Return plant and pads at deviates z (8 + B,), see `deviates`; None if the plant cannot stand.
+def draw_version(plant: PlantModel, pads: Pads, z: Array, branch_spread: float) -> Version | None:
+    """Return plant and pads at deviates z (8 + B,), see `draw_deviates`; None if the plant cannot stand.
 
-    They are of `drawn_material` (6,), the pads (2,), and ln of each branch's stiffness (B,).
+    They are of `draw_material` (6,), the pads (2,), and ln of each branch's stiffness (B,).
     """
-    own, material = plant, drawn_material(plant.material, z[:6], plant.least_youngs)
+    own, material = plant, draw_material(plant.material, z[:6], plant.least_youngs)
     if branch_spread:
         factor = np.where(plant.is_pedicel, 1.0, np.exp(np.append(branch_spread * z[8:], 0.0))[branch_of(plant)])
         own = replace(plant, rods=replace(plant.rods, youngs=np.asarray(plant.rods.youngs) * factor))
@@ -109,7 +109,7 @@ def drawn_version(plant: PlantModel, pads: Pads, z: Array, branch_spread: float)
     return None
 
 
-def drawn_material(material: Material, z: Sequence[float] | Array, least_youngs: float) -> Material:
+def draw_material(material: Material, z: Sequence[float] | Array, least_youngs: float) -> Material:
     """Return the material at standard normal deviates z (6,), stiff enough to stand.
 
     They are of ln E, ln damping, ln EI/GJ, (the pedicels',) ln radius at the same bending stiffness, and ln gain.
@@ -145,7 +145,7 @@ def _gains_of(
     """Return the gains of one scenario."""
     plant = version.plant
     moved, pads = motions(version, grips, frequencies)
-    flowers = _sizes(_answered(plant, grips, moved["flowers"], pads), directions)
+    flowers = _sizes(_flower_motion(plant, grips, moved["flowers"], pads), directions)
     sizes = {kind: _sizes(moved[kind], directions) for kind in PEAKS}
     largest = (size.max(axis=-1, initial=0.0) for size in sizes.values())
     wrench = np.moveaxis(_sizes(moved["grip_force"], directions), -1, 0)
@@ -174,7 +174,7 @@ def motions(
     """
     rods, seen = version.plant.rods, observables(version.plant, like)
     operator = vstack([seen.operator, displacements(points, len(rods.nodes))], format="csr")
-    response = _observed(version, grips, operator, frequencies)
+    response = _solve_response(version, grips, operator, frequencies)
     moved, held = response.vectors, np.array([grip[0] for grip in grips])
     stem = rods.nodes[held] - rods.nodes[rods.parent[held]]
     stem /= np.linalg.norm(stem, axis=1, keepdims=True)
@@ -223,19 +223,19 @@ def answer(
     """
     plant = version.plant
     nodes, count = np.concatenate([plant.flower_nodes, np.asarray(stem, dtype=np.int64)]), len(plant.flower_nodes)
-    response = _observed(version, grips, displacements(nodes, len(plant.rods.nodes)), frequencies)
-    flowers = _answered(plant, grips, response.vectors[:, :, :count], response.pads)
+    response = _solve_response(version, grips, displacements(nodes, len(plant.rods.nodes)), frequencies)
+    flowers = _flower_motion(plant, grips, response.vectors[:, :, :count], response.pads)
     return Phasors(flowers @ direction, response.vectors[:, :, count:] @ direction, response.force @ direction)
 
 
-def _observed(version: Version, grips: Sequence[NDArray[Any]], operator: Any, frequencies: Array) -> Observed:
+def _solve_response(version: Version, grips: Sequence[NDArray[Any]], operator: Any, frequencies: Array) -> Observed:
     """Return what an operator sees of one scenario. The damping ratio is the same at every frequency (hysteretic)."""
     plant, loss = version.plant, 2 * version.plant.material.damping_ratio
     springs = version.pads.springs
     return observed_response(plant.rods, plant.clamp, grips, operator, frequencies, loss_factor=loss, springs=springs)
 
 
-def _answered(plant: PlantModel, grips: Sequence[NDArray[Any]], vectors: ComplexArray, pads: ComplexArray) -> Any:
+def _flower_motion(plant: PlantModel, grips: Sequence[NDArray[Any]], vectors: ComplexArray, pads: ComplexArray) -> Any:
     """Return flowers' motion (Q, G, F, 3, 3) per axis of the shake, with the gain of what they do relative to the pads.
 
     Far below resonance a plant is carried along by the pads (Q, G, 6, 3) as one body, turned with them.

@@ -36,15 +36,8 @@ from anther.robot.devices import Frame
 NEAREST, FARTHEST = 0.015, 0.06
 """Between these distances from the grasp along the stem [m]: beyond the pads, and where the grip still rules."""
 
-HALF_LENGTH = 0.005
-"""So much of the stem is looked at on either side of a point [m]."""
-
 MARGIN = 2
 """Pixels beside the stem that are looked at with it: without them it has no edges."""
-
-
-LEAST_TOLERANCE = 20.0
-"""Colours nearer to the stem's than this count as like it, of 255."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,7 +154,7 @@ def _strip(intrinsics: Intrinsics, place: Array, way: Array, radius: float) -> _
     across = across if across[0] >= 0 else -across
     offset = (pixel - [intrinsics.cx, intrinsics.cy]) / intrinsics.fx
     axis = np.array([*across, -float(across @ offset)])
-    half = (int(np.ceil((SHIFT + radius) / metres)), max(int(HALF_LENGTH / metres), 2))
+    half = (int(np.ceil((SHIFT + radius) / metres)), max(int(0.005 / metres), 2))  # 5 mm along the stem either way
     return _Strip(pixel, across, half, metres, float(place[2]), radius / metres, axis)
 
 
@@ -176,7 +169,7 @@ def _followed(frames: Sequence[Frame], images: Sequence[NDArray[Any]], strip: _S
     first = _middle(strip.cut(images[0], start), half)
     inner = _middle(first, max(half - 2 * MARGIN, 1)).reshape(-1, first.shape[2])
     colour = np.median(inner, axis=0)
-    far = max(LEAST_TOLERANCE, 2 * float(np.median(np.linalg.norm(inner - colour, axis=1))))
+    far = max(20.0, 2 * float(np.median(np.linalg.norm(inner - colour, axis=1))))
     model = _alike(first, colour, far)
     for i, image in enumerate(images):
         wide = strip._replace(half=(half + reach, strip.half[1]))

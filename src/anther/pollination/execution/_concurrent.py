@@ -1,6 +1,6 @@
-"""What goes on beside a moving arm: what follows a piece of a shake is decided, or the shake itself still chosen.
+"""Computation concurrent with arm motion: decisions during a watched shake, and the early reach to a grasp.
 
-What execution asks for that stands here too: who watches.
+Defines the protocol of a watched shake.
 """
 
 from __future__ import annotations
@@ -27,101 +27,101 @@ from anther.robot.swing import Swing
 APPROACH_SPEED = 0.12
 """Of the flange on the straight way in and out [m/s]."""
 PATIENCE = 0.12
-"""How long a decision is waited for [s]; of the `LEAD` that a machine gives, the rest is for checking what follows."""
-LONGER = 0.5  # s: a piece goes on so much longer while what follows it is not decided
+"""Longest wait for a decision [s]; the rest of a machine's `LEAD` is for checking the next piece."""
+EXTENSION = 0.5  # s; extension of a piece whose successor is not decided yet
 
 
-class Line(NamedTuple):
-    """A line along which a watched shake may move the pads.
+class ShakeDirection(NamedTuple):
+    """A direction along which a watched shake may move the pads.
 
     Attributes:
         direction: (3,) unit, world.
-        tones: (K,) which tones of its pieces move along it.
-        reach: the pads never move further [m].
+        active: (K,) which frequencies of a piece move along it.
+        reach: largest displacement of the pads [m].
     """
 
     direction: Array
-    tones: NDArray[np.bool_]
+    active: NDArray[np.bool_]
     reach: float
 
 
-class Watched(Protocol):
-    """A shake that is decided while it lasts, by what the side camera sees.
+class WatchedShake(Protocol):
+    """A shake whose pieces are chosen during the motion from the side camera's frames.
 
     Attributes:
-        lines: along which its pieces move the pads.
-        steps: what was done so far.
+        directions: along which its pieces move the pads.
+        steps: executed so far.
     """
 
     @property
-    def lines(self) -> Sequence[Line]: ...
+    def directions(self) -> Sequence[ShakeDirection]: ...
     @property
     def steps(self) -> tuple[Step, ...]: ...
 
     def frame_rate(self, rates: Sequence[float]) -> float:
-        """Return at which of the camera's rates [1/s] it wants frames."""
+        """Return the camera rate to use, out of `rates` [1/s]."""
         ...
 
     def begin(self, frame: Frame) -> Swing:
         """Return the first piece; `frame` shows the held plant at rest."""
         ...
 
-    def since(self, piece: Swing) -> float:
-        """Return from when on the frames of the piece under way are wanted [s], counted from the shake's begin."""
+    def steady_from(self, piece: Swing) -> float:
+        """Return the time from which the frames of the current piece are needed [s], from the start of the shake."""
         ...
 
-    def go_on(self, piece: Swing, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
-        """Return the next piece (`piece.then`), after frames since `since` and all readings of the arm.
+    def next_piece(self, piece: Swing, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
+        """Return the next piece (`piece.then`), after frames since `steady_from` and all readings of the arm.
 
         The last one ends at rest. Called in another thread; until it returns, the piece goes on as it is.
         """
         ...
 
 
-class Deciding:
-    """Decisions in a thread of their own.
+class DecisionThread:
+    """Runs the decisions of a watched shake in a thread.
 
     Args:
-        felt: the arm's readings so far; it grows while the arm moves. Waiting is timed by it, so that a simulated arm,
-            whose time stands still meanwhile, waits for every decision.
+        samples: the arm's readings so far; grows during the motion. The wait is timed by it, so that a simulated arm,
+            whose clock stops meanwhile, waits for every decision.
     """
 
-    def __init__(self, felt: Sequence[ArmSample]) -> None:
-        self._felt, self._pool = felt, ThreadPoolExecutor(1)
-        self._coming: Future[Swing] | None = None
+    def __init__(self, samples: Sequence[ArmSample]) -> None:
+        self._samples, self._pool = samples, ThreadPoolExecutor(1)
+        self._future: Future[Swing] | None = None
 
     @property
-    def under_way(self) -> bool:
-        """Whether what follows the piece that was last asked about is still being decided."""
-        return self._coming is not None
+    def pending(self) -> bool:
+        """Whether a decision is still running."""
+        return self._future is not None
 
-    def after(self, piece: Swing, decide: Callable[[], Swing]) -> Swing:
-        """Return what follows a piece: what is decided of it or, until that is there, the same for `LONGER`."""
-        asked = self._felt[-1].time
-        coming = self._coming = self._coming or self._pool.submit(decide)
-        while not wait([coming], timeout=0.01).done:
-            if self._felt[-1].time - asked > PATIENCE:
-                return piece.then(piece.amplitudes, LONGER, LONGER)
-        self._coming = None
-        return replace(coming.result(), begin=piece.begin + piece.seconds)
+    def wait_for_next(self, piece: Swing, decide: Callable[[], Swing]) -> Swing:
+        """Return the decided successor of a piece; without a decision in time, the same amplitudes for `EXTENSION`."""
+        asked = self._samples[-1].time
+        future = self._future = self._future or self._pool.submit(decide)
+        while not wait([future], timeout=0.01).done:
+            if self._samples[-1].time - asked > PATIENCE:
+                return piece.then(piece.amplitudes, EXTENSION, EXTENSION)
+        self._future = None
+        return replace(future.result(), begin=piece.begin + piece.seconds)
 
     def close(self) -> None:
-        """Wait for no decision any more."""
+        """Abandon any running decision."""
         self._pool.shutdown(wait=False, cancel_futures=True)
 
 
 Arrive = Callable[[], ArmRecord]
-"""Waits for the arm and returns what it did; raises what went wrong on the way."""
+"""Waits for the arm and returns its record; raises the error of the motion."""
 
 
 @contextmanager
 def early_reach(
     planner: TrajectoryPlanner, grasp: Grasp, robot: Robot, limits: SafetyLimits
 ) -> Iterator[Arrive | None]:
-    """Open the gripper and go before a grasp while the block computes; it is given a function that waits for the arm.
+    """Open the gripper and move in front of a grasp while the block computes; yields a function that waits for the arm.
 
-    The motion is planned before the block begins, because a planner serves one caller at a time; where there is none,
-    nothing moves and the block gets None. When the block ends early, Ctrl-C included, the arm stops where it is.
+    The motion is planned before the block begins, because a planner serves one caller at a time; without a
+    plan nothing moves and the block gets None. When the block ends early, Ctrl-C included, the arm stops where it is.
 
     Args:
         planner: of motions that start where the arm is.
@@ -140,7 +140,7 @@ def early_reach(
             raise StageFailure("unreachable", "the grasp has no arm joints.")
         outward = planner.line(grasp.joints, grasp.pregrasp(STAND_OFF), APPROACH_SPEED)
         motion = planner.move(safe.arm.joints(), outward.positions[-1])
-    except (StageFailure, DeviceError):  # the trial meets it again, and says so
+    except (StageFailure, DeviceError):  # the trial meets it again and reports it
         yield None
         return
 
@@ -156,17 +156,17 @@ def early_reach(
                 return going.result()
             except BaseException:
                 called_off.set()
-                _until_done(going)
+                _wait_until_done(going)
                 raise
 
         try:
             yield arrive
         finally:
             called_off.set()
-            _until_done(going)
+            _wait_until_done(going)
 
 
-def _until_done(going: Future[ArmRecord]) -> None:
+def _wait_until_done(going: Future[ArmRecord]) -> None:
     """Wait for an arm that was called off, through any further Ctrl-C: nobody else may command it before it stands."""
     while not going.done():
         with suppress(KeyboardInterrupt):

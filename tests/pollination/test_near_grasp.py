@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from anther.core.geometry import Array, Intrinsics, inverse, look_at, transform_points
 from anther.core.oscillation import fit_swing
 from anther.perception.flowers import Flowers
-from anther.pollination.learning import Felt, ObservedShake
+from anther.pollination.learning import GripMeasurement, ObservedShake
 from anther.pollination.response import Response, StemNear, measure_response, stem_near
-from anther.pollination.response._beside import (
+from anther.pollination.response._near_grasp import (
     StemMotion,
     _alike,
     _followed,
@@ -151,11 +151,11 @@ def test_the_stem_is_kept_and_told_relative_to_the_grippers_motion(tmp_path: Pat
     assert np.array_equal(again.points, response.stem.points)
     plan = ShakePlan.__new__(ShakePlan)
     object.__setattr__(plan, "frequency", F)
-    told = ObservedShake.of(plan, response, Felt(began=0.013)).beside
+    told = ObservedShake.of(plan, response, GripMeasurement(start=0.013)).stem
     real = told.motion * np.sign(told.axis @ SHAKE)
     assert np.all(real.real > 0)
     assert np.all(np.abs(real.imag) < 4 * told.std)
-    assert len(ObservedShake.of(plan, response).beside.points) == 0
+    assert len(ObservedShake.of(plan, response).stem.points) == 0
 
 
 # Rules that single functions state.
