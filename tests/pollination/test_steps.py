@@ -21,7 +21,7 @@ from anther.pollination.pipeline import Params
 from anther.show.pictures.report import draw_steps
 from anther.show.report import write_report
 from anther.show.results import RunResults, watched_words
-from anther.show.summary import _watched
+from anther.show.summary import _camera_results
 
 NAN = float("nan")
 PROBE = Step(
@@ -59,7 +59,7 @@ def trial_of(*steps: Step, shaken: bool = True) -> Trial:
 
 def told(trial: Trial, alone: str | None = None) -> Visit:
     """A visit of which only the shake is known."""
-    watched = _watched(cast(Any, SimpleNamespace(trial=trial, alone=alone)))
+    watched = _camera_results(cast(Any, SimpleNamespace(trial=trial, alone=alone)))
     times = trial.shake_times
     return Visit(
         "tomato", "1", True, shake=ShakeRecord(8.0, 1e-3, float(np.ptp(times)) if len(times) else 0.0), **watched
