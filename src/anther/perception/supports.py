@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -356,7 +356,8 @@ def _sections(scene: _Scene, start: Array, end: Array) -> _Sections:
     held[place] = True
     flat = np.zeros((3, 3, 3), dtype=int)
     flat[1] = 1
-    piece = ndimage.label(held, flat)[0][place]
+    labels: Any = ndimage.label(held, flat)
+    piece = labels[0][place]
     off = np.hypot(x, y)
     order = np.lexsort((off, k))
     there, first = np.unique(k[order], return_index=True)
@@ -375,8 +376,9 @@ def _fitted(scene: _Scene, line: Array) -> tuple[_Rod, Evidence] | None:
     """Return the rod along a line (2, 3) and its evidence; None where too little of it stands alone."""
     start, end = line
     width = 3 * scene.cell
-    for _ in range(2):  # the line first runs on the rod's surface, then along its axis
-        found = _sections(scene, start, end)
+    found, alone, typical, off = _sections(scene, start, end), np.zeros(0, dtype=bool), 0.0, np.zeros(0)
+    for again in (False, True):  # the line first runs on the rod's surface, then along its axis
+        found = _sections(scene, start, end) if again else found
         there = found.near < width
         if np.count_nonzero(there) < _LEAST:
             return None
@@ -423,7 +425,7 @@ _ALIKE = 0.4
 
 def _straight_fit(t: Array, centre: Array) -> tuple[Array, Array, Array]:
     """Return offset (2,), slope (2,) and distances (K,) [m] of the line along most of the centres (K, 2)."""
-    weight = np.ones(len(t))
+    weight, slope, offset, off = np.ones(len(t)), np.zeros(2), np.zeros(2), np.zeros(len(t))
     for _ in range(8):
         slope, offset = np.polyfit(t, centre, 1, w=weight)
         off = np.linalg.norm(centre - offset - t[:, None] * slope, axis=1)
@@ -539,7 +541,8 @@ def _orphans(scene: _Scene, rod: _Rod) -> int:
     def parts(keep: NDArray[np.bool_]) -> NDArray[np.int64]:
         held = np.zeros(shape, dtype=bool)
         held[tuple(coarse[keep].T)] = True
-        return ndimage.label(held, np.ones((3, 3, 3)))[0][tuple(coarse[~own].T)]
+        labels: Any = ndimage.label(held, np.ones((3, 3, 3)))
+        return np.asarray(labels[0][tuple(coarse[~own].T)], dtype=np.int64)
 
     if own.all():
         return 0

@@ -198,7 +198,8 @@ def worth(
         parts += (
             np.array(means(answer.flowers[..., f], "flowers", *curves, _failure_curve(LOST_AT), known=known)) / count
         )
-    freed, lost = dict(zip(DOSE_MEASURES, parts, strict=False)), parts[-1]
+    freed: dict[str, Array] = dict(zip(DOSE_MEASURES, parts, strict=False))
+    lost = parts[-1]
     gain = np.sum([share * freed[measure] for measure, (_, share) in DOSE_MEASURES.items()], axis=0)
     bent = {
         kind: means(getattr(answer, kind), kind, _failure_curve(TOLERANCE[organ]))[0]

@@ -313,7 +313,7 @@ class Escalation:
     def _decide(self, now: int) -> NextPiece:
         """Return the piece after an observed shake: another shake, or this one at another amplitude."""
         amplitude, option = float(self._piece.amplitudes[now]), self._options[now]
-        why = "" if np.isfinite(option.prediction.most).any() else OUT_OF_SIGHT
+        why = "" if np.isfinite(option.prediction.detectable).any() else OUT_OF_SIGHT
         why = why if self._proofs[-1] else UNPROVEN
         if not why:
             self._proven_amplitude = amplitude
@@ -342,7 +342,7 @@ class Escalation:
         begin = min(most.amplitude, option.planned * (RAISED if seen else 1.0))
         turned = np.degrees(np.arccos(min(abs(float(directions[self._direction_index[shake]] @ directions[0])), 1.0)))
         words = (
-            f"At {self._hertz[shake]:.3g} Hz, {turned:.0f}° from the plan's line, flowers may reach {most.flowers:.3g}"
+            f"At {self._frequencies[shake]:.3g} Hz, {turned:.0f}° from the plan's line, flowers may reach {most.flowers:.3g}"
             f" m/s² with {1e3 * most.amplitude:.2g} mm, more than otherwise; {most.binds} ends it there."
         )
         return self._excite(shake, begin, self._watch_seconds(shake), words)
@@ -366,7 +366,7 @@ class Escalation:
         done = [one.worth_at(one.tolerated) for one in self._options]
         best = int(np.argmax(done))
         if best != shake and done[best] > ENOUGH * option.worth_at(now):
-            why = f"{why}; {self._hertz[best]:.3g} Hz was worth more"
+            why = f"{why}; {self._frequencies[best]:.3g} Hz was worth more"
             shake, higher = best, self._options[best].tolerated
         else:
             higher = min(now, higher)

@@ -81,7 +81,7 @@ class Option:
     reach: float
     prediction: Prediction
     allowed: Allowed = field(init=False)
-    tried: float = 0.0
+    raised_to: float = 0.0
     _measured: Array = field(init=False)  # (F,) last acceleration of each flower that a camera measured, NaN: none
 
     def __post_init__(self) -> None:
