@@ -198,7 +198,7 @@ def worth(
         parts += (
             np.array(means(answer.flowers[..., f], "flowers", *curves, _failure_curve(LOST_AT), known=known)) / count
         )
-    freed: dict[str, Array] = dict(zip(DOSE_MEASURES, parts, strict=False))
+    freed = {measure: np.asarray(part) for measure, part in zip(DOSE_MEASURES, parts, strict=False)}
     lost = parts[-1]
     gain = np.sum([share * freed[measure] for measure, (_, share) in DOSE_MEASURES.items()], axis=0)
     bent = {
