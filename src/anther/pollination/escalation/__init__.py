@@ -343,7 +343,8 @@ class Escalation:
         turned = np.degrees(np.arccos(min(abs(float(directions[self._direction_index[shake]] @ directions[0])), 1.0)))
         words = (
             f"At {self._frequencies[shake]:.3g} Hz, {turned:.0f}° from the plan's line, flowers may reach"
-            f" {most.flowers:.3g} m/s² with {1e3 * most.amplitude:.2g} mm, more than otherwise; {most.binds} ends it there."
+            f" {most.flowers:.3g} m/s² with {1e3 * most.amplitude:.2g} mm, more than otherwise; {most.binds} ends it"
+            " there."
         )
         return self._excite(shake, begin, self._watch_seconds(shake), words)
 
