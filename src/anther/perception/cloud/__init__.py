@@ -184,12 +184,14 @@ class Cloud(Stored):
         points = {name: value for name, value in read_ply(path).items() if name not in ("unused", "comments")}
         support = np.zeros(0, np.int64) if points["labels"] is None else np.flatnonzero(points["labels"] == SUPPORT)
         aside = points["points"][support]
-        points = {n: None if values is None else np.delete(values, support, axis=0) for n, values in points.items()}
+        own: dict[str, Any] = {
+            name: None if values is None else np.delete(values, support, axis=0) for name, values in points.items()
+        }
         rest = path.with_suffix(".npz")
         with understood(rest):
             if rest.exists():
-                return decode(points | read_tree(rest, cls.KIND, cls.SCHEMA), cls)
-            return cls(**points, obstacles=aside)
+                return decode(own | read_tree(rest, cls.KIND, cls.SCHEMA), cls)
+            return cls(**own, obstacles=aside)
 
 
 def fuse(
