@@ -84,7 +84,7 @@ class GreenCamera:
 
 
 def test_a_check_of_a_cell_says_what_its_camera_measures_of_the_plant(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("anther.cli.cell.WATCHED", 0.0)
+    monkeypatch.setattr("anther.cli.cell.time.sleep", lambda _: None)
     assert np.array_equal(green_pixels(GreenCamera().read().rgb), PLANT)
     said = _describe_camera(GreenCamera())  # type: ignore[arg-type]
     assert "50% of the plant" in said[-1]

@@ -175,7 +175,7 @@ def test_two_plants_in_view(plant: SimPlant, apart: float) -> None:
     poses = orbit_poses(8, (0.72, apart / 2, -0.05), distance=0.7)
     capture, _ = capture_from_poses(both, poses, intrinsics=d455(640, 360), rng=np.random.default_rng(3))
     seen = perceived(capture)
-    assert "second" in seen.notes or "two plants" in seen.notes
+    assert "2 stems in view" in seen.notes or "second" in seen.notes
     share = max(right_share(p, seen.skeleton.nodes[seen.stem.node_ids]) for p in (plant, two))
     assert share >= 0.9 or "confidence" in seen.notes
 

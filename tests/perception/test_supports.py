@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from anther.core.errors import StageFailure
 from anther.perception.cloud import SUPPORT, Cloud, Support
 from anther.perception.cloud.ply import read_ply
 from anther.perception.skeleton import skeletonize
@@ -94,10 +93,12 @@ def test_stake_that_bends_is_followed():
     assert len(cloud.points) > 0.97 * plant
 
 
-def test_only_supports_are_no_plant():
-    with pytest.raises(StageFailure, match="only a stake of 10 mm") as failure:
-        find_supports(Cloud(cylinder([0, 0, 0], [0, 0, 0.6], 0.005)))
-    assert failure.value.kind == "no_plant_found"
+def test_a_bare_stem_that_stands_alone_is_taken_for_the_plant_and_a_note_says_what_it_looks_like():
+    alone = Cloud(cylinder([0, 0, 0], [0, 0, 0.6], 0.005))
+    found = find_supports(alone)
+    assert found.supports == ()
+    assert np.array_equal(found.points, alone.points)
+    assert "looks like a stake of 10 mm" in found.notes[-1]
 
 
 def test_two_supports_are_told_apart():

@@ -185,7 +185,7 @@ def test_the_slowest_frame_rate_that_tells_all_tones_apart_is_taken(
         foresight = made_foresight(seed)
         tones = TONES * np.random.default_rng(seed).uniform(0.5, 3)
         plan = replace(FREE, tones=replace(FREE.tones, frequencies=tones))
-        world = World(foresight._replace(tones=tones), foresight.vectors[1], plan=plan)
+        world = World(foresight._replace(frequencies=tones), foresight.vectors[1], plan=plan)
         watched = shaken(world)
         rates = FakeCamera.rates
         rate = watched.frame_rate(rates)

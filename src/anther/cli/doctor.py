@@ -39,6 +39,7 @@ FOR = {
     "parquet": "history as Parquet",
     "sweep": "many runs at once, on every core or a cluster",
     "serve": "pages of the history",
+    "evaluation": "plants of another generator",
 }
 """Extra -> what it is for."""
 

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import KDTree
 
-from anther.core.errors import StageFailure
 from anther.core.geometry import Array
 from anther.perception.cloud import Cloud, Support
 from anther.perception.cloud._fusion import voxel_means
@@ -37,13 +36,11 @@ _SHORTEST = 0.4  # a shorter straight thing, relative to the plant's size, is a 
 def find_supports(cloud: Cloud) -> Cloud:
     """Return the cloud with its supports set apart: out of the plant's points, into `Cloud.supports`.
 
-    A string wound round a stem stays with the stem. A cloud that has supports already is returned as it is.
+    A string wound round a stem stays with the stem. A cloud that has supports already is returned as it is, and with a
+    note one of nothing else: a bare stem looks like a stake.
 
     Args:
         cloud: plant points, world frame, z up [m].
-
-    Raises:
-        StageFailure: "no_plant_found": there is nothing but supports.
     """
     if cloud.supports or len(cloud.points) < FEWEST:
         return cloud
@@ -62,8 +59,8 @@ def find_supports(cloud: Cloud) -> Cloud:
     plant = owner < 0
     if np.count_nonzero(plant) < FEWEST:
         only = ", ".join(support.name for support in supports)
-        do = "Point the cameras at the plant, or set the workspace."
-        raise StageFailure("no_plant_found", f"supports: the cloud shows only {only}, and no plant. {do}")
+        note = f"supports: all that is in view looks like {only}; a bare stem does too, so it is taken for the plant"
+        return replace(cloud, notes=(*cloud.notes, note))
     rest = {
         name: value[plant]
         for name in ("points", "normals", "colors", "labels")
