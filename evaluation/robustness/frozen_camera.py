@@ -29,7 +29,6 @@ from rich.table import Table
 sys.path.append(str(Path(__file__).parents[2] / "tests" / "support"))
 from made_foresight import FLOWERS, POINTS, TONES, World, made_foresight, made_plan
 
-from anther.plant.limits import GUSTS, LOADED
 from anther.pollination import escalation
 from anther.pollination.response.points import Swings
 from anther.pollination.shake.observables import ComplexArray
@@ -129,7 +128,7 @@ def shaken(case: Case) -> Outcome:
     with (
         patch.object(escalation, "swings", world.swings),
         patch.object(escalation, "sight", lambda *_: sighted),
-        patch.object(escalation, "links", lambda readings, tones: (readings, np.zeros(len(tones)))),
+        patch.object(escalation, "correct_for_links", lambda readings, tones: (readings, np.zeros(len(tones)))),
     ):
         steps = world.shaken(world.escalation()).steps
     share = flowers = 0.0
@@ -137,9 +136,7 @@ def shaken(case: Case) -> Outcome:
         if len(step.frequencies) > 1:
             continue
         tone, along = int(np.abs(TONES - step.frequencies[0]).argmin()), np.array(step.direction)
-        slow = step.frequencies[0] <= GUSTS
-        limits = {kind: one.low for kind, one in LOADED.items() if slow or kind != "leaf_load"}
-        limits["grip_force"] = world.limits.held(plan.press)
+        limits = escalation.limits_of(world.limits, plan.press, step.frequencies[0])
         loads = world.loads(tone, along)
         share = max(share, *(step.amplitudes[0] * loads[kind] / limit for kind, limit in limits.items()))
         flowers = max(flowers, step.amplitudes[0] * float(np.median(world.flowers(tone, along))))

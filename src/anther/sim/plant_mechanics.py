@@ -224,7 +224,7 @@ class PlantMechanics:
         """Return the modes (D, K) that the hinges damp too little, and the rates that they lack: 2 z w - c [1/s].
 
         A mode is to have the damping ratio of its segments, the mean by the energy in their springs. Modes faster than
-        `FLUTTER` are damped enough by the hinges.
+        about 30 Hz are damped enough by the hinges.
 
         Args:
             values: (M,) squared natural frequencies [1/s2].

@@ -39,7 +39,7 @@ from anther.pollination.shake import ShakePlan
 from anther.robot.devices import LEAD, ArmSample, Frame
 from anther.robot.swing import Swing
 
-__all__ = ["SHORTEST", "WORDS", "Escalation", "Foresight", "Params", "foresee", "watch_points"]
+__all__ = ["SHORTEST", "WORDS", "Escalation", "Foresight", "Params", "foresee", "limits_of", "watch_points"]
 
 
 DEFAULTS = Params()
@@ -289,7 +289,7 @@ class Escalation:
     def _after_probe(self, largest_load: float) -> NextPiece:
         """Return the piece after a probe: the next probe, or the shake of largest predicted worth.
 
-        `tolerated`: the largest of the probe's loads, over what may be borne. The next probe is as much gentler.
+        `largest_load`: the largest of the probe's loads, over what may be borne. The next probe is as much gentler.
         """
         tones = self.plan.tones
         if not self._visible_count:

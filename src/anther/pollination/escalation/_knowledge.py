@@ -61,10 +61,10 @@ class Prediction(NamedTuple):
     Attributes:
         flowers: (F,) median of the predicted peak acceleration [1/s2].
         seen: (F,) whether the camera measured the flower.
-        most: (F,) detection limit of the acceleration [1/s2]; NaN where the flower was not tracked.
+        detectable: (F,) detection limit of the acceleration [1/s2]; NaN where the flower was not tracked.
         loads: kind of load -> expected value of the largest.
         answer: of the members; a measured flower has its measurement, and a tracked one at most its detection limit.
-        picture: (F, 3) phasors of the flowers as `Swings` has them, on the camera's clock [m/m].
+        phasors: (F, 3) of the flowers as `Swings` has them, on the camera's clock [m/m].
         observed: whether a valid observation supports the prediction.
     """
 
