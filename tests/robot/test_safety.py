@@ -469,12 +469,29 @@ def test_an_arm_that_lags_is_not_taken_for_stale(lag: float, amplitude: float, f
     assert arm.done == 1
 
 
-@pytest.mark.parametrize(("follows", "noise"), [(0.3, 1.0), (1.0, 100.0), (0.0, 3000.0)])
+@pytest.mark.parametrize(("follows", "noise"), [(0.3, 1.0), (0.06, 0.3), (1.0, 100.0), (0.0, 3000.0)])
 def test_a_small_swing_that_is_soft_or_lost_in_noise_is_not_taken_for_stale(follows: float, noise: float) -> None:
     arm = readings(
         lambda n, s: replace(s, measured=sawyer.NEUTRAL + follows * (s.commanded - sawyer.NEUTRAL) + noise * NOISE[n])
     )
     GuardedArm(arm, LIMITS).follow(swinging(2e-4, 18.0))
+    assert arm.done == 1
+
+
+def test_a_joint_that_the_others_still_is_not_taken_for_stale() -> None:
+    two, still = np.eye(len(sawyer.NEUTRAL))[:2].sum(axis=0), np.eye(len(sawyer.NEUTRAL))[0]
+    alone = swinging(2e-4, 18.0)
+    both = JointTrajectory(
+        alone.times,
+        *(
+            start + (x - start)[:, :1] * two
+            for x, start in ((alone.positions, sawyer.NEUTRAL), (alone.velocities, 0.0))
+        ),
+    )
+    arm = readings(
+        lambda n, s: replace(s, measured=s.commanded - 0.99 * (s.commanded - sawyer.NEUTRAL) * still + NOISE[n])
+    )
+    GuardedArm(arm, LIMITS).follow(both)
     assert arm.done == 1
 
 

@@ -214,8 +214,10 @@ def find_hidden_swings(times: Array, commanded: Array, measured: Array, travel: 
     """Return (J,) which joints show nothing of a fast swing that is commanded.
 
     The measured joints are fitted by the command and its rate, so that size and phase are free: a soft arm is late and
-    swings less. A swing is hidden where the fitted one, and three standard errors more, is below `SHOWS` of it, all
-    without the straight line that fits the motion best.
+    swings less. A joint shows nothing where the fitted swing is no more than three standard errors, as of a reading
+    that stands, and with three more still below `SHOWS` of the command; all without the straight line that fits the
+    motion best. One joint alone may be stilled by the others, at its antiresonance: its swing is hidden only where its
+    reading stands to the bit, or where no joint that swings shows anything.
 
     Args:
         times: (T,) of the last readings [s].
@@ -224,14 +226,15 @@ def find_hidden_swings(times: Array, commanded: Array, measured: Array, travel: 
     """
     swing, rate, found = (_detrend(times, x) for x in (commanded, np.gradient(commanded, times, axis=0), measured))
     size, turns = np.minimum(np.ptp(swing, axis=0), travel), np.count_nonzero(np.diff(np.sign(swing), axis=0), axis=0)
-    hidden = np.zeros(len(size), dtype=bool)
-    for j in np.flatnonzero((turns >= TURNS) & (size >= max(SWINGS, 0.5 * float(size.max())))):
+    swings = (turns >= TURNS) & (size >= max(SWINGS, 0.5 * float(size.max())))
+    hidden = swings.copy()
+    for j in np.flatnonzero(swings):
         basis = np.linalg.qr(np.stack([swing[:, j], rate[:, j]], axis=1))[0]
         part = basis.T @ found[:, j]
         rest = np.linalg.norm(found[:, j] - basis @ part) / np.sqrt(max(len(times) - 4, 1))
-        fitted = (np.linalg.norm(part) + 3 * np.sqrt(2) * rest) / np.sqrt(len(times))
-        hidden[j] = 2 * np.sqrt(2) * fitted < SHOWS * size[j]
-    return hidden
+        shown, noise = np.linalg.norm(part), 3 * np.sqrt(2) * rest + 1e-9  # [rad]: rounding
+        hidden[j] = shown <= noise and 2 * np.sqrt(2 / len(times)) * (shown + noise) < SHOWS * size[j]
+    return hidden if np.array_equal(hidden, swings) else hidden & (np.ptp(measured, axis=0) == 0)
 
 
 def _detrend(times: Array, path: Array) -> Array:
