@@ -188,6 +188,16 @@ def test_a_force_that_only_trembles_while_the_pads_close_is_stuck(force: float, 
     assert gripper.commands[-1] == pytest.approx(0.008 - SEVERAL)
 
 
+def test_a_stem_that_one_pad_bends_away_is_no_stuck_force() -> None:
+    def bent(_: int, state: GripperState) -> GripperState:
+        way = 0.0157 - state.opening
+        return replace(state, force=1.5 + 200 * way if way >= 0 else 0.0, is_gripping=False)
+
+    guarded = GuardedGripper(ElasticStem(bent), LIMITS)
+    for opening in (0.03, *(0.0157 - STEP * np.arange(8))):
+        guarded.move(opening)
+
+
 def test_pads_that_are_opened_open_whatever_the_force_reads() -> None:
     gripper = ElasticStem()
     guarded = GuardedGripper(gripper, LIMITS)

@@ -177,7 +177,7 @@ SPANS = (0.5, 2.0)
 """Travel is compared over so many times `stale_after`: fast motion is judged soon, slow or little motion later."""
 SWINGS, TURNS = 1e-4, 4
 """Fast swings, with `TURNS` zero crossings or more in the longer span, must show from this travel on [rad]: 16 bits do.
-Asked of joints that travel at least half as far as the one that travels furthest."""
+Asked of joints that travel at least half as far as the one that travels furthest, or more than `STILL`."""
 
 
 class ForceCheck:
@@ -210,14 +210,19 @@ class ForceCheck:
             raise DeviceError(f"{given}; allowed: 1 s. The sensor is stuck: check it, then start anew.")
 
 
+def find_fast_swings(times: Array, commanded: Array) -> NDArray[np.bool_]:
+    """Return (J,) which joints are commanded to and fro `TURNS` times or more, at times (T,) [s]: (T, J) [rad]."""
+    return np.count_nonzero(np.diff(np.sign(_detrend(times, commanded)), axis=0), axis=0) >= TURNS
+
+
 def find_hidden_swings(times: Array, commanded: Array, measured: Array, travel: Array) -> NDArray[np.bool_]:
     """Return (J,) which joints show nothing of a fast swing that is commanded.
 
     The measured joints are fitted by the command and its rate, so that size and phase are free: a soft arm is late and
     swings less. A joint shows nothing where the fitted swing is no more than three standard errors, as of a reading
     that stands, and with three more still below `SHOWS` of the command; all without the straight line that fits the
-    motion best. One joint alone may be stilled by the others, at its antiresonance: its swing is hidden only where its
-    reading stands to the bit, or where no joint that swings shows anything.
+    motion best. One joint alone may be stilled by the others, at its antiresonance: a swing within `STILL` is hidden
+    only where its reading stands to the bit, or where no joint that swings shows anything.
 
     Args:
         times: (T,) of the last readings [s].
@@ -225,8 +230,8 @@ def find_hidden_swings(times: Array, commanded: Array, measured: Array, travel: 
         travel: (J,) of the command, the least within the lag that is healthy [rad].
     """
     swing, rate, found = (_detrend(times, x) for x in (commanded, np.gradient(commanded, times, axis=0), measured))
-    size, turns = np.minimum(np.ptp(swing, axis=0), travel), np.count_nonzero(np.diff(np.sign(swing), axis=0), axis=0)
-    swings = (turns >= TURNS) & (size >= max(SWINGS, 0.5 * float(size.max())))
+    size = np.minimum(np.ptp(swing, axis=0), travel)
+    swings = find_fast_swings(times, commanded) & (size >= max(SWINGS, min(STILL, 0.5 * float(size.max()))))
     hidden = swings.copy()
     for j in np.flatnonzero(swings):
         basis = np.linalg.qr(np.stack([swing[:, j], rate[:, j]], axis=1))[0]
@@ -234,7 +239,8 @@ def find_hidden_swings(times: Array, commanded: Array, measured: Array, travel: 
         rest = np.linalg.norm(found[:, j] - basis @ part) / np.sqrt(max(len(times) - 4, 1))
         shown, noise = np.linalg.norm(part), 3 * np.sqrt(2) * rest + 1e-9  # [rad]: rounding
         hidden[j] = shown <= noise and 2 * np.sqrt(2 / len(times)) * (shown + noise) < SHOWS * size[j]
-    return hidden if np.array_equal(hidden, swings) else hidden & (np.ptp(measured, axis=0) == 0)
+    all_hidden = np.array_equal(hidden, swings)
+    return hidden if all_hidden else hidden & ((size > STILL) | (np.ptp(measured, axis=0) == 0))
 
 
 def _detrend(times: Array, path: Array) -> Array:
@@ -299,6 +305,9 @@ class Watchdog:
                 doubted = np.minimum(doubted, np.ptp(commanded[inside], axis=0) if inside.any() else 0.0)
             else:
                 hidden = (doubted > STILL) & (shown < SHOWS * doubted)
+                if hidden.any():
+                    recent = times > sample.time - SPANS[-1] * after
+                    hidden &= ~find_fast_swings(times[recent], commanded[recent])  # judged by their own rule
                 if swings:
                     self._next = sample.time + after / 2  # it takes a quarter of a millisecond
                     hidden |= find_hidden_swings(times[begin:], commanded[begin:], measured[begin:], doubted)
