@@ -191,7 +191,7 @@ def test_a_force_that_only_trembles_while_the_pads_close_is_stuck(force: float, 
 def test_a_stem_that_one_pad_bends_away_is_no_stuck_force() -> None:
     def bent(_: int, state: GripperState) -> GripperState:
         way = 0.0157 - state.opening
-        return replace(state, force=1.5 + 200 * way if way >= 0 else 0.0, is_gripping=False)
+        return replace(state, force=1.5 + 60 * way if way >= 0 else 0.0, is_gripping=False)
 
     guarded = GuardedGripper(ElasticStem(bent), LIMITS)
     for opening in (0.03, *(0.0157 - STEP * np.arange(8))):

@@ -16,9 +16,9 @@ IDLE = 1.0
 """What a gripper may read with nothing between its pads, either way [N]: its sensor's noise and friction. A guess."""
 SOFTEST = 500.0
 """The least stiffness between the pads of what is held [N/m]. A guess; simulated stems have 6000."""
-BENDING = 100.0
+BENDING = 20.0
 """The same before the gripper says that it holds something [N/m]: a stem off the middle is met by one pad and bends
-away. A guess; simulated peppers have 200."""
+away. A guess; a simulated pepper has 60 to 200."""
 SEVERAL = 1.5e-3
 """Over so much of the pads' way a force must change [m]: three steps of a closing."""
 DO = "Check the gripper's force signal before it closes on a plant."
