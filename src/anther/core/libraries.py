@@ -1,8 +1,10 @@
-"""What libraries read once, when they are imported; so it is set before any of them is."""
+"""What libraries read once, when they are imported, so that it is set before any of them is; and what they print."""
 
 import os
+import sys
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 MOST_PIXELS = 2**27
@@ -45,3 +47,23 @@ def prepare_libraries() -> None:
         folder = compiled_code((Path(__file__).parent / "__pycache__", Path(caches) / "numba"))
         if folder is not None:
             os.environ["NUMBA_CACHE_DIR"] = folder
+
+
+@contextmanager
+def silent_stdout() -> Iterator[None]:
+    """Drop what compiled code prints to the process's standard output, which may be somebody's JSON."""
+    try:
+        kept = os.dup(1)
+    except OSError:  # it is closed
+        yield
+        return
+    if sys.stdout is not None:
+        sys.stdout.flush()
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 1)
+        yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(nowhere)

@@ -18,6 +18,7 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from anther.core.errors import StageFailure
 from anther.core.geometry import Array
+from anther.core.libraries import silent_stdout
 from anther.robot.arm._collision import GROUP, urdf
 from anther.robot.arm.model import ArmModel
 from anther.robot.devices import JointTrajectory
@@ -81,7 +82,8 @@ def fastest(
     waypoints = JointPath()
     waypoints.joint_names = list(arm.joints)
     waypoints.positions = list(path)
-    timed = PathParameterizerTOPPRA(scene, GROUP).generate(waypoints, options)
+    with silent_stdout():  # a linear program that fails prints itself, and is raised
+        timed = PathParameterizerTOPPRA(scene, GROUP).generate(waypoints, options)
     return JointTrajectory(np.array(timed.times), np.array(timed.positions), np.array(timed.velocities))
 
 
