@@ -54,7 +54,8 @@ class Air:
         """Return (B, 3) the velocity of each body's centre of mass [m/s]."""
         turn, slide = data.cvel[self._bodies, :3], data.cvel[self._bodies, 3:]
         arm = data.xipos[self._bodies] - data.subtree_com[self._model.body_rootid[self._bodies]]
-        return slide + np.cross(turn, arm)
+        y, z = [1, 2, 0], [2, 0, 1]  # np.cross takes 2.5 times as long, at every step
+        return slide + (turn[:, y] * arm[:, z] - turn[:, z] * arm[:, y])
 
     def linear(self, speed: Array) -> Array:
         """Return (B,) the damping [N s/m] that does the work of the drag when bodies swing with `speed` (B,) [m/s].
