@@ -24,7 +24,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,11 +36,11 @@ from scipy.special import logsumexp, ndtr
 from anther.core import Array, StageFailure
 from anther.plant import Crop
 from anther.plant.limits import PEDICEL_STRAIN
-from anther.pollination import foresee
+from anther.pollination import decision, foresee
 from anther.pollination.decision import believed
 from anther.pollination.escalation import watch_points
 from anther.pollination.escalation._foresight import update_members
-from anther.pollination.escalation._knowledge import Answer, predict
+from anther.pollination.escalation._knowledge import Answer, Prediction, predict
 from anther.pollination.response.points import sight
 from anther.pollination.shake import VIBRATING_GRIPPER
 from anther.pollination.shake._actuators import ACCELERATION, STROKE
@@ -100,8 +100,24 @@ def one_plant(row: dict[str, Any], folder: Path) -> dict[str, Any]:
         return {"values": []}
 
 
-def values_of(species: Crop, seed: int) -> Iterator[Value]:
-    """Yield a value for each grip, tone, kind and flower that was found."""
+class Grip(NamedTuple):
+    """A plant held at a place, shaken a little along one direction at `TONES`. Q tones.
+
+    Attributes:
+        it: the plant, and what was seen of it.
+        true: by kind what a metre of the grip truly does, see `truths`.
+        before: (Q,) what is believed of each shake.
+        after: (Q,) the same after an observation.
+    """
+
+    it: known_plant.Known
+    true: dict[str, Array]
+    before: list[decision.Answer]
+    after: list[Prediction]
+
+
+def grips_of(species: Crop, seed: int) -> Iterator[Grip]:
+    """Yield a plant's grips at `HEIGHTS`."""
     truth = truth_of("wide", seed)
     it = known_plant.known(species, seed, truth, "fast", looks(truth))
     pose, points = layout(USUAL_DISTANCE).T_world_side_camera, watch_points(it.model)
@@ -116,12 +132,7 @@ def values_of(species: Crop, seed: int) -> Iterator[Value]:
         foresight = foresee(it.model, grip.point, TONES, points)
         middles, motion = segment_motion(grip)
         gap, nearest = KDTree(middles).query(places)
-        used, true = at.shown & (gap < NEAR), truths(grip, middles, motion)
-        yield from (
-            [MOTOR, species, tone, [float(np.median(felt)) * motor_amplitude(tone)]]
-            for tone, felt in zip(TONES.tolist(), true["flowers"], strict=True)
-            if len(felt)
-        )
+        used, before, after = at.shown & (gap < NEAR), list[decision.Answer](), list[Prediction]()
         for k, tone in enumerate(TONES.tolist()):
             shown, std = (np.full((len(used), 3), np.nan, kind) for kind in (complex, float))
             shown[used] = np.einsum("px,pxa->pa", motion[k, nearest[used]], at.axes[used])
@@ -132,11 +143,24 @@ def values_of(species: Crop, seed: int) -> Iterator[Value]:
             members = foresight.of(k, direction)
             own = slice(len(it.seen.flowers.positions))
             of = Answer(update_members(members, shown, std, at.axes, k), shown[own], std[own], at.axes[own])
-            after = predict(foresight, tone, of, 0.0)
-            for answer, when in ((foresight.answer(members, tone), "before"), (after.answer, "after")):
+            before.append(foresight.answer(members, tone))
+            after.append(predict(foresight, tone, of, 0.0))
+        yield Grip(it, truths(grip, middles, motion), before, after)
+
+
+def values_of(species: Crop, seed: int) -> Iterator[Value]:
+    """Yield a value for each grip, tone, kind and flower that was found."""
+    for it, true, before, after in grips_of(species, seed):
+        yield from (
+            [MOTOR, species, tone, [float(np.median(felt)) * motor_amplitude(tone)]]
+            for tone, felt in zip(TONES.tolist(), true["flowers"], strict=True)
+            if len(felt)
+        )
+        for k, tone in enumerate(TONES.tolist()):
+            for answer, when in ((before[k], "before"), (after[k].answer, "after")):
                 found = [(kind, true[kind][k], getattr(answer, kind)) for kind in LARGEST]
                 for i, j in zip(it.i.tolist(), it.j.tolist(), strict=True):
-                    if when == "before" or not after.seen[i]:
+                    if when == "before" or not after[k].seen[i]:
                         found.append(("flowers", true["flowers"][k, j], answer.flowers[:, i]))
                         found.append(("pedicels", true["pedicels"][k, j], answer.flowers[:, i]))
                 for kind, truly, values in found:
@@ -153,10 +177,11 @@ def truths(grip: ShakenPlant, middles: Array, motion: ComplexArray) -> dict[str,
     """Return by kind what a metre of the grip truly does at `TONES`: (Q,), or (Q, F) of each flower."""
     plant, pieces = grip.mechanics.plant, grip.mechanics.pieces
     strain, organ = semi_major(grip.bending(TONES)), plant.organ[pieces.first]
-    trunk = np.isin(organ, (Organ.STEM, Organ.BRANCH))
+    trunk, (pedicels, peduncles) = np.isin(organ, (Organ.STEM, Organ.BRANCH)), grip.flower_stalks(strain)
     return {
         "flowers": semi_major(grip.linear(TONES)) * (2 * np.pi * TONES[:, None]) ** 2,
-        "pedicels": grip.flower_stalks(strain)[0],
+        "pedicels": pedicels,
+        "peduncles": peduncles,
         "base_strain": strain[:, ~trunk & (organ != Organ.PEDICEL)].max(axis=1, initial=0.0),
         "stem_strain": strain[:, trunk].max(axis=1, initial=0.0),
         "leaf_load": leaf_load(grip.plant, middles, motion),

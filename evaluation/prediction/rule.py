@@ -1,0 +1,241 @@
+"""What is each part of the decision worth? The rule, and the rule without a part, on plants that it does not know.
+
+    python -m evaluation.prediction.rule --plants 24 --jobs 2
+
+Plants, grips, tones and observations are those of `evaluation.prediction.belief`. Each rule chooses tone and amplitude
+of a shake at each grip, by an arm (1-35 Hz, 7 m/s2 of the grip, as a Sawyer does across) and by a motor. MuJoCo's
+linear equations say what it truly does, and `anther.sim.judge.net_fruit` what that was worth, its mean over what the
+plant may bear and over the measures of motion that may free pollen. No arm or motor errs here, and no pads slip.
+
+Keys of --json, of each machine and rule: net_<machine>_<rule>, mean over plants; _low and _high, of its difference to
+the whole rule, 95 % intervals (bootstrap over plants); flower_..., median over plants of the median flower [m/s2];
+lost_..., share of flowers lost; priced_..., net where a lost flower counts as the default price has it; plants.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, NamedTuple
+from unittest.mock import patch
+
+import numpy as np
+from rich.table import Table
+from scipy.special import ndtri
+
+from anther.core import Array, StageFailure
+from anther.pollination import decision
+from anther.pollination.decision import Answer, worth
+from anther.pollination.shake import VIBRATING_GRIPPER, Params
+from anther.sim.judge import lost_flowers, net_fruit
+from anther.sim.truth import TOLERANCE
+from evaluation.harness import by_turns, finish, options, run_cases
+from evaluation.prediction.belief import DEVELOPMENT, TONES, Grip, grips_of, motor_amplitude
+from evaluation.statistics import bootstrap
+from evaluation.tables import markdown
+
+FIRST = 9700
+AMPLITUDES, LEAST = 40, 1e-3
+"""So many of each tone, on a logarithmic scale from a share of the largest."""
+PRESS = 8.0
+"""Of each pad [N]."""
+ARM_ACCELERATION, ARM_SPEED = 7.0, 0.3
+"""[m/s2], [m/s]."""
+DRAWN = 64
+"""Draws of what a plant bears."""
+
+
+def arm_amplitude(tone: float) -> float:
+    """Return how far an arm moves the grip at a tone [Hz] [m]."""
+    omega = 2 * np.pi * tone
+    return float(min(0.03, ARM_SPEED / omega, ARM_ACCELERATION / omega**2))
+
+
+MACHINES: Mapping[str, tuple[Callable[[float], float], float, float]] = {
+    "arm": (arm_amplitude, 1.0, 35.0),
+    "motor": (motor_amplitude, VIBRATING_GRIPPER.lowest, VIBRATING_GRIPPER.highest),
+}
+"""Machine -> its largest amplitude at a tone, and its band [Hz]."""
+
+
+class Rule(NamedTuple):
+    """A rule for a shake.
+
+    Attributes:
+        words: what it is, or what the whole rule lacks in it.
+        observed: whether it has seen each shake.
+        price: of a lost flower.
+        middle: whether one plant in the middle of those drawn stands for all.
+        changes: names of `anther.pollination.decision` -> what they are instead.
+    """
+
+    words: str
+    observed: bool = True
+    price: float = decision.PRICES["default"]
+    middle: bool = False
+    changes: Mapping[str, Any] = {}
+
+
+def _errors(change: Callable[[Any], Any]) -> dict[str, Any]:
+    """Return the tables of errors (intercepts, slopes, spreads), all changed."""
+    tables = {name: {kind: change(rows) for kind, rows in getattr(decision, name).items()} for name in _TABLES}
+    return tables | {"MEASURED_ERROR": change(decision.MEASURED_ERROR)}
+
+
+_TABLES = ("ERRORS", "OBSERVED_ERRORS")
+_AS_IT_IS = _errors(lambda rows: ((0.0,) * 4, (1.0,) * 4, rows[2]))
+_EXACT = _errors(lambda _: ((0.0,) * 4, (1.0,) * 4, (0.01,) * 4))
+RULES = {
+    "whole": Rule("the whole rule"),
+    "blind": Rule("no observation: the plan", observed=False),
+    "one_plant": Rule("one plant in the middle, not the drawn ones", middle=True),
+    "as_modelled": Rule("the model is taken as it is, its error about it", changes=_AS_IT_IS),
+    "exact": Rule("the model has no error", changes=_EXACT),
+    "acceleration": Rule("acceleration alone frees pollen", changes={"DOSE_MEASURES": {"acceleration": (0, 1.0)}}),
+    "free": Rule("nothing costs anything", price=0.0),
+    "flowers_only": Rule("only flowers are lost", changes={"COSTS": dict.fromkeys(decision.COSTS, 0.0)}),
+}
+LIMITED, ALIKE = "limits", "alike"
+WORDS = {name: rule.words for name, rule in RULES.items()} | {
+    LIMITED: "as far as 19 of 20 organs bear, most flower motion",
+    ALIKE: "one tone and amplitude for all, the best afterwards",
+}
+
+
+def one_plant(row: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return by machine and rule what the shakes of a plant (species, seed) did, for a sweep."""
+    del folder
+    try:
+        grips = list(grips_of(row["species"], row["seed"]))
+    except StageFailure:
+        return {"shakes": []}
+    return {"shakes": [shakes_of(grip) for grip in grips if grip.before[0].flowers.size and grip.true["flowers"].size]}
+
+
+def shakes_of(grip: Grip) -> dict[str, dict[str, Any]]:
+    """Return by machine and rule what the shake that it chooses does; of `ALIKE` a table of all."""
+    found = dict[str, dict[str, Any]]()
+    for machine, (reach, lowest, highest) in MACHINES.items():
+        tones = [k for k, tone in enumerate(TONES.tolist()) if lowest <= tone <= highest]
+        choices = {name: _chosen(grip, rule, tones, reach) for name, rule in RULES.items()}
+        choices[LIMITED] = _limited(grip, tones, reach)
+        found[machine] = {name: _outcome(grip.true, *choice) for name, choice in choices.items()}
+        found[machine][ALIKE] = [
+            [_outcome(grip.true, k, share * reach(TONES[k])) for share in np.geomspace(0.02, 1, 12)] for k in tones
+        ]
+    return found
+
+
+def _chosen(grip: Grip, rule: Rule, tones: list[int], reach: Callable[[float], float]) -> tuple[int, float]:
+    """Return the tone and the amplitude [m] that a rule chooses."""
+    best = (-np.inf, tones[0], 0.0)
+    with ExitStack() as stack:
+        for name, value in rule.changes.items():
+            stack.enter_context(patch.object(decision, name, value))
+        for k in tones:
+            prediction = grip.after[k]
+            answer = prediction.answer if rule.observed else grip.before[k]
+            if rule.middle:
+                answer = Answer(*(np.exp(np.log(np.maximum(x, 1e-12)).mean(axis=0, keepdims=True)) for x in answer))
+            tried, seen = _tried(k, reach), prediction.seen if rule.observed else None
+            net = worth(answer, tried, TONES[k], Params().held(PRESS), rule.price, seen).net
+            best = max(best, (float(net.max()), k, float(tried[net.argmax()])))
+    return best[1:] if best[0] > 0 else (best[1], 0.0)
+
+
+def _tried(k: int, reach: Callable[[float], float]) -> Array:
+    return np.asarray(np.geomspace(LEAST, 1.0, AMPLITUDES) * reach(float(TONES[k])))
+
+
+def _limited(grip: Grip, tones: list[int], reach: Callable[[float], float]) -> tuple[int, float]:
+    """Return the tone and amplitude that move the median flower most within what 19 of 20 organs bear, as expected."""
+    best = (-1.0, tones[0], 0.0)
+    for k in tones:
+        answer, hertz = grip.after[k].answer, float(TONES[k])
+        loads = {kind: float(decision.expected(kind, getattr(answer, kind), hertz, False)) for kind in _BORNE}
+        flowers = np.array([decision.expected("flowers", f, hertz, False) for f in answer.flowers.T])
+        most = min(_BORNE[kind].low / max(load, 1e-12) for kind, load in loads.items())
+        amplitude = min(most, decision.LOST_AT.low / max(flowers.max(), 1e-12), reach(hertz))
+        best = max(best, (float(np.median(flowers)) * amplitude, k, amplitude))
+    return best[1:]
+
+
+_BORNE = {kind: decision.TOLERANCE[organ] for kind, organ in (("base_strain", "base"), ("stem_strain", "stem"))}
+
+
+def _outcome(true: Mapping[str, Array], k: int, amplitude: float) -> list[float]:
+    """Return what a shake was truly worth, the median flower's acceleration [m/s2], the share of flowers lost, and the
+    worth where each of them counts as the default price has it."""
+    felt, rng = amplitude * true["flowers"][k], np.random.default_rng(0)
+    middles = (np.arange(DRAWN) + 0.5) / DRAWN
+    nets, lost = list[float](), list[float]()
+    bears = {kind: one.median * np.exp(one.sigma * ndtri(rng.permutation(middles))) for kind, one in TOLERANCE.items()}
+    for draw in range(DRAWN):
+        limits = {kind: float(values[draw]) for kind, values in bears.items()}
+        gone = lost_flowers(amplitude * true["pedicels"][k], amplitude * true["peduncles"][k], limits).mean()
+        bent = {
+            "stem": amplitude * true["stem_strain"][k] > limits["stem"],
+            "base": amplitude * true["base_strain"][k] > limits["base"],
+            "leaf": TONES[k] <= 5 and amplitude * true["leaf_load"][k] > limits["leaf"],
+        }
+        nets.append(float(net_fruit(felt, TONES[k], gone, bent, measure=None)))
+        lost.append(1.0 if bent["stem"] else float(gone))
+    net, share_lost = float(np.mean(nets)), float(np.mean(lost))
+    return [net, float(np.median(felt)), share_lost, net - (decision.PRICES["default"] - 1) * share_lost]
+
+
+def metrics(plants: list[list[dict[str, dict[str, Any]]]]) -> dict[str, float]:
+    """Return the table's numbers, of the shakes of each plant's grips."""
+    plants = [grips for grips in plants if grips]
+    table = {"plants": float(len(plants))}
+    for machine in MACHINES:
+        of = {
+            name: np.array([np.mean([grip[machine][name] for grip in grips], axis=0) for grips in plants])
+            for name in (*RULES, LIMITED)
+        }
+        every = np.array([np.mean([grip[machine][ALIKE] for grip in grips], axis=0) for grips in plants])
+        best = np.unravel_index(every[..., 0].mean(axis=0).argmax(), every.shape[1:3])
+        of[ALIKE] = every[:, *best]
+        for name, values in of.items():
+            key, less = f"{machine}_{name}", values[:, 0] - of["whole"][:, 0]
+            low, high = bootstrap(less, np.mean)
+            table |= {f"net_{key}": float(values[:, 0].mean()), f"net_{key}_low": low, f"net_{key}_high": high}
+            table |= {f"flower_{key}": float(np.median(values[:, 1])), f"lost_{key}": float(values[:, 2].mean())}
+            table |= {f"priced_{key}": float(values[:, 3].mean())}
+    return table
+
+
+def report(table: dict[str, float]) -> Iterator[Table]:
+    """Yield a table for each machine."""
+    for machine in MACHINES:
+        heads = ["net fruit", "beside the whole rule (95 %)", "median flower [m/s2]", "flowers lost", "at the price"]
+        text = markdown([machine, *heads])
+        for name, words in WORDS.items():
+            key = f"{machine}_{name}"
+            less = table[f"net_{key}"] - table[f"net_{machine}_whole"]
+            between = f"{less:+.3f} ({table[f'net_{key}_low']:+.3f} to {table[f'net_{key}_high']:+.3f})"
+            numbers = (
+                f"{table[f'net_{key}']:.3f}",
+                between,
+                f"{table[f'flower_{key}']:.1f}",
+                f"{table[f'lost_{key}']:.1%}",
+            )
+            text.add_row(words, *numbers)
+        yield text
+
+
+def main() -> None:
+    """Run what is missing and print the tables."""
+    own = {"--plants": (24, "tomatoes and peppers by turns"), "--development": (False, "on which errors were fitted")}
+    seed = (0, "added to the seeds of all plants")
+    args = options(__doc__, quick="two plants", seed=seed, jobs="plants", out="runs/rule", own=own)
+    plants = by_turns(2 if args.quick else args.plants, (DEVELOPMENT[0] if args.development else FIRST) + args.seed)
+    cases = [{"species": species, "seed": seed} for species, seed in plants]
+    done = run_cases(one_plant, cases, args.out, args.jobs, lambda _: {"shakes": []})
+    table = metrics([row["shakes"] for row in done])
+    finish(args, table, f"{table['plants']:.0f} plants, four grips each.", *report(table))
+
+
+if __name__ == "__main__":
+    main()
