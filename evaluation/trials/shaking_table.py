@@ -3,7 +3,8 @@
 Keys of the worth of shakes (`anther.sim.judge.net_fruit`), of each way: net_fruit_<way>, its mean over plants;
 net_fruit_<way>_<measure> by another measure of motion that frees pollen, "drawn" for the mean over all;
 oracle_share_<way>, net fruit over the oracle's on the same plants (a ratio of sums); regret_<way>_<measure>, by how
-much less it is; regret_<way>, the largest of them; bent_<way>, plants with a stem, fork or base that stays bent.
+much less it is; regret_<way>, the largest of them; bent_<way>, plants with a stem, fork or base that stays bent;
+robot_s_<way>, what the robot's views, approach, shake and retreat take.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ from evaluation.trials.oracle import ACCELERATIONS, ACTUATORS, MEASURES
 Row = dict[str, Any]
 
 ACCELERATION = "true_flower_acceleration_median_ms2"
+ROBOT_SECONDS = ("simulated_capture_seconds", "simulated_execution_seconds")
+"""Of a visit, without the thought between [s]."""
 MAIN = "acceleration"
 """The measure of motion by which worth is told, where no other is named."""
 
@@ -133,6 +136,7 @@ def metrics(rows: Sequence[Row]) -> dict[str, float]:
         table[f"held_{name}"] = float(np.mean([bool(row.get("held")) for row in mine]))
         table[f"harm_probability_{name}"] = float(np.mean([row.get("harm_probability") or 0.0 for row in mine]))
         table[f"shaking_s_{name}"] = float(np.median([row.get("shaking_s") or 0.0 for row in mine]))
+        table[f"robot_s_{name}"] = median(sum(row.get(part) or np.nan for part in ROBOT_SECONDS) for row in mine)
     if "share_above_5_arm" in table:
         whole = ("share_above_5", "shaking_s", "flowers_lost", "oracle_share")
         table |= {key: table[f"{key}_arm"] for key in whole if f"{key}_arm" in table}
