@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 STIFFEST = 1e9
 """Of supports [N/m, N m/rad]; beyond it rounding eats the stiffness of the rods."""
 TOUCH = 1e-10
-"""A one-sided support that is pressed by less [m] does not act: where it only touches, rounding must not decide."""
+"""A one-sided support that bears nothing in the scanned shape stands off by this [m], so that rounding decides nothing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,7 +68,7 @@ class Support:
                 raise bad_input("support gap", given=self.gap, allowed="one-sided supports", do="Set one_sided.")
             return
         if along is None or not np.any(self.translation):
-            given = "none" if along is None else "no translation stiffness"
+            given = "no direction" if along is None else "no translation stiffness"
             raise bad_input("one-sided support", given=given, allowed="direction and translation", do="Give both.")
         push = np.zeros(3) if self.force is None else np.asarray(self.force)
         pulls = push @ along < 0 or np.linalg.norm(push - (push @ along) * along) > 1e-9 * np.linalg.norm(push)
@@ -164,9 +164,9 @@ def springs_of(supports: tuple[Support, ...], nodes: Array, forces: Array) -> Ar
     for row, support, force in zip(rows, supports, forces, strict=True):
         place, K = nodes[support.node], np.asarray(support.translation)
         if support.one_sided:
-            along, stiffness = support.direction, np.trace(K)
-            place = place + (force @ along / stiffness - support.gap) * along
-            row[10:13], row[13] = along, -TOUCH
+            along, pressed = support.direction, force @ support.direction / np.trace(K)
+            place = place + (pressed or -max(support.gap, TOUCH)) * along
+            row[10:13], row[13] = along, 0
         row[0], row[1:4], row[4:10] = support.node, place, upper(K)
     return rows
 
