@@ -93,22 +93,21 @@ def test_a_rotation_spring_holds_the_end_of_a_twisted_stem():
     assert sag(bent, Clamp.root(bent), 80, 1e-3 * EI / L**2) == pytest.approx(1e-3 * L / 3, rel=1e-3)
 
 
-def test_a_fork_and_a_tip_turn_as_their_node_does():
-    sides = []
+@pytest.mark.parametrize("arms", [1, 2])
+def test_a_kink_and_a_fork_turn_as_their_node_does(arms):
+    errors = []
     for edges in (8, 16):
-        nodes = np.zeros((3 * edges + 1, 3))
-        nodes[: edges + 1, 0] = np.linspace(0, L, edges + 1)
+        stem = np.linspace(0, L, edges + 1)[:, None] * [1, 0, 0]
         arm = np.arange(1, edges + 1)[:, None] / edges * L / 2
-        nodes[edges + 1 : 2 * edges + 1] = [L, 0, 0] + arm * [0.8, 0.6, 0]
-        nodes[2 * edges + 1 :] = [L, 0, 0] + arm * [0.8, -0.6, 0]
-        parent = np.arange(3 * edges + 1) - 1
-        parent[2 * edges + 1] = edges
+        nodes = np.concatenate([stem, *([L, 0, 0] + arm * [0.8, side, 0] for side in (0.6, -0.6)[:arms])])
+        parent = np.arange(len(nodes)) - 1
+        parent[edges + 1 :: edges] = edges
         rods = Rods(nodes, parent, 3e-4, 2e8, 1100.0, supports=(Support(edges, 1e3, RIGID),))
         load = Loads.at(rods, 2 * edges, force=(0, 0, 1e-4 * EI / L**2))
         moved = (equilibrium(rods, Clamp.root(rods), gravity=NO_GRAVITY, loads=load) - rods.nodes)[2 * edges, 2]
-        sides.append(moved / (1e-4 * L / 24) - 1)  # a cantilever of half the length
-    assert abs(sides[1]) < 5e-3
-    assert sides[0] / sides[1] == pytest.approx(4, rel=0.1)
+        errors.append(moved / (1e-4 * L / 24) - 1)  # a cantilever of half the length
+    assert abs(errors[1]) < 5e-3
+    assert errors[0] / errors[1] == pytest.approx(4, rel=0.1)
 
 
 @pytest.mark.parametrize("make", [

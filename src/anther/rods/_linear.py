@@ -264,9 +264,9 @@ def base_response(
 ) -> ComplexArray:
     """Return (Q, N, 3) displacement of every node per metre of base displacement, at (Q,) frequencies [Hz].
 
-    All that is clamped moves by exp(i w t) along `direction` (3,), as on a shaking table, and does not turn; the ground of
-    `Rods.supports` stands still. What the rods do relative to the base answers their own inertia, the still air's drag
-    and the supports K_s: of u = d + w with the base's motion d,
+    All that is clamped moves by exp(i w t) along `direction` (3,), as on a shaking table, and does not turn; the ground
+    of `Rods.supports` stands still. What the rods do relative to the base answers their own inertia, the still air's
+    drag and the supports K_s: of u = d + w with the base's motion d,
     (K + i w C - w^2 M) w = w^2 M d - i w C_air d - K_s d.
 
     Args:

@@ -37,8 +37,8 @@ def joints(rods: Rods, planted: bool = False) -> Joints:
 
     A rotation w of edge j with its frame, while its parent edge is still, changes the strain k by m_k . w with
     m_k = f x (d strain_k / df) + (d strain_k / d spin) t; f is the edge, t its tangent. So the sum of m_k times the
-    stresses is the moment, at kinks too. Viscous stresses are left out: strain is what is bent. Where a support holds the
-    rotation of a node, the moment jumps; this is the mean of both sides.
+    stresses is the moment, at kinks too. Viscous stresses are left out: strain is what is bent. Where a support
+    holds the rotation of a node, the moment jumps; this is the mean of both sides.
     """
     rods = replace(rods, supports=(), natural=None) if rods.supports else rods
     model, frames = build_model(rods, (0, 0, 0), planted)

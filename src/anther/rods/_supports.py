@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 STIFFEST = 1e9
 """Of supports [N/m, N m/rad]; beyond it rounding eats the stiffness of the rods."""
 TOUCH = 1e-10
-"""A one-sided support that bears nothing in the scanned shape stands off by this [m], so that rounding decides nothing."""
+"""Where a one-sided support bears nothing in the scanned shape, it stands off by this [m]: rounding decides nothing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,7 +35,8 @@ class Support:
         direction: (3,) of any length > 0: the only one in which single numbers act; None means all.
         force: (3,) on the node in the scanned shape [N]. None means the share of the weight that
             `with_gravity_equilibrium` finds, and 0 without it.
-        one_sided: whether it pushes along `direction` only and lets go where it would pull, without friction.
+        one_sided: whether it pushes along `direction` only and lets go where it would pull, without friction: a floor
+            along its normal, a string that may go slack towards its hook.
         gap: distance [m] along `direction` at which the node of a one-sided support stands off in the scanned shape.
     """
 
@@ -128,10 +129,7 @@ def _tensor(name: str, value: Any, along: Array | None, unit: str) -> Array:
         allowed = "one number" if along is not None else "a number, (3,) or (3, 3)"
         raise bad_input(name, given=f"shape {shape}", allowed=allowed, do="Add supports of the same node.")
     given = check_array(name, value, shape)
-    if shape == (3, 3):
-        tensor = given
-    else:
-        tensor = given * (np.eye(3) if along is None else np.outer(along, along))
+    tensor = given if shape == (3, 3) else given * (np.eye(3) if along is None else np.outer(along, along))
     sizes = np.linalg.eigvalsh((tensor + tensor.T) / 2)
     if not np.allclose(tensor, tensor.T, rtol=1e-9) or sizes[0] < -1e-9 * abs(sizes[-1]) or sizes[-1] > STIFFEST:
         worst = sizes[0] if sizes[0] < 0 else sizes[-1]
