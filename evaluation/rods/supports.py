@@ -53,7 +53,7 @@ def support_cases(quick: bool) -> Findings:
         _decay(),
         _response(),
         _lifted(),
-        _mujoco(),
+        mujoco_row(),
         static.row("support_static_order", f"{static.name}: order in the node distance"),
         modes.row("support_modes_order", f"{modes.name}: order in the node distance"),
     ]
@@ -262,7 +262,7 @@ def _lifted() -> Row:
     return _row("support_floor", what, np.array([found]), np.array([exact]))
 
 
-def _mujoco(edges: int = 30) -> Row:
+def mujoco_row(edges: int = 30) -> Row:
     """A horizontal cantilever whose tip hangs on an inclined string: rigid links, springs and a tendon in MuJoCo."""
     EI, L, h = BEAM.bending_stiffness, BEAM.length, BEAM.length / edges
     tension, stretching, way = 20 * EI / L**2, 4e3 * EI / L**2, 0.5 * L * np.array([0.98, 0.0, 0.2])

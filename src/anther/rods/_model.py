@@ -125,7 +125,7 @@ def _hold_turning(rods: Rods, edges: Edges, joints: JointCompliance) -> Held:
     n, parent, m1 = len(rods.nodes), rods.parent, edges.frames.m1
     stiffness, ground = np.zeros((2, n, 3, 3))
     for support in rods.supports:
-        stiffness[support.node] += support.rotation
+        stiffness[support.node] += support.stiffness("rotation")
     compliance, changed = joints.near + joints.own, []
     t = (rods.nodes - rods.nodes[parent]) / np.maximum(rods.lengths, 1e-300)[:, None]
     of_edge = np.stack([np.cross(t, m1), -m1, t], axis=2)  # the axes of kappa1, kappa2 and twist, as columns

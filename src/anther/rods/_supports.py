@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -56,12 +56,21 @@ class Support:
                 raise bad_input("support direction", given=along, allowed="a length above 0", do="Give an axis.")
             along = along / np.linalg.norm(along)
             object.__setattr__(self, "direction", check_array("support direction", along, (3,)))
-        for name, unit in (("translation", "N/m"), ("rotation", "N m/rad")):
-            object.__setattr__(self, name, _tensor(f"support {name}", getattr(self, name), along, unit))
+        for name in ("translation", "rotation"):
+            self.stiffness(name)
         if self.force is not None:
             object.__setattr__(self, "force", check_array("support force", self.force, (3,)))
         check_range("support gap", self.gap, 0, 1e3, "m")
         self._check_one_sided(along)
+
+    def stiffness(self, name: Literal["translation", "rotation"]) -> Array:
+        """Return the (3, 3) tensor of either stiffness [N/m, N m/rad].
+
+        Raises:
+            InputError: it is none.
+        """
+        unit = "N/m" if name == "translation" else "N m/rad"
+        return _tensor(f"support {name}", getattr(self, name), self.direction, unit)
 
     def _check_one_sided(self, along: Array | None) -> None:
         if not self.one_sided:
@@ -160,7 +169,7 @@ def springs_of(supports: tuple[Support, ...], nodes: Array, forces: Array) -> Ar
     rows = np.zeros((len(supports), 14))
     rows[:, 13] = 1
     for row, support, force in zip(rows, supports, forces, strict=True):
-        place, K = nodes[support.node], np.asarray(support.translation)
+        place, K = nodes[support.node], support.stiffness("translation")
         if support.one_sided:
             along, pressed = support.direction, force @ support.direction / np.trace(K)
             place = place + (pressed or -max(support.gap, TOUCH)) * along
