@@ -13,6 +13,7 @@ from anther.rods import (
     NaturalShape,
     Rods,
     Section,
+    Support,
     equilibrium,
     frequency_response,
     natural_frequencies,
@@ -109,7 +110,7 @@ def _tension() -> Row:
 
 def _support() -> Row:
     spring = 5 * BEAM.bending_stiffness / BEAM.length**3
-    rods = _beam(support=np.where(np.arange(EDGES + 1) == EDGES, spring, 0.0))
+    rods = _beam(supports=(Support(EDGES, translation=spring),))
     hertz = natural_frequencies(rods, Clamp.root(rods), 1, gravity=NO_GRAVITY).frequencies
     expected = 2.3667781**2 * BEAM.rate / (2 * np.pi)  # b^3 (1 + cos b cosh b) = 5 (cos b sinh b - sin b cosh b)
     return _row(

@@ -26,6 +26,7 @@ from evaluation.rods.objectivity import objectivity_cases
 from evaluation.rods.own import own_cases
 from evaluation.rods.peer_references import planar_cases, reference_cases
 from evaluation.rods.statics import static_cases
+from evaluation.rods.supports import support_cases
 from evaluation.rods.table import Case, Convergence, Findings, Row, metrics
 from evaluation.rods.vibrations import decay_cases, frequency_cases, response_cases
 from evaluation.tables import markdown
@@ -36,7 +37,8 @@ ORDERS = "How the error shrinks with the step: the slope of its logarithm must b
 
 def cases(data: Path) -> Iterator[tuple[str, Case]]:
     """Yield (against what, cases) of each group, those of the peer references only where their folder is there."""
-    for case in (static_cases, end_cases, own_cases, frequency_cases, decay_cases, energy_cases, order_cases):
+    statics = static_cases, end_cases, own_cases, support_cases
+    for case in (*statics, frequency_cases, decay_cases, energy_cases, order_cases):
         yield THEORY, case
     references = data / "rod_reference"
     if references.is_dir():

@@ -12,6 +12,7 @@ from evaluation.rods.beam_theory import cone_frequencies, elastica, rayleigh_roo
 from evaluation.rods.motion import energy_cases, order_cases
 from evaluation.rods.peer_references import reference_cases
 from evaluation.rods.statics import static_cases
+from evaluation.rods.supports import Spans, mujoco_row
 from evaluation.rods.table import Convergence, Row, metrics
 from evaluation.rods.vibrations import frequency_cases
 
@@ -43,6 +44,30 @@ def test_rotary_inertia_lowers_the_frequencies() -> None:
     thin = (rayleigh_roots(1, 0.02) / uniform_roots(1))[0] ** 2
     # Rayleigh's quotient: w^2 falls by s times the integral of w'^2 over that of w^2, 4.648 for the first mode
     assert thin == pytest.approx(1 - 0.02**2 / 4 * 4.648 / 2, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("springs", "clamped", "tension", "roots"),
+    [
+        ([], True, 0.0, uniform_roots(3)),
+        ([(1.0, 5.0, 0.0)], True, 0.0, [2.3667781]),  # Blevins: b^3 (1 + cos cosh) = 5 (cos sinh - sin cosh)
+        ([(1.0, 1e9, 0.0)], False, 20.0, [(n**4 * np.pi**4 + 20 * n**2 * np.pi**2) ** 0.25 for n in (1, 2)]),
+        ([(0.5, 1e9, 0.0), (1.0, 1e9, 0.0)], False, 0.0, [2 * np.pi, 2 * 3.9266023]),
+    ],
+)
+def test_spans_have_the_published_roots(springs, clamped, tension, roots) -> None:
+    np.testing.assert_allclose(Spans(springs, clamped, tension).roots(len(roots)), roots, rtol=1e-6)
+
+
+def test_spans_sag_as_the_textbook_says() -> None:
+    assert Spans([], True).receptance(1, 1) == pytest.approx(1 / 3)
+    assert Spans([(1.0, 1e9, 0)], False).receptance(0.25, 0.75) == pytest.approx(7 / 768)
+    assert Spans([(1.0, 1e9, 0)], True).receptance(0.5, 0.5) == pytest.approx(7 / 768)
+    assert Spans([], True, 9.0).receptance(1, 1) == pytest.approx((1 - np.tanh(3) / 3) / 9)
+
+
+def test_a_string_pulls_as_mujocos_does() -> None:
+    assert not mujoco_row().failed
 
 
 def test_a_row_fails_above_its_limit_or_without_a_number() -> None:

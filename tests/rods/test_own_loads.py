@@ -1,4 +1,4 @@
-"""Loads, supports, sections and shaken bases of one's own, against Euler and Bernoulli's beam and the string."""
+"""Loads, sections and shaken bases of one's own, against Euler and Bernoulli's beam and the string."""
 
 from __future__ import annotations
 
@@ -25,8 +25,6 @@ from anther.rods import (
     simulate,
     with_gravity_equilibrium,
 )
-from anther.rods._assembly import assemble, elastic_energy, move_frames, new_blocks, new_lanes
-from anther.rods._linear import dense
 from anther.rods._model import build_model
 from anther.rods._strains import _strains
 
@@ -174,53 +172,6 @@ def test_stiffness_may_be_given_itself():
     run = simulate(petiole, Clamp.root(petiole), None, 1e-3, 1e-3, gravity=NO_GRAVITY,
                    loads=Loads.at(petiole, 20, torque=(0.1 * EI / 12 / L, 0, 0)))  # fmt: skip
     assert np.arccos(run.directors[0, 1] @ run.directors[0, 20]) == pytest.approx(0.1 * 19 / 20, rel=1e-5)
-
-
-def test_a_spring_at_the_tip_stiffens_the_beam():
-    spring = 5 * EI / L**3
-    rods = replace(cantilever(40), support=np.where(np.arange(41) == 40, spring, 0.0))
-    moved = sunk(rods, Loads.at(rods, 40, force=(0, 0, 1e-3)))
-    assert moved[2] == pytest.approx(1e-3 / (3 * EI / L**3 + spring), rel=1e-3)
-    hertz = natural_frequencies(rods, Clamp.root(rods), 1, gravity=NO_GRAVITY).frequencies[0]
-    # w'' = 0 and EI w''' = k w at the tip (Blevins): b^3 (1 + cos cosh) = 5 (cos sinh - sin cosh) at b = 2.36678
-    assert hertz == pytest.approx((2.36678 / FIRST) ** 2 * first_hertz(EI), rel=2e-3)
-
-
-def test_a_turning_spring_at_the_tip_halves_what_it_should():
-    spring = 2 * EI / L
-    rods = replace(cantilever(80), support_turning=np.where(np.arange(81) == 80, spring, 0.0))
-    moved = sunk(rods, Loads.at(rods, 80, force=(0, 0, 1e-3)))
-    moment = 1e-3 * L**2 / 2 / EI / (1 / spring + L / EI)
-    assert moved[2] == pytest.approx(1e-3 * L**3 / 3 / EI - moment * L**2 / 2 / EI, rel=0.01)
-    run = simulate(rods, Clamp.root(rods), None, 1e-3, 1e-3, gravity=NO_GRAVITY,
-                   loads=Loads.at(rods, 80, torque=(0.2 * EI / 1.5 / L, 0, 0)))  # fmt: skip
-    twisted = np.arccos(run.directors[0, 1] @ run.directors[0, 80])
-    assert twisted == pytest.approx(0.2 / (1 + 1.5 * spring * L / EI), rel=0.02)
-
-
-def test_force_and_hessian_of_supports_are_those_of_their_energy():
-    rods = replace(random_tree(3, n=7), support=50.0, support_turning=0.02)
-    model, rest = build_model(rods, NO_GRAVITY)
-    rng = np.random.default_rng(0)
-
-    def moved(x, frames, step):
-        new = frames._replace(m1=np.zeros_like(frames.m1), twist=frames.twist.copy())
-        move_frames(model, x, frames.m1, x + step[:, :3], step[:, 3], new.m1, new_lanes())
-        return x + step[:, :3], new
-
-    x, frames = moved(rods.nodes, rest, rng.normal(size=(7, 4)) * [2e-3, 2e-3, 2e-3, 0.2])
-    blocks = new_blocks(7)
-    assemble(model, x, x, frames, np.zeros((7, 4)), 0.0, blocks)
-    hessian = dense(model, blocks)
-    np.testing.assert_allclose(hessian, hessian.T, atol=1e-9 * np.abs(hessian).max())
-    for _ in range(6):
-        way = rng.normal(size=(7, 4)) * [1e-5, 1e-5, 1e-5, 1e-3]
-        way[0, 3] = 0
-        energy = [elastic_energy(model, *moved(x, frames, k * way)) for k in (-2, -1, 0, 1, 2)]
-        slope = (8 * (energy[3] - energy[1]) - (energy[4] - energy[0])) / 12
-        assert np.sum(blocks.gradient * way) == pytest.approx(slope, rel=1e-6)
-        bend = (16 * (energy[1] + energy[3]) - (energy[0] + energy[4]) - 30 * energy[2]) / 12
-        assert way.ravel() @ hessian @ way.ravel() == pytest.approx(bend, rel=1e-4)
 
 
 def test_a_pulled_string_rings_at_its_tension():

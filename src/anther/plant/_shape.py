@@ -319,7 +319,8 @@ def _part(rods: Rods, nodes: NDArray[np.intp]) -> Rods:
     """Return the rods of some nodes; the first becomes the root."""
     parent = np.searchsorted(nodes, rods.parent[nodes])
     parent[0] = -1
-    values = {
-        f.name: getattr(rods, f.name)[nodes] for f in fields(rods) if f.init and np.ndim(getattr(rods, f.name)) == 1
-    }
-    return replace(rods, **values | {"nodes": rods.nodes[nodes], "parent": parent}, natural=None)
+    given = {f.name: getattr(rods, f.name) for f in fields(rods) if f.init}
+    values = {name: value[nodes] for name, value in given.items() if isinstance(value, np.ndarray)}
+    number = {int(node): k for k, node in enumerate(nodes)}
+    supports = [replace(s, node=number[s.node]) for s in rods.supports if number.get(s.node, 0) > 0]
+    return replace(rods, **values | {"parent": parent, "supports": tuple(supports)}, natural=None)

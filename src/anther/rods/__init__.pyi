@@ -19,6 +19,7 @@ from ._response import Observed, displacements, frequency_response, observed_res
 from ._rods import GRAVITY, Array, NaturalShape, Rods, Section
 from ._simulation import Trajectory, simulate
 from ._strains import joints, strain_changes
+from ._supports import Support
 
 __all__ = [
     "GRAVITY",
@@ -37,6 +38,7 @@ __all__ = [
     "SampledDrive",
     "Section",
     "Springs",
+    "Support",
     "Trajectory",
     "base_response",
     "displacements",

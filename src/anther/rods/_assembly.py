@@ -89,15 +89,16 @@ def elastic_energy(model: Model, x: Any, frames: Frames) -> float:
             tau = tau - model.natural_twist[j]
             s1, s2, s3 = _springs.moments(six(model.joint, j), (k1, k2, tau))
             total += 0.5 * (s1 * k1 + s2 * k2 + s3 * tau)
-    supports, homes = model.supports, model.homes
+    supports, turning = model.supports, model.turning
     for k in range(len(supports)):
-        j = int(supports[k, 0])
-        away = subtract(load(x, j), load(homes, k))
-        total += 0.5 * supports[k, 1] * dot(away, away)
-        if supports[k, 2] > 0:
-            e, m1e, f = _home(homes, k, 3), _home(homes, k, 6), subtract(load(x, j), load(x, model.parent[j]))
-            k1, k2, tau = _springs.strains(_springs.bent(e, f), m1e, load(m1, j), 0.0)
-            total += 0.5 * supports[k, 2] * (k1 * k1 + k2 * k2 + tau * tau)
+        away = subtract(load(x, int(supports[k, 0])), _three(supports, k, 1))
+        if dot(_three(supports, k, 10), away) < supports[k, 13]:
+            total += 0.5 * dot(away, _springs.moments(_six(supports, k, 4), away))
+    for k in range(len(turning)):
+        j = int(turning[k, 0])
+        f, W = subtract(load(x, j), load(x, model.parent[j])), _six(turning, k, 7)
+        turned = _springs.strains(_springs.bent(_three(turning, k, 1), f), _three(turning, k, 4), load(m1, j), 0.0)
+        total += 0.5 * dot(turned, _springs.moments(W, turned))
     return total
 
 
@@ -110,40 +111,56 @@ def assemble(model: Model, x_start: Any, x: Any, frames: Frames, velocity: Any, 
 
 @compiled
 def add_supports(model: Model, x: Any, blocks: Blocks) -> None:
-    """Add the springs that draw nodes back to their places to gradient and matrix by nodes."""
-    supports, homes, D, g = model.supports, model.homes, blocks.diagonal, blocks.gradient
+    """Add the supports that draw nodes back to their places to gradient and matrix by nodes."""
+    supports, D, g = model.supports, blocks.diagonal, blocks.gradient
     for k in range(len(supports)):
-        j, stiffness = int(supports[k, 0]), supports[k, 1]
+        j = int(supports[k, 0])
+        away, K = subtract(load(x, j), _three(supports, k, 1)), _six(supports, k, 4)
+        if dot(_three(supports, k, 10), away) >= supports[k, 13]:  # one-sided, and open
+            continue
+        force = _springs.moments(K, away)
         for i in range(3):
-            g[j, i] += stiffness * (x[j, i] - homes[k, i])
-            D[j, i, i] += stiffness
+            g[j, i] += force[i]
+        D[j, 0, 0], D[j, 0, 1], D[j, 1, 1] = D[j, 0, 0] + K[0], D[j, 0, 1] + K[1], D[j, 1, 1] + K[2]
+        D[j, 0, 2], D[j, 1, 2], D[j, 2, 2] = D[j, 0, 2] + K[3], D[j, 1, 2] + K[4], D[j, 2, 2] + K[5]
 
 
 @inlined
-def _home(homes: Any, k: Any, first: Any) -> Any:
-    return homes[k, first], homes[k, first + 1], homes[k, first + 2]
+def _three(rows: Any, k: Any, first: Any) -> Any:
+    return rows[k, first], rows[k, first + 1], rows[k, first + 2]
+
+
+@inlined
+def _six(rows: Any, k: Any, first: Any) -> Any:
+    return (
+        rows[k, first],
+        rows[k, first + 1],
+        rows[k, first + 2],
+        rows[k, first + 3],
+        rows[k, first + 4],
+        rows[k, first + 5],
+    )
 
 
 @inlined
 def _add_turning_supports(model: Model, x: Any, m1: Any, blocks: Blocks) -> None:
     """Add the springs that hold the direction of edges to gradient and matrix by edges: each as a soil of its own."""
-    supports, homes, parent, b = model.supports, model.homes, model.parent, blocks.lanes
+    turning, parent, b = model.turning, model.parent, blocks.lanes
     D, g, still = blocks.diagonal, blocks.gradient, (0.0, 0.0, 0.0)
-    for first in range(0, len(supports), LANES):
-        count = min(LANES, len(supports) - first)
+    for first in range(0, len(turning), LANES):
+        count = min(LANES, len(turning) - first)
         for i in range(count):
             k = first + i
-            j, stiffness = int(supports[k, 0]), supports[k, 2]
-            j = max(j, 1)  # the root has no edge, and no such spring
+            j = int(turning[k, 0])
             edge = subtract(load(x, j), load(x, parent[j]))
-            put3(b, _springs.EDGE_E, i, _home(homes, k, 3) if stiffness > 0 else edge)
+            put3(b, _springs.EDGE_E, i, _three(turning, k, 1))
             put3(b, _springs.EDGE_F, i, edge)
-            put3(b, _springs.DIRECTOR_E, i, _home(homes, k, 6) if stiffness > 0 else load(m1, j))
+            put3(b, _springs.DIRECTOR_E, i, _three(turning, k, 4))
             put3(b, _springs.DIRECTOR_F, i, load(m1, j))
             put3(b, _springs.SPEED_E, i, still)
             put3(b, _springs.SPEED_F, i, still)
             put3(b, _springs.SPIN_E, i, still)
-            put6(b, _springs.JOINT, i, (stiffness, 0.0, stiffness, 0.0, 0.0, stiffness))
+            put6(b, _springs.JOINT, i, _six(turning, k, 7))
             put3(b, _springs.START_F, i, edge)
             put3(b, _springs.VISCOUS, i, still)
             put3(b, _springs.NATURAL_TWIST, i, (0.0, 0.0, 1.0))
@@ -152,7 +169,7 @@ def _add_turning_supports(model: Model, x: Any, m1: Any, blocks: Blocks) -> None
             put(b, _springs.TWIST, i, twist_angle(get(b, _springs.SINE, i), get(b, _springs.COSINE, i), 0.0))
         _springs.spring_lanes(b, 0.0)
         for i in range(count):
-            j = max(int(supports[first + i, 0]), 1)
+            j = int(turning[first + i, 0])
             low, high = get3(b, _springs.FF, i), get3(b, _springs.FF + 3, i)
             D[j, 0, 0], D[j, 0, 1], D[j, 1, 1] = D[j, 0, 0] + low[0], D[j, 0, 1] + low[1], D[j, 1, 1] + low[2]
             D[j, 0, 2], D[j, 1, 2], D[j, 2, 2] = D[j, 0, 2] + high[0], D[j, 1, 2] + high[1], D[j, 2, 2] + high[2]

@@ -25,6 +25,7 @@ from anther.rods._motion import Clamp
 from anther.rods._rods import GRAVITY, LEAST_YOUNGS, Array, NaturalShape, Rods
 from anther.rods._stepping import LARGEST_TURN, POSITION_FLOOR, State, new_state
 from anther.rods._strains import joint_slopes, joint_stiffness
+from anther.rods._supports import full
 from anther.rods._tree_solver import constrain, factor, solve
 from anther.rods._vectors import add, compiled, dot, load, norm, scale, store
 
@@ -45,7 +46,7 @@ def hangs_together(model: Model, free: NDArray[np.bool_]) -> bool:
 
     Then a held node is an edge that does not move, and the unknowns that are free are the same in both descriptions.
     """
-    if np.any(model.supports[:, 1] > 0):  # they pull at nodes
+    if np.any(model.supports[:, 4:10]):  # they pull at nodes
         return False
     held = ~free[:, 0]
     return bool(held[0] and np.all(held[model.parent[1:]] | ~held[1:]))
@@ -130,23 +131,52 @@ def with_gravity_equilibrium(rods: Rods, clamp: Clamp, gravity: ArrayLike = GRAV
     A tree clamped at its root is statically determinate: weights alone fix every tension and moment, whatever the
     stiffness. They are found by one linear solve with the material stiffness K = B W B^T (which picks the least
     elastic energy where several clamped places make it indeterminate); natural strain = strain - stress / stiffness.
-    Call it again after changing stiffness, mass or radius. Springs of `Rods.support` bear nothing there.
+    Call it again after changing stiffness, mass or radius.
+
+    Supports are part of it: one with a stated `force` exerts that, the others share the weight by their stiffness, as
+    if it came upon the scanned shape at once; one-sided ones that would pull let go. What each exerts is then
+    `Rods.support_forces`. Rotation springs exert nothing.
 
     Raises:
         StageFailure: kind "no_convergence" when nothing can balance the weight, for instance with a single pin.
     """
-    model, frames = build_model(replace(rods, natural=None), gravity, clamp.planted)
-    return replace(rods, natural=balancing_shape(rods, model, frames, clamp.free(rods)))
+    rods = replace(rods, natural=None)
+    model, frames = build_model(rods, gravity, clamp.planted)
+    return replace(rods, natural=balancing_shape(rods, model, frames, clamp))
 
 
-def balancing_shape(rods: Rods, model: Model, frames: Frames, free: Any) -> NaturalShape:
+def balancing_shape(rods: Rods, model: Model, frames: Frames, clamp: Clamp) -> NaturalShape:
     """Return the natural shape that `with_gravity_equilibrium` gives rods; model and frames are of them without one.
 
     Raises:
         StageFailure: as there.
     """
+    free, weight, springs = clamp.free(rods), model.weight.copy(), model.supports.copy()
+    nodes, along, forces = springs[:, 0].astype(np.int64), springs[:, 10:13].copy(), rods.support_forces
+    if rods.supports:  # rotation springs exert nothing: the joints are as they are without
+        model = build_model(replace(rods, supports=()), (0, 0, 0), clamp.planted)[0]
+    np.add.at(weight[:, :3], nodes, np.where(along.any(axis=1, keepdims=True), forces, 0))
+    springs[:, 1:4], springs[:, 10:13], springs[:, 13] = rods.nodes[nodes], 0, 1
+    bears = np.array([s.force is None and s.gap == 0 for s in rods.supports], dtype=np.bool_)
+    while True:
+        bearing = model._replace(weight=weight, supports=springs[bears])
+        strain, forces[bears] = _balance(rods, bearing, frames, free)
+        pulled = bears & (np.sum(forces * along, axis=1) < 0)
+        if not pulled.any():
+            break
+        bears, forces[pulled] = bears & ~pulled, 0
+    if np.any(strain[:, 3] <= -0.5):
+        raise StageFailure("no_convergence", "rods: the weight squeezes an edge by more than half; they are too soft.")
+    return NaturalShape(rods.lengths / (1 + strain[:, 3]), model.curvature - strain[:, :2], -strain[:, 2], forces)
+
+
+def _balance(rods: Rods, model: Model, frames: Frames, free: Any) -> tuple[Array, Array]:
+    """Return (N, 4) strains and (S, 3) forces of supports that bear the weight in the scanned shape, by stiffness.
+
+    Raises:
+        StageFailure: kind "no_convergence" when they cannot.
+    """
     n, along = len(rods.nodes), np.zeros_like(rods.nodes)
-    model = model._replace(supports=model.supports[:0], homes=model.homes[:0])
     stiffness = tangent(model, free, rods.nodes, frames, new_blocks(n))
     slopes, unknown, _ = joint_slopes(model, rods.nodes, frames.m1)
     along[1:] = (rods.nodes[1:] - rods.nodes[rods.parent[1:]]) / rods.lengths[1:, None] ** 2
@@ -155,22 +185,24 @@ def balancing_shape(rods: Rods, model: Model, frames: Frames, free: Any) -> Natu
     forces = np.concatenate(
         [joint_stiffness(model) @ slopes, (model.stretch * model.length)[:, None, None] * stretching], 1
     )
-    strain = np.zeros((n, 4))
+    held, springs = model.supports[:, 0].astype(np.int64), full(model.supports[:, 4:10])
+    strain, borne = np.zeros((n, 4)), np.zeros((len(held), 3))
     load_left = load = np.where(free, model.weight, 0)
     for _ in range(4):  # iterative refinement
-        strained = np.einsum("nki,ni->nk", strains, stiffness.solve(load_left).ravel()[unknown])
-        force = np.einsum("nki,nk->ni", forces, strained)
-        strain += strained
-        load_left = load_left - np.where(free, np.bincount(unknown.ravel(), force.ravel(), 4 * n).reshape(n, 4), 0)
+        moves = stiffness.solve(load_left)
+        strained = np.einsum("nki,ni->nk", strains, moves.ravel()[unknown])
+        force = np.bincount(unknown.ravel(), np.einsum("nki,nk->ni", forces, strained).ravel(), 4 * n).reshape(n, 4)
+        pull = np.einsum("sij,sj->si", springs, moves[held, :3])
+        np.add.at(force[:, :3], held, pull)
+        strain, borne = strain + strained, borne - pull
+        load_left = load_left - np.where(free, force, 0)
     if not np.abs(load_left).max() < 1e-8 * np.abs(load).max() + 1e-12:
         raise StageFailure(
             "no_convergence",
             "rods: no natural shape lets the clamp balance the weight. One clamped node is only a pin, about which the "
             "rods would swing: clamp both ends of an edge.",
         )
-    if np.any(strain[:, 3] <= -0.5):
-        raise StageFailure("no_convergence", "rods: the weight squeezes an edge by more than half; they are too soft.")
-    return NaturalShape(rods.lengths / (1 + strain[:, 3]), model.curvature - strain[:, :2], -strain[:, 2])
+    return strain, borne
 
 
 def equilibrium(rods: Rods, clamp: Clamp, *, gravity: ArrayLike = GRAVITY, loads: Loads | None = None) -> Array:
@@ -330,9 +362,11 @@ def standing(rods: Rods, clamp: Clamp) -> Rods | None:
     natural = rods.natural
     if natural is None:
         try:
-            natural = balancing_shape(rods, model, frames, free)
+            natural = balancing_shape(rods, model, frames, clamp)
         except StageFailure:
             return None
+        if rods.supports:
+            model = build_model(replace(rods, natural=natural), GRAVITY, clamp.planted)[0]
         own = map(np.array, (natural.length, natural.curvature, natural.twist))
         model = model._replace(**dict(zip(("length", "curvature", "natural_twist"), own, strict=True)))
     if tangent(model, free, rods.nodes, frames, new_blocks(len(rods.nodes))).unstable:

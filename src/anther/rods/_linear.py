@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from anther.core.checks import check_array, check_range
 from anther.core.errors import StageFailure, bad_input
-from anther.rods._assembly import Blocks, assemble, assemble_edges, new_blocks, on_nodes
+from anther.rods._assembly import Blocks, add_supports, assemble, assemble_edges, new_blocks, on_nodes
 from anther.rods._equilibrium import Tangent, by_edges, loaded_state, tangent
 from anther.rods._loads import Loads
 from anther.rods._model import Model, build_model
@@ -264,10 +264,10 @@ def base_response(
 ) -> ComplexArray:
     """Return (Q, N, 3) displacement of every node per metre of base displacement, at (Q,) frequencies [Hz].
 
-    All that is clamped moves by exp(i w t) along `direction` (3,), as on a shaking table, and does not turn; springs of
-    `Rods.support` go along. What the rods do relative to it answers their own inertia and the still air's drag: of
-    u = d + w with the base's motion d,
-    (K + i w C - w^2 M) w = w^2 M d - i w C_air d.
+    All that is clamped moves by exp(i w t) along `direction` (3,), as on a shaking table, and does not turn; the ground
+    of `Rods.supports` stands still. What the rods do relative to the base answers their own inertia, the still air's
+    drag and the supports K_s: of u = d + w with the base's motion d,
+    (K + i w C - w^2 M) w = w^2 M d - i w C_air d - K_s d.
 
     Args:
         rods: the rods.
@@ -289,13 +289,15 @@ def base_response(
     carried = np.zeros((len(rods.nodes), 4))
     carried[:, :3] = unit_direction(direction)
     inertia = product(system.model, system.mass, carried[..., None])[..., 0]
-    air = system.model.drag[:, None] * carried
+    air, springs = system.model.drag[:, None] * carried, new_blocks(len(rods.nodes))
+    add_supports(system.model, system.state.x, springs)
+    held = product(system.model, springs, carried[..., None])[..., 0]
     out = np.empty((len(hertz), len(rods.nodes), 3), np.complex128)
     dynamic = new_blocks(len(system.free), np.complex128)
     for q, omega in enumerate(2 * np.pi * hertz):
         set_dynamic(system, float(omega), dynamic)
         factor(system.model, dynamic)
-        relative = np.where(system.free, omega**2 * inertia - 1j * omega * air, 0)
+        relative = np.where(system.free, omega**2 * inertia - 1j * omega * air - held, 0)
         solve(system.model, dynamic, relative)
         out[q] = (carried + relative)[:, :3]
     return out

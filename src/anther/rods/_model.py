@@ -11,6 +11,7 @@ from anther.core.checks import check_array
 from anther.core.errors import bad_input
 from anther.rods import _springs
 from anther.rods._rods import Array, NaturalShape, Rods
+from anther.rods._supports import hold_joint, springs_of, upper
 from anther.rods._vectors import (
     compiled,
     cross,
@@ -52,42 +53,123 @@ def edges_of(rods: Rods, planted: bool) -> Edges:
     return Edges(near, far, swapped, order, frames, curvature, _jointed(rods.parent, far, planted))
 
 
-def joint_matrix(rods: Rods, edges: Edges) -> Array:
-    """Return (N, 6) entries 11, 12, 22, 13, 23, 33 of the stiffness on (kappa1, kappa2, twist) [N m]; 0 without joint.
+class JointCompliance(NamedTuple):
+    """Compliance [rad/(N m)] between the end of the parent edge and edge j, in the axes b, n, t of the kink there.
 
-    The joint's compliance is the sum of those of its shares of both edges and of the joint itself, so that a straight
-    joint of round edges has K = EI over the Voronoi length (P19), and GJ likewise. An edge's compliance is a tensor
-    with the axes of its section; at a kink of angle phi each is turned by h = phi / 2 about the binormal b into the
-    axes b, n = b x t and the mean tangent t, since the two edges do not share their axes: bending of the one in part
-    twists the other. There a rotation (w_b, w_n, w_t) of edge j against its parent gives the strains w_b / cos^2 h,
-    w_n / cos h, w_t / cos h. Without that, kinks and forks converge with the first order only.
+    The sum of those of the shares of both edges and of the joint itself, so that a straight joint of round edges has
+    K = EI over the Voronoi length (P19), and GJ likewise. An edge's compliance is a tensor with the axes of its
+    section; at a kink of angle phi each is turned by h = phi / 2 about the binormal b into the axes b, n = b x t and
+    the mean tangent t, since the two edges do not share their axes: bending of the one in part twists the other.
+    Without that, kinks and forks converge with the first order only.
 
     The kink is that of the scanned shape: about it small motions are right, and there `joint_compliance` holds. With
     the edge length, its difference from the natural kink vanishes.
 
     `discretisation="paper"` takes every joint as straight and halves every edge.
+    """
+
+    near: Array  # (N, 3, 3) between the parent edge and the node
+    own: Array  # (N, 3, 3) between the node and edge j
+    kink: tuple[Array, Array, Array]  # see `_kink`
+    own_share: Array  # (N,) of edge j that bends in its own joint
+    tensors: Array  # (N, 4), see `_edge_tensors`
+
+
+def joint_compliance(rods: Rods, edges: Edges) -> JointCompliance:
+    """Return the compliances of all joints; the entries of edges without one mean nothing."""
+    of_near, own_share = _shares(rods, edges.near, edges.jointed)
+    e = np.where(edges.far >= 0, edges.near, 0)
+    straight = rods.discretisation == "paper"
+    kink = _kink(0 * edges.curvature if straight else edges.curvature)
+    k, cosine, sine = kink
+    tensors = _edge_tensors(rods, edges.frames.m1)
+    skew = np.where(edges.swapped, -1.0, 1.0)  # a reversed edge has its second axis reversed
+    near = _turned(tensors[e] * np.stack([skew**2, skew, skew**2, skew**2], axis=1), k, cosine, sine)
+    own = own_share[:, None, None] * _turned(tensors, k, cosine, -sine)
+    own += np.asarray(rods.joint_compliance)[:, None, None] * np.eye(3)
+    return JointCompliance(of_near[:, None, None] * near, own, kink, own_share, tensors)
+
+
+def joint_matrix(compliance: Array, kink: tuple[Array, Array, Array], jointed: NDArray[Any]) -> Array:
+    """Return (N, 3, 3) stiffness on (kappa1, kappa2, twist) [N m]; 0 without joint.
+
+    A rotation (w_b, w_n, w_t) of edge j against its parent gives the strains w_b / cos^2 h, w_n / cos h, w_t / cos h.
+
+    Args:
+        compliance: (N, 3, 3) of the joints, in the axes of the kinks.
+        kink: see `_kink`.
+        jointed: (N,) which edges have a joint.
+    """
+    k, cosine, _ = kink
+    per_strain = np.stack([cosine**2, cosine, cosine], axis=1)
+    C = np.where(jointed[:, None, None], compliance, np.eye(3))
+    W = np.linalg.inv(C) * per_strain[:, :, None] * per_strain[:, None]
+    V = np.zeros((len(k), 3, 3))  # b, n and t among (kappa1, kappa2, twist)
+    V[:, :2, 0], V[:, 0, 1], V[:, 1, 1], V[:, 2, 2] = k, k[:, 1], -k[:, 0], 1
+    return np.where(jointed[:, None, None], V @ W @ V.transpose(0, 2, 1), 0)
+
+
+class Held(NamedTuple):
+    """What rotation springs at nodes make of the joints there."""
+
+    compliance: Array  # (N, 3, 3) of the joints, in the axes of the kinks
+    turning: Array  # the rows `Model.turning`
+    changed: NDArray[Any]  # which joints are softer by it
+
+
+def _hold_turning(rods: Rods, edges: Edges, joints: JointCompliance) -> Held:
+    """Hold the nodes with a rotation spring: by springs on the edges that meet there, see `hold_joint`.
+
+    The edge that ends in a fork turns with the node; that at a tip is half an edge away from it.
+    """
+    n, parent, m1 = len(rods.nodes), rods.parent, edges.frames.m1
+    stiffness, ground = np.zeros((2, n, 3, 3))
+    for support in rods.supports:
+        stiffness[support.node] += support.stiffness("rotation")
+    compliance, changed = joints.near + joints.own, []
+    t = (rods.nodes - rods.nodes[parent]) / np.maximum(rods.lengths, 1e-300)[:, None]
+    of_edge = np.stack([np.cross(t, m1), -m1, t], axis=2)  # the axes of kappa1, kappa2 and twist, as columns
+    for j in np.flatnonzero(stiffness.any(axis=(1, 2))):
+        children = np.flatnonzero(parent == j)
+        if len(children) == 1:
+            c = children[0]
+            (k1, k2), cosine, sine = (part[c] for part in joints.kink)
+            b = k1 * of_edge[c, :, 0] + k2 * of_edge[c, :, 1]
+            mean = cosine * t[c] - sine * np.cross(b, t[c])
+            R = np.stack([b, np.cross(b, mean), mean], axis=1)
+            compliance[c], *springs = hold_joint(joints.near[c], joints.own[c], R.T @ stiffness[j] @ R)
+            for edge, spring in zip((j, c), springs, strict=True):
+                ground[edge] += R @ spring @ R.T
+            changed.append(c)
+        else:
+            D11, D12, D22, twist = joints.tensors[j] * (0.0 if joints.own_share[j] >= 1 else 0.5)
+            beyond = of_edge[j] @ [[D11, D12, 0], [D12, D22, 0], [0, 0, twist]] @ of_edge[j].T
+            ground[j] += np.linalg.solve(np.eye(3) + stiffness[j] @ beyond, stiffness[j])
+    held = np.flatnonzero(ground.any(axis=(1, 2)))
+    on_strains = of_edge.transpose(0, 2, 1) @ ground @ of_edge
+    turning = np.hstack([held[:, None], t[held], m1[held], upper(on_strains[held])])
+    return Held(compliance, turning, np.array(changed, dtype=np.int64))
+
+
+def _natural_strains(rods: Rods, edges: Edges, plain: Array, held: Array, changed: NDArray[Any]) -> NaturalShape:
+    """Return the natural shape, of joints that a support softens such that they bear the same in the scanned shape.
 
     Args:
         rods: the rods.
         edges: how they are joined.
+        plain, held: (N, 3, 3) stiffness of the joints without and with supports.
+        changed: which of them differ.
     """
-    of_near, own = _shares(rods, edges.near, edges.jointed)
-    e = np.where(edges.far >= 0, edges.near, 0)
-    straight = rods.discretisation == "paper"
-    k, cosine, sine = _kink(0 * edges.curvature if straight else edges.curvature)
-    tensors = _edge_tensors(rods, edges.frames.m1)
-    skew = np.where(edges.swapped, -1.0, 1.0)  # a reversed edge has its second axis reversed
-    near = _turned(tensors[e] * np.stack([skew**2, skew, skew**2, skew**2], axis=1), k, cosine, sine)
-    C = of_near[:, None, None] * near + own[:, None, None] * _turned(tensors, k, cosine, -sine)
-    C += np.asarray(rods.joint_compliance)[:, None, None] * np.eye(3)
-    C[~edges.jointed] = np.eye(3)
-    per_strain = np.stack([cosine**2, cosine, cosine], axis=1)
-    W = np.linalg.inv(C) * per_strain[:, :, None] * per_strain[:, None]
-    V = np.zeros((len(k), 3, 3))  # b, n and t among (kappa1, kappa2, twist)
-    V[:, :2, 0], V[:, 0, 1], V[:, 1, 1], V[:, 2, 2] = k, k[:, 1], -k[:, 0], 1
-    W = V @ W @ V.transpose(0, 2, 1)
-    entries = W[:, [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
-    return np.where(edges.jointed[:, None], entries, 0)
+    natural = rods.natural or NaturalShape(rods.lengths, edges.curvature, np.zeros(len(rods.parent)))
+    if rods.natural is None or not len(changed):
+        return natural
+    scanned = np.hstack([edges.curvature, np.zeros((len(rods.parent), 1))])[changed]
+    strain = scanned - np.hstack([natural.curvature, natural.twist[:, None]])[changed]
+    moment = plain[changed] @ strain[..., None]
+    strains = scanned - np.linalg.solve(held[changed], moment)[..., 0]
+    curvature, twist = natural.curvature.copy(), natural.twist.copy()
+    curvature[changed], twist[changed] = strains[:, :2], strains[:, 2]
+    return NaturalShape(natural.length, curvature, twist)
 
 
 def _turned(tensors: Array, k: Array, cosine: Array, sine: Array) -> Array:
@@ -219,16 +301,16 @@ class Model(NamedTuple):
     spin_inertia: Array  # (N,) [kg m^2]
     rotary: Array  # (N,) mass on the velocity of node j relative to its parent [kg]
     drag: Array  # (N,) [N s/m]
-    weight: Array  # (N, 4) on node j [N], and the moment that spins edge j [N m], of gravity and loads
+    weight: Array  # (N, 4) on node j [N], and the moment that spins edge j [N m], of gravity, loads, stated supports
     stretch: Array  # (N,) EA [N]
-    joint: Array  # (N, 6) stiffness of the joint with the parent edge, see `joints.joint_matrix` [N m]
+    joint: Array  # (N, 6) stiffness of the joint with the parent edge, see `joint_matrix` [N m]
     viscous: Array  # (N,) [s]
     length: Array  # (N,) natural length [m]
     curvature: Array  # (N, 2) natural curvature [-]
     natural_twist: Array  # (N,) [rad]
     soil: Array  # (N, 10) of an edge that leaves the root: the soil's direction, director; its rate [1/s], spin [rad/s]
-    supports: Array  # (S, 3) node, and its springs [N/m, N m/rad]
-    homes: Array  # (S, 9) scanned place of that node, direction of its edge over its length, its first director
+    supports: Array  # (S, 14) node; place; stiffness (6) [N/m]; direction: acts where that . (x - place) < the last [m]
+    turning: Array  # (R, 13) edge; its scanned direction and first director; stiffness (6) on its strains [N m]
 
 
 class Frames(NamedTuple):
@@ -255,7 +337,13 @@ def build_model(rods: Rods, gravity: ArrayLike, planted: bool = False) -> tuple[
     """
     edges = edges_of(rods, planted)
     frames = edges.frames
-    natural = rods.natural or NaturalShape(rods.lengths, edges.curvature, np.zeros(len(rods.parent)))
+    joints = joint_compliance(rods, edges)
+    joint = plain = joint_matrix(joints.near + joints.own, joints.kink, edges.jointed)
+    held, changed = np.zeros((0, 13)), np.zeros(0, dtype=np.int64)
+    if any(np.any(support.rotation) for support in rods.supports):
+        compliance, held, changed = _hold_turning(rods, edges, joints)
+        joint = joint_matrix(compliance, joints.kink, edges.jointed)
+    natural, forces = _natural_strains(rods, edges, plain, joint, changed), rods.support_forces
     section, paper = rods.sections, rods.discretisation == "paper"
     area, bends = np.asarray(section.area), np.asarray(section.bend_1) + np.asarray(section.bend_2)
     edge_mass = np.asarray(rods.density) * area * rods.lengths
@@ -273,16 +361,16 @@ def build_model(rods: Rods, gravity: ArrayLike, planted: bool = False) -> tuple[
         spin_inertia=polar + lump,
         rotary=rotary if paper else rotary - edge_mass / 6,
         drag=rods.node_total_drag,
-        weight=np.pad(rods.node_mass[:, None] * check_array("gravity", gravity, (3,)), ((0, 0), (0, 1))),
+        weight=_weight(rods, gravity, forces),
         stretch=area * np.asarray(rods.youngs),
-        joint=joint_matrix(rods, edges),
+        joint=upper(joint),
         viscous=np.asarray(rods.viscous_time),
         length=natural.length,
         curvature=natural.curvature,
         natural_twist=natural.twist,
         soil=_soil(rods, frames),
-        supports=_supports(rods),
-        homes=_homes(rods, frames),
+        supports=springs_of(rods.supports, rods.nodes, forces),
+        turning=held,
     )
     return Model(*(np.array(a, order="C") for a in model)), frames
 
@@ -303,17 +391,13 @@ def _soil(rods: Rods, frames: Frames) -> Array:
     return np.where((rods.parent == 0)[:, None], np.hstack([directions, frames.m1, still]), 0.0)
 
 
-def _supports(rods: Rods) -> Array:
-    springs = np.stack([np.arange(len(rods.nodes)), np.asarray(rods.support), np.asarray(rods.support_turning)], axis=1)
-    springs[0, 2] = 0  # there is no edge 0
-    return np.asarray(springs[(springs[:, 1:] > 0).any(axis=1)], dtype=np.float64)
-
-
-def _homes(rods: Rods, frames: Frames) -> Array:
-    node = _supports(rods)[:, 0].astype(np.int64)
-    along = rods.nodes[node] - rods.nodes[rods.parent[node]]
-    along /= np.maximum(np.sum(along**2, axis=1), 1e-300)[:, None]
-    return np.hstack([rods.nodes[node], along, frames.m1[node]])
+def _weight(rods: Rods, gravity: ArrayLike, forces: Array) -> Array:
+    """Return (N, 4) the weight and what supports exert in the scanned shape, but for the springs of one-sided ones."""
+    weight = np.pad(rods.node_mass[:, None] * check_array("gravity", gravity, (3,)), ((0, 0), (0, 1)))
+    for support, force in zip(rods.supports, forces, strict=True):
+        if not support.one_sided:
+            weight[support.node, :3] += force
+    return weight
 
 
 def _turning_lumps(rods: Rods) -> Array:

@@ -12,6 +12,7 @@ from anther.core.checks import check_array
 from anther.core.choices import Discretisation as Discretisation  # noqa: PLC0414 - the door gives it
 from anther.core.errors import bad_input
 from anther.core.records import Range, Record, Shape
+from anther.rods._supports import Support, check_supports
 
 Array = NDArray[np.float64]
 
@@ -27,12 +28,14 @@ class NaturalShape(Record):
         length: (N,) natural edge length [m]; entry 0 is unused.
         curvature: (N, 2) natural integrated curvatures kappa1, kappa2 [-] in the frames carried from the root.
         twist: (N,) natural integrated twist [rad].
+        support_force: (S, 3) force [N] that each of `Rods.supports` exerts in the scanned shape; (0, 3): not found.
     """
 
     CALLED = "natural"
     length: Annotated[Array, Shape("N"), Range(unit="m")]
     curvature: Annotated[Array, Shape("N", 2)]
     twist: Annotated[Array, Shape("N"), Range(unit="rad")]
+    support_force: Annotated[Array, Shape("S", 3), Range(unit="N")] = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,9 +121,7 @@ class Rods:
         mass_damping: (N,) drag per mass [1/s]; a mode gets the damping ratio mass_damping / (2 w).
         air_drag: (N,) drag per length of edge j [N s/m^2].
         node_drag: (N,) extra drag at node j [N s/m].
-        support: (N,) spring that draws node j back to its scanned place, alike in all directions [N/m]: a clip, a hook.
-        support_turning: (N,) spring against turning edge j, and against spinning it, from its scanned direction, as the
-            sine of the angle [N m/rad].
+        supports: S springs between the ground and nodes: clips, strings, a floor.
         natural: the stress-free shape; None means the scanned shape itself.
         section: of the edges; None means solid and round, of `edge_radius`. Rotary inertia is that of (I1 + I2) / 2.
         discretisation: "consistent" converges with the second order in the edge length, also at forks and kinks;
@@ -141,8 +142,7 @@ class Rods:
     mass_damping: Array | float = 0.0
     air_drag: Array | float = 0.0
     node_drag: Array | float = 0.0
-    support: Array | float = 0.0
-    support_turning: Array | float = 0.0
+    supports: tuple[Support, ...] = ()
     natural: NaturalShape | None = None
     section: Section | None = None
     discretisation: Discretisation = "consistent"
@@ -169,10 +169,13 @@ class Rods:
             raise bad_input(
                 "rod nodes", given=f"edge {edge} of length 0", allowed="edges > 1e-7 m", do="Merge equal nodes."
             )
-        if self.natural is not None and len(self.natural.length) != n:
-            raise bad_input(
-                "natural shape", given=f"{len(self.natural.length)} nodes", allowed=f"{n} nodes", do="Compute it anew."
-            )
+        object.__setattr__(self, "supports", tuple(self.supports))
+        check_supports(self.supports, n)
+        if self.natural is not None:
+            of, borne = len(self.natural.length), len(self.natural.support_force)
+            if of != n or borne not in (0, len(self.supports)):
+                given, allowed = f"{of} nodes, {borne} supports", f"{n} nodes, {len(self.supports)} supports"
+                raise bad_input("natural shape", given=given, allowed=allowed, do="Compute it anew.")
 
     @classmethod
     def of_stiffness(
@@ -220,6 +223,17 @@ class Rods:
         return Section(area, bend, bend, 2 * bend)
 
     @property
+    def support_forces(self) -> Array:
+        """(S, 3) force that each support exerts in the scanned shape [N]: the stated one, or that of `natural`."""
+        found = np.zeros((len(self.supports), 3))
+        if self.natural is not None and len(self.natural.support_force):
+            found[:] = self.natural.support_force
+        for k, support in enumerate(self.supports):
+            if support.force is not None:
+                found[k] = support.force
+        return found
+
+    @property
     def node_mass(self) -> Array:
         """(N,) mass lumped at node j [kg]: half of each edge that meets there, and the lumped mass."""
         return self._halves(np.asarray(self.density) * self.sections.area) + self.lumped_mass
@@ -250,8 +264,6 @@ _LIMITS = (
     ("mass_damping", (0.0, 1e6), "1/s"),
     ("air_drag", (0.0, 1e6), "N s/m^2"),
     ("node_drag", (0.0, 1e6), "N s/m"),
-    ("support", (0.0, 1e9), "N/m"),
-    ("support_turning", (0.0, 1e9), "N m/rad"),
 )
 _SECTION_LIMITS = (
     ("area", (1e-12, 10.0), "m^2"),

@@ -5,6 +5,7 @@ N nodes; joint j lies between edge j and its parent edge. A rigid motion strains
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from scipy.sparse import csr_array
 from anther.rods import _springs
 from anther.rods._model import Model, build_model, joint_ends
 from anther.rods._rods import Array, Rods
+from anther.rods._supports import full
 from anther.rods._vectors import add, compiled, cross, load, norm, scale, store
 
 
@@ -35,8 +37,10 @@ def joints(rods: Rods, planted: bool = False) -> Joints:
 
     A rotation w of edge j with its frame, while its parent edge is still, changes the strain k by m_k . w with
     m_k = f x (d strain_k / df) + (d strain_k / d spin) t; f is the edge, t its tangent. So the sum of m_k times the
-    stresses is the moment, at kinks too. Viscous stresses are left out: strain is what is bent.
+    stresses is the moment, at kinks too. Viscous stresses are left out: strain is what is bent. Where a support
+    holds the rotation of a node, the moment jumps; this is the mean of both sides.
     """
+    rods = replace(rods, supports=(), natural=None) if rods.supports else rods
     model, frames = build_model(rods, (0, 0, 0), planted)
     n, (slopes, unknown, turning) = len(rods.nodes), joint_slopes(model, rods.nodes, frames.m1)
     j = np.flatnonzero(model.joint[:, 0] > 0)
@@ -63,8 +67,7 @@ def strain_changes(rods: Rods, positions: Array, directors: Array, planted: bool
 
 def joint_stiffness(model: Model) -> Array:
     """Return (N, 3, 3) the joints' stiffness on (kappa1, kappa2, twist) [N m]."""
-    w11, w12, w22, w13, w23, w33 = model.joint.T
-    return np.moveaxis(np.array([[w11, w12, w13], [w12, w22, w23], [w13, w23, w33]]), 2, 0)
+    return full(model.joint)
 
 
 def joint_slopes(model: Model, x: Array, m1: Array) -> tuple[Array, NDArray[Any], Array]:
