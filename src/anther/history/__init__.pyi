@@ -4,6 +4,7 @@ from ._beliefs import Belief, earlier_shake, facts_prior, starting_material
 from ._database import hide_password, open_reader
 from ._export import export
 from ._records import Outcome
+from ._row_records import SURE, House, Recognition, Row, RowPass, Side, Stem
 from ._trials import (
     add_missing,
     count_trials,
@@ -18,12 +19,20 @@ from ._trials import (
     record_trial,
 )
 from .fruit_set import Count, FruitSet, fit
+from .row_map import read_stems, record_house, record_pass
 
 __all__ = [
+    "SURE",
     "Belief",
     "Count",
     "FruitSet",
+    "House",
     "Outcome",
+    "Recognition",
+    "Row",
+    "RowPass",
+    "Side",
+    "Stem",
     "add_missing",
     "count_trials",
     "each_trial",
@@ -37,9 +46,12 @@ __all__ = [
     "merge",
     "open_reader",
     "read_outcomes",
+    "read_stems",
     "read_trials",
+    "record_house",
     "record_note",
     "record_outcome",
+    "record_pass",
     "record_trial",
     "starting_material",
 ]
