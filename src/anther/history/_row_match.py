@@ -1,16 +1,16 @@
 """Which hook of a pass is which stem of the map: a monotone alignment, summed over all alignments, not only the best.
 
 Hooks on one wire cannot overtake each other. So the hooks of a pass are aligned to the stored ones in their order,
-each of either list matched or left out, and a score is the logarithm of a density: how far a hook moved compared
-with its neighbour, how alike the two stems look, how probably a hook is missed, removed or added. What a week does to
-a row has been measured nowhere: it is drawn from `WEEK`, and draws count by how well they explain the pass.
+each of either list matched or left out, by a hidden Markov model: its state is how far along either list one is, and
+how far hooks slid there since the last pass. Scores are probabilities: how far a hook lies from where the slide of its
+neighbours puts it, how alike the two stems look, how probably a hook is missed, removed or added. What a week does to a
+row has been measured nowhere: it is drawn from `WEEK`, and draws count by how well they explain the pass.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import lgamma, log, log1p, pi
-from typing import Any
+from math import exp, lgamma, log, pi, sqrt
 
 import numpy as np
 from scipy.special import logsumexp, ndtr
@@ -19,24 +19,23 @@ from scipy.stats import qmc
 from anther.core import Array
 from anther.core.compiling import njit
 
+SLIDE = 0.35
+"""The most that hooks slide in a week [m]: lowering moves a stem by half a plant (facts: rows, D)."""
 WEEK = {
-    "slide": (-0.3, 0.3),  # of all hooks in a week [m]: lowering moves a stem by half a plant (facts: rows, D)
-    "sway": (0.02, 0.3),  # standard deviation, in a week, of the slide along the row [m]
-    "reach": (3.0, 100.0),  # hooks over which the slide stays alike
-    "scatter": (0.005, 0.08),  # of one hook, in a week [m]
+    "step": (0.002, 0.02),  # change of the slide from hook to hook, in a week, standard deviation [m]
+    "jump": (0.003, 0.1),  # probability that the slide is another one from a hook on: another worker, another day
+    "scatter": (0.005, 0.08),  # of one hook about the slide, in a week, scale of Student's t [m]
     "missed": (0.003, 0.08),  # probability that a hook is overlooked
     "removed": (0.001, 0.03),  # that a stem is taken out in a week
     "added": (0.003, 0.08),  # that a hook of the pass is not in the map
     "growth": (0.05, 1.0),  # change of a stem's appearance in a week, in standard deviations between stems
-    "tails": (3.0, 10.0),  # degrees of freedom of Student's t, of moves and appearances
+    "tails": (2.0, 10.0),  # degrees of freedom of Student's t, of positions and appearances
 }
-"""What a week does: least and most, drawn evenly, those of one sign in their logarithm. Guesses but for the slide."""
+"""What a week does: least and most, drawn evenly in the logarithm. All are guesses."""
 DRAWS = 32
-"""A power of two, as Sobol's points want; more change the third digit of a probability."""
-FARTHEST = 0.5
-"""Moves beyond this and six standard deviations are not looked at [m]: a pitch and more."""
-GAP = 6
-"""Hooks that may be left out in a row on either side; a longer gap is no row that was passed."""
+"""A power of two, as Sobol's points want."""
+BINS = 96
+"""Slides that are told apart."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,6 +46,7 @@ class Hooks:
         position: (N,) increasing [m].
         variance: (N,) of each one's own error [m2].
         drift: (N,) variance of the error that neighbours share [m2].
+        walk: by which it grows: standard deviation after a metre [m].
         appearance: (N, K) of the stems; NaN where unknown.
         appearance_variance: (N, K).
         weeks: (N,) since each stem was seen.
@@ -57,6 +57,7 @@ class Hooks:
     position: Array
     variance: Array
     drift: Array
+    walk: float
     appearance: Array
     appearance_variance: Array
     weeks: Array
@@ -78,36 +79,52 @@ def align(stored: Hooks, seen: Hooks, weeks: float) -> tuple[Array, float]:
     """
     moved = seen.position[None, :] - stored.position[:, None]
     pitch = (seen.end - seen.begin) / len(seen.position)
+    most = SLIDE * weeks + 0.05 + 3 * float(np.sqrt(2 * seen.drift.max()))
+    slides = np.linspace(-most, most, BINS)
+    low, high = _band(stored.position, seen.position, most + pitch)
     evidence, shares = np.empty(DRAWS), np.empty((DRAWS, *moved.shape))
     for k, week in enumerate(_weeks(weeks)):
-        likeness = _likeness(stored, seen, week)
-        skip, add = _left_out(stored, seen, week, pitch)
-        common = (week["sway"] ** 2, np.exp(-1 / week["reach"]), week["tails"])
-        own = stored.variance, seen.variance + week["scatter"] ** 2, stored.drift, seen.drift
-        shares[k], evidence[k] = _posterior(moved - week["slide"], *own, likeness, np.log(skip), np.log(add), *common)
-        shares[k] = np.minimum(shares[k], 1.0)
+        skip, add = _left_out(stored, seen, week, SLIDE * weeks / 2, pitch)
+        weight = np.exp(_likeness(stored, seen, week)) * (1 - skip)[:, None]
+        own = stored.variance[:, None] + seen.variance + week["scatter"] ** 2 + np.diff(slides)[0] ** 2 / 12
+        kernel = _kernel(slides, np.sqrt(week["step"] ** 2 + 2 * seen.walk**2 * pitch), week["jump"])
+        tables = moved, np.sqrt(own), weight
+        given = (slides, kernel, week["tails"])
+        forward = _forward(*tables, skip, add, low, high, *given)
+        flipped = (np.ascontiguousarray(table[::-1, ::-1]) for table in tables)
+        ends = len(seen.position) - high[::-1], len(seen.position) - low[::-1]
+        backward = _forward(*flipped, skip[::-1].copy(), add[::-1].copy(), *ends, *given)
+        shares[k] = _combined(*tables, low, *forward, ends[0], *backward, slides, week["tails"])
+        evidence[k] = forward[2]
     weight = np.exp(evidence - logsumexp(evidence))
     strange = len(seen.position) * log(1 / pitch)
     return np.tensordot(weight, shares, 1).T, float(logsumexp(evidence) - log(DRAWS) - strange)
 
 
+def _band(stored: Array, seen: Array, most: float) -> tuple[Array, Array]:
+    """Return (N + 1,) how many hooks of the pass may lie before each stored one, least and most."""
+    low, high = np.searchsorted(seen, stored - most), np.searchsorted(seen, stored + most)
+    return np.append(np.append(0, low[1:]), low[-1] if len(low) else 0), np.append(high, len(seen))
+
+
 def _weeks(weeks: float) -> list[dict[str, float]]:
     """Return draws of what the time between two passes does: moves and changes grow with it, misses do not."""
-    z = qmc.Sobol(len(WEEK), seed=0).random(DRAWS)
-    drawn = []
+    z, drawn = qmc.Sobol(len(WEEK), seed=0).random(DRAWS), []
     for row in z:
-        values = {}
-        for u, (name, (least, most)) in zip(row, WEEK.items(), strict=True):
-            values[name] = (
-                least + u * (most - least) if least < 0 else float(np.exp(log(least) + u * log(most / least)))
-            )
-        for name in ("slide", "removed"):
-            values[name] *= weeks
-        for name in ("sway", "scatter"):  # as a random walk
-            values[name] *= np.sqrt(weeks)
-        values["removed"] = min(values["removed"], 0.9)
-        drawn.append(values)
+        of_week = {name: float(a * (b / a) ** u) for u, (name, (a, b)) in zip(row, WEEK.items(), strict=True)}
+        walk = {name: of_week[name] * weeks**0.5 for name in ("step", "scatter")}
+        drawn.append(of_week | walk | {"removed": 1 - (1 - of_week["removed"]) ** weeks})
     return drawn
+
+
+def _kernel(slides: Array, step: float, jump: float) -> Array:
+    """Return (BINS, BINS) the probability of each slide after each, the same both ways."""
+    apart = np.arange(2 * BINS - 1) - (BINS - 1)
+    near = np.exp(-0.5 * (apart * np.diff(slides)[0] / step) ** 2)
+    near /= near.sum()
+    table = near[BINS - 1 + np.arange(BINS)[:, None] - np.arange(BINS)]
+    table += np.diag(1 - table.sum(1))  # what would leave the range stays
+    return (1 - jump) * table + jump / BINS
 
 
 def _likeness(stored: Hooks, seen: Hooks, week: dict[str, float]) -> Array:
@@ -132,71 +149,78 @@ def _log_t(z: Array, variance: Array, tails: float) -> Array:
     return constant - 0.5 * np.log(variance) - (tails + 1) / 2 * np.log1p(z**2 / (tails * variance))
 
 
-def _left_out(stored: Hooks, seen: Hooks, week: dict[str, float], pitch: float) -> tuple[Array, Array]:
+def _left_out(stored: Hooks, seen: Hooks, week: dict[str, float], spread: float, pitch: float) -> tuple[Array, Array]:
     """Return (N,) the probability that a stored hook is not seen, and (M,) the density of hooks that are not stored.
 
-    Near the ends of a section hooks slide out of it and into it.
+    Near the ends of a section hooks slide out of it and into it, by `spread`.
     """
-    spread = float(np.hypot(week["sway"], week["scatter"])) + 1e-3
-    inside = _inside(stored.position + week["slide"], spread, seen)
     there = (1 - stored.gone) * (1 - week["removed"]) * (1 - week["missed"])
-    known = _inside(seen.position - week["slide"], spread, stored)
-    return np.clip(1 - inside * there, 0, 1 - 1e-9), (1 - known * (1 - week["added"])) / pitch
+    missed = 1 - _inside(stored.position, spread, seen) * there
+    known = _inside(seen.position, spread, stored) * (1 - week["added"])
+    return np.clip(missed, 0, 1 - 1e-9), (1 - known) / pitch
 
 
 def _inside(position: Array, spread: float, section: Hooks) -> Array:
     return ndtr((position - section.begin) / spread) * ndtr((section.end - position) / spread)
 
 
-def _posterior(
-    moved: Array, one: Array, other: Array, drift: Array, own_drift: Array, likeness: Array, skip: Array, add: Array,
-    sway: float, along: float, tails: float,
-) -> tuple[Array, float]:  # fmt: skip
-    """Return (N, M) the probability of each match, and the logarithm of the sum over all alignments."""
-    variance = sway + drift[:, None] + own_drift + one[:, None] + other
-    shared = np.sqrt(sway + drift[:, None] + own_drift)
-    match = likeness + np.log1p(-np.exp(skip))[:, None]
-    start = _log_t(moved, variance, tails)
-    given: tuple[Any, ...] = (moved, variance, shared, match, start)
-    forward = _forward(*given, skip, add, along, tails)
-    # the same sums from the other end: the density of two moves is the same both ways
-    backward = _forward(*(table[::-1, ::-1] for table in given), skip[::-1], add[::-1], along, tails)[::-1, ::-1]
-    after = skip.sum() - np.cumsum(skip)
-    last = forward + after[:, None] + add.sum() - np.cumsum(add)
-    total = float(np.logaddexp(logsumexp(last), skip.sum() + add.sum()))
-    return np.exp(forward + backward - match - start - total), total
+@njit(cache=True)
+def _density(z, scale, slides, tails):  # type: ignore[no-untyped-def]
+    """Return (BINS,) Student's t of a move about each slide."""
+    constant = exp(lgamma((tails + 1) / 2) - lgamma(tails / 2)) / (sqrt(tails * pi) * scale)
+    return constant * (1 + ((z - slides) / scale) ** 2 / tails) ** (-(tails + 1) / 2)
 
 
 @njit(cache=True)
-def _forward(moved, variance, shared, match, start, skip, add, along, tails):  # type: ignore[no-untyped-def]
-    """Return (N, M) the logarithm of the sum over all alignments that end with each match.
+def _forward(moved, scale, weight, skip, add, low, high, slides, kernel, tails):  # type: ignore[no-untyped-def]
+    """Return sums over all alignments of the first hooks, (N + 1, W, BINS), their scales, and the logarithm of all.
 
-    The moves of two matches that follow each other have a bivariate Student's t; `along` is the correlation of what
-    they share from hook to hook.
+    A cell (i, j - low[i]) has i stored hooks and j of the pass behind it, its slide moved on to the next match. Between
+    two matches stored hooks are left out before those of the pass: each alignment counts once.
     """
+    n, m, bins = len(skip), len(add), len(slides)
+    sums, logs = np.zeros((n + 1, (high - low).max() + 1, bins)), np.full(n + 1, -np.inf)
+    matched = np.zeros(sums.shape[1:])
+    matched[0], logs[0], total = 1 / bins, 0.0, -np.inf
+    for i in range(n + 1):
+        both = matched.copy()
+        for c in range(high[i] - low[i]):
+            both[c + 1] += both[c] * add[low[i] + c]
+        if i == n:
+            last = both[m - low[n]].sum()
+            return sums, logs, np.log(last) + logs[n] if last > 0 else -np.inf
+        sums[i] = both @ kernel
+        further = np.zeros_like(matched)
+        for c in range(high[i] - low[i] + 1):
+            j = low[i] + c
+            if low[i + 1] <= j <= high[i + 1]:
+                further[j - low[i + 1]] += matched[c] * skip[i]
+            if j < m and low[i + 1] <= j + 1 <= high[i + 1]:
+                near = _density(moved[i, j], scale[i, j], slides, tails)
+                further[j + 1 - low[i + 1]] += sums[i, c] * weight[i, j] * near
+        most = further.max()
+        if most == 0:
+            return sums, logs, total
+        matched, logs[i + 1] = further / most, logs[i] + np.log(most)
+    return sums, logs, total
+
+
+@njit(cache=True)
+def _combined(  # type: ignore[no-untyped-def]
+    moved, scale, weight, low, sums, logs, total, low_back, back, logs_back, total_back, slides, tails
+):
+    """Return (N, M) the probability of each match, from the sums of both ends."""
     n, m = moved.shape
-    skipped, added = np.zeros(n + 1), np.zeros(m + 1)
-    skipped[1:], added[1:] = np.cumsum(skip), np.cumsum(add)
-    both = lgamma((tails + 2) / 2) - lgamma(tails / 2) - log(tails * pi)
-    total, terms = np.full((n, m), -np.inf), np.empty(GAP * GAP + 1)
+    shares = np.zeros((n, m))
+    if total == -np.inf or total_back == -np.inf:
+        return shares
     for i in range(n):
-        for j in range(m):
-            if abs(moved[i, j]) > FARTHEST + 6 * np.sqrt(variance[i, j]):
-                continue
-            terms[0], count = skipped[i] + added[j] + start[i, j], 1
-            for a in range(max(0, i - GAP), i):
-                for b in range(max(0, j - GAP), j):
-                    if total[a, b] == -np.inf:
-                        continue
-                    c = along ** (i - a) * shared[i, j] * shared[a, b]
-                    u, v, z, y = variance[i, j], variance[a, b], moved[i, j], moved[a, b]
-                    det = u * v - c * c
-                    square = (v * z * z - 2 * c * z * y + u * y * y) / det
-                    pair = both - 0.5 * log(det) - (tails + 2) / 2 * log1p(square / tails)
-                    left = skipped[i] - skipped[a + 1] + added[j] - added[b + 1]
-                    terms[count] = total[a, b] + left + pair - start[a, b]
-                    count += 1
-            most = terms[:count].max()
-            if most > -np.inf:
-                total[i, j] = match[i, j] + most + log(np.exp(terms[:count] - most).sum())
-    return total
+        for c in range(sums.shape[1]):
+            j = low[i] + c
+            d = m - 1 - j - low_back[n - 1 - i]
+            if j < m and 0 <= d < back.shape[1]:
+                near = _density(moved[i, j], scale[i, j], slides, tails)
+                both = (sums[i, c] * back[n - 1 - i, d] * near).sum() * weight[i, j] * len(slides)
+                if both > 0:
+                    shares[i, j] = exp(min(log(both) + logs[i] + logs_back[n - 1 - i] - total, 0.0))
+    return shares

@@ -154,7 +154,9 @@ def _hooks_of_pass(seen: RowPass, posts: dict[str, float]) -> Hooks:
     drift = seen.drift**2 / (1 / np.maximum(gap, 1e-6)).sum(0)  # a Brownian bridge between two posts
     own = np.full(len(before), seen.position_std**2)
     none = np.zeros(len(before))
-    return Hooks(along[:-2], own, drift, seen.appearance, seen.appearance_std**2, none, none, along[-2], along[-1])
+    return Hooks(
+        along[:-2], own, drift, seen.drift, seen.appearance, seen.appearance_std**2, none, none, along[-2], along[-1]
+    )
 
 
 def _along_rail(x: Array, odometry: Array, built: Array) -> Array:
@@ -171,7 +173,7 @@ def _hooks_of_map(side: RowSide, stems: list[StemRow], seen: RowPass, now: Hooks
     appearance, std = (_rows([getattr(s, name) for s in stems], count) for name in ("appearance", "appearance_std"))
     gone = np.array([s.gone for s in stems])
     ends = side.begin if side.begin is not None else position[0], side.end if side.end is not None else position[-1]
-    return Hooks(position, variance - drift + 1e-6, drift, appearance, std**2, weeks, gone, *ends)
+    return Hooks(position, variance - drift + 1e-6, drift, seen.drift, appearance, std**2, weeks, gone, *ends)
 
 
 def _update_map(
