@@ -5,6 +5,7 @@ from ._database import hide_password, open_reader
 from ._export import export
 from ._records import Outcome
 from ._row_records import SURE, House, Recognition, Row, RowPass, Side, Stem
+from ._shift_records import Block, Climate, Order, Report, Robot, Shift, StemResult, Work
 from ._trials import (
     add_missing,
     count_trials,
@@ -20,20 +21,30 @@ from ._trials import (
 )
 from .fruit_set import Count, FruitSet, fit
 from .row_map import read_stems, record_house, record_pass
+from .shift import begin_shift, read_shift, run_shift, stop_robot
 
 __all__ = [
     "SURE",
     "Belief",
+    "Block",
+    "Climate",
     "Count",
     "FruitSet",
     "House",
+    "Order",
     "Outcome",
     "Recognition",
+    "Report",
+    "Robot",
     "Row",
     "RowPass",
+    "Shift",
     "Side",
     "Stem",
+    "StemResult",
+    "Work",
     "add_missing",
+    "begin_shift",
     "count_trials",
     "each_trial",
     "earlier_shake",
@@ -46,6 +57,7 @@ __all__ = [
     "merge",
     "open_reader",
     "read_outcomes",
+    "read_shift",
     "read_stems",
     "read_trials",
     "record_house",
@@ -53,5 +65,7 @@ __all__ = [
     "record_outcome",
     "record_pass",
     "record_trial",
+    "run_shift",
     "starting_material",
+    "stop_robot",
 ]

@@ -284,6 +284,7 @@ class ShiftRobot(Base):
     free: Mapped[datetime]
     battery: Mapped[float] = mapped_column("battery_s")
     leg: Mapped[int | None]
+    row: Mapped[str | None]
     charging: Mapped[bool]
     steps: Mapped[Any]
     stopped: Mapped[str | None]
@@ -297,6 +298,7 @@ class ShiftStem(Base):
     id: Mapped[int] = mapped_column(primary_key=True)
     shift_id: Mapped[int] = mapped_column(ForeignKey("shifts.id"))
     stem_id: Mapped[int] = mapped_column(ForeignKey("stems.id"))
+    row: Mapped[str]
     leg: Mapped[int | None]
     place: Mapped[int | None]
     state: Mapped[str]

@@ -54,7 +54,7 @@ def _shifts() -> None:
         *_columns(sa.Integer, "leg"),
         *_needed(sa.Boolean, "charging"),
         *_needed(sa.JSON, "steps"),
-        *_columns(sa.Text, "stopped"),
+        *_columns(sa.Text, "row", "stopped"),
         sa.UniqueConstraint("shift_id", "name"),
     )
     op.create_table(
@@ -63,7 +63,7 @@ def _shifts() -> None:
         _of("shifts"),
         _of("stems"),
         *_columns(sa.Integer, "leg", "place"),
-        *_needed(sa.Text, "state"),
+        *_needed(sa.Text, "row", "state"),
         *_needed(sa.Integer, "tries"),
         *_columns(sa.Text, "robot", "reason"),
         sa.Column("visit_id", sa.Integer, sa.ForeignKey("visits.id")),
