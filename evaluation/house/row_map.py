@@ -3,8 +3,9 @@
     python -m evaluation.house.row_map --sides 40
 
 Each side is passed and mapped, passed again after a week, and after two: by a map that saw the week between, and by one
-that did not. A stem counts as recognised if the map names it and is sure (`anther.history.SURE`). The rows are drawn by
-other rules than the map supposes (`evaluation.house.simulated_house`). A side is then passed as if it were another row.
+that did not. A stem is right if the map finds it more probable than anything else, and sure with `anther.history.SURE`.
+The rows are drawn by other rules than the map supposes (`evaluation.house.simulated_house`). A side is then passed as
+if it were another row.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from evaluation.tables import markdown, percent
 
 
 class Judged(NamedTuple):
-    """One hook of a pass: which week, what was claimed how surely, and whether it is so; whether its stem was mapped."""
+    """One hook of a pass: which week, whether its stem was mapped, whether what is claimed is right, and how surely."""
 
     week: str
     known: bool
@@ -56,7 +57,7 @@ def judged_side(rng: np.random.Generator, where: Path) -> Iterator[Judged]:
 def refused(rng: np.random.Generator, where: Path) -> bool:
     """Whether a pass along another row of the same posts is refused."""
     sides = SimulatedSide(rng, (20, 21)), SimulatedSide(rng, (20, 21))
-    posts = {tag: at for tag, at in sides[1].posts.items()} | sides[0].posts
+    posts = sides[1].posts | sides[0].posts
     record_house(House("other", "tomato", (Row("1", Side(posts), None),)), where)
     record_pass(sides[0].passed("other", "1")[0], where)
     sides[1].grow()
@@ -74,7 +75,8 @@ def metrics_of(rows: list[Judged]) -> dict[str, float]:
         of = [row for row in rows if row.week == week]
         stems = [row for row in of if row.known]
         found[f"hooks_{key}"] = len(of)
-        found[f"same_stem_{key}"] = float(np.mean([r.right and r.probability >= SURE for r in stems]))
+        found[f"same_stem_{key}"] = float(np.mean([r.right for r in stems]))
+        found[f"sure_{key}"] = float(np.mean([r.right and r.probability >= SURE for r in stems]))
         found[f"wrong_and_sure_{key}"] = float(np.mean([not r.right and r.probability >= SURE for r in of]))
         found[f"unsure_{key}"] = float(np.mean([r.probability < SURE for r in of]))
     unsure = [row for row in rows if row.probability < SURE]
@@ -99,17 +101,18 @@ def main() -> None:
         where = [Path(folder) / f"other {k}.sqlite" for k in range(others)]
         shut = [refused(np.random.default_rng([args.seed, 1000 + k]), path) for k, path in enumerate(where)]
     metrics = {"sides": sides, **metrics_of(rows), "others": others, "others_refused": sum(shut)}
+    words = {"week1": "one week", "week2": "two weeks, none seen between", "week2_weekly": "two weeks, passed weekly"}
+    shares = ("same_stem", "sure", "unsure", "wrong_and_sure")
     lines = [
-        (words, f"{metrics[f'hooks_{key}']:,}", *(percent(metrics[f"{name}_{key}"], 2) for name in
-         ("same_stem", "unsure", "wrong_and_sure")))
-        for key, words in (("week1", "one week"), ("week2", "two weeks, none seen between"), ("week2_weekly", "two weeks, passed weekly"))
-    ]  # fmt: skip
+        (words[key], f"{metrics[f'hooks_{key}']:,}", *(percent(metrics[f"{share}_{key}"], 2) for share in shares))
+        for key in words
+    ]
     table = np.atleast_2d(reliability(*(np.array([getattr(r, n) for r in rows]) for n in ("probability", "right"))))
     bins = [(f"{claimed:.2f}", f"{right:.2f}", f"{count:.0f}") for claimed, right, count in table if count]
     finish(
         args,
         metrics,
-        markdown(("after", "hooks", "recognised and sure", "unsure", "wrong and sure"), lines),
+        markdown(("after", "hooks", "stem right", "right and sure", "unsure", "wrong and sure"), lines),
         markdown(("claimed", "right", "hooks"), bins),
         f"Passes along another row that were refused: {sum(shut)} of {others}.",
     )

@@ -64,14 +64,13 @@ class SimulatedSide:
         for k in np.flatnonzero(rng.uniform(size=n) < self.removed / 2):
             kept[k : k + rng.integers(1, 4)] = False
         mothers = np.flatnonzero(rng.uniform(size=n) < self.added)
+        heads = self.appearance[mothers] + 0.7 * spread * rng.normal(size=(len(mothers), NUMBERS))
         self.week += 1
         self._hang(
             np.concatenate([self.position[kept], self.position[mothers] + rng.uniform(0.05, 0.2, len(mothers))]),
             np.concatenate([self.identity[kept], 10_000 * self.week + np.arange(len(mothers))]),
-            np.vstack([
-                self.appearance[kept], self.appearance[mothers] + 0.7 * spread * rng.normal(size=(len(mothers), NUMBERS))
-            ]),
-        )  # fmt: skip
+            np.vstack([self.appearance[kept], heads]),
+        )
 
     def _hang(self, position: Array, identity: Array, appearance: Array) -> None:
         order = np.argsort(position, kind="stable")

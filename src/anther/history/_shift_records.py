@@ -108,11 +108,9 @@ class Shift(Stored):
         if not names or len(set(names)) < len(names):
             given = ", ".join(names) or "no robot"
             raise bad_input("shift", given=given, allowed="one robot or more, each name once", do="Name them.")
-        if weak := [robot for robot in self.robots if robot.battery < self.stem + 3 * self.entry]:
-            given, allowed = (
-                f"{weak[0].battery:g} s",
-                f"at least {self.stem + 3 * self.entry:g} s, a stem and three entries",
-            )
+        least = self.stem + 3 * self.entry
+        if weak := [robot for robot in self.robots if robot.battery < least]:
+            given, allowed = f"{weak[0].battery:g} s", f"at least {least:g} s, for a stem and three entries"
             raise bad_input(f"battery of robot {weak[0].name}", given=given, allowed=allowed, do="Correct it.")
         if list(self.climate) != sorted(self.climate, key=lambda c: c.time):
             raise bad_input("climate", given="readings out of order", allowed="one after another", do="Sort them.")

@@ -38,6 +38,8 @@ REPLAN = timedelta(minutes=10)
 """A plan is not made anew more often because somebody is idle."""
 TRIES = 2
 """How often a stem is begun at which a robot stops or is killed: it may have been shaken."""
+IDLE = timedelta(minutes=1)
+"""How often a robot that can do nothing looks whether others left a row or charger."""
 POLL = 5.0
 """How long a program that waits sleeps at a time [s]."""
 
@@ -214,7 +216,7 @@ def _try_again(stem: ShiftStem, why: str) -> None:
 
 
 def _advance(number: int, where: Path | str, names: list[str], now: datetime | None) -> Order | type | None:
-    """Let the robot that is free first do its next step: return its order, or that all wait, a plan is due, or the end.
+    """Let the robot that is free first do its next step; return its order, that it waits, that a plan is due, or None.
 
     Args:
         number, where, names: see `run_shift`.
@@ -235,14 +237,20 @@ def _advance(number: int, where: Path | str, names: list[str], now: datetime | N
             return _Wait
         robot.free = max(robot.free, now or robot.free)
         order = _next_step(session, shift, robot, robots, waiting)
-        if order is not None or robot.charging:
-            return order or _Wait
-        others = {n for r in robots.values() if r is not robot for n in r.steps if n in waiting and n != r.leg}
-        idle = any(_may_enter(shift, robot, robots, waiting[leg][0]) for leg in others)
-        if idle and robot.free >= row.planned + REPLAN:
-            return _Replan
-        robot.leg, robot.free = None, _wait_until(shift, robot, robots, waiting)  # out of the row
-        return _Wait
+        if order is None and not robot.charging:
+            return _idle(shift, row.planned, robot, robots, waiting)
+        return order or _Wait
+
+
+def _idle(
+    shift: Shift, planned: datetime, robot: ShiftRobot, robots: dict[str, ShiftRobot], waiting: dict[int, Any]
+) -> type:
+    """Let a robot wait that can do nothing; a plan is due if it could do what others are to do later."""
+    others = {n for r in robots.values() if r is not robot for n in r.steps if n in waiting and n != r.leg}
+    if robot.free >= planned + REPLAN and any(_may_enter(shift, robot, robots, waiting[leg][0]) for leg in others):
+        return _Replan
+    robot.leg, robot.free = None, _wait_until(shift, robot, robots, waiting)  # out of the row
+    return _Wait
 
 
 def _waiting(session: Session, number: int) -> dict[int, tuple[str, int]]:
@@ -333,7 +341,8 @@ def _wait_until(shift: Shift, robot: ShiftRobot, robots: dict[str, ShiftRobot], 
     times = [
         t for row in {row for row, _ in waiting.values()} for b, e, _ in _closed(shift, robots, row) for t in (b, e)
     ]
-    times += [r.free + timedelta(seconds=1) for r in robots.values() if r is not robot and not r.stopped]
+    busy = [r for r in robots.values() if r is not robot and not r.stopped and (r.leg is not None or r.charging)]
+    times += [max(r.free, robot.free) + IDLE for r in busy]
     return min((t for t in times if t > robot.free), default=shift.end)
 
 
