@@ -2,7 +2,7 @@
 
     python -m evaluation.house.shift --stems 1000 --kills 20
 
-Robots visit the stems of a house of several rows; outcomes and times are drawn (`--rates`, from trials by default).
+Robots visit the stems of a house of several rows; outcomes and times are drawn (`RATES`).
 Injected: visits that fail, robots that stop for good, one after another; people in rows; humid air about noon; and
 programs that are killed with SIGKILL at any moment and started again. At the end every stem must be visited or left
 with its reason, no visit be lost, and none be recorded twice. Robots a hectare follow from the stems a robot did.
@@ -17,6 +17,7 @@ import sys
 import tempfile
 import time
 from datetime import datetime, timedelta, timezone
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,7 @@ from anther.history import (
     begin_shift,
     count_trials,
     read_shift,
+    read_trials,
     record_house,
     run_shift,
 )
@@ -45,6 +47,8 @@ BEGIN = datetime(2026, 6, 1, 8, tzinfo=timezone(timedelta(hours=2)))
 PITCH = 0.36
 """Stems on one side of a row: 3.5 a square metre, rows 1.6 m apart (facts: rows, D) [m]."""
 STEMS_HA = 35_000
+WAITED = 400.0
+"""A longer way from stem to stem is a wait or a charge: entering a row takes up to 180 s [s]."""
 RATES = {"pollinated": 0.9, "no_grasp_found": 0.05, "slipped": 0.03}
 """Outcomes of a visit, until full trials in a row give theirs (a guess); the rest moves the flowers too little."""
 
@@ -119,6 +123,21 @@ def run_killed(number: int, where: Path, seed: int, stops: float, kills: int) ->
             hit += 1
 
 
+def seconds_per_stem(where: Path) -> float:
+    """Return the mean time from a robot's visit to its next, but for those after which it waited or charged [s]."""
+    times: dict[str, list[datetime]] = {}
+    for visit in read_trials(where):
+        times.setdefault(visit.robot, []).append(visit.time)
+    gaps = [(b - a).total_seconds() for of in times.values() for a, b in pairwise(sorted(of))]
+    return float(np.mean([gap for gap in gaps if gap < WAITED]))
+
+
+def robots_per_ha(shift: Shift, seconds: float) -> float:
+    """Return how many robots visit a hectare every `days` days, with time to charge."""
+    robot, hours = Robot("any"), shift.hours[1] - shift.hours[0]
+    return STEMS_HA / shift.days * seconds * (1 + robot.charge / robot.battery) / (hours * 3600)
+
+
 def main() -> None:
     """Run the shift, check its books, write metrics."""
     own = {
@@ -137,22 +156,23 @@ def main() -> None:
         shift = asked_shift(args.robots)
         number = begin_shift(shift, where)
         hit = run_killed(number, where, args.seed, args.stops, kills)
-        found, visits = read_shift(number, where), count_trials(where)
+        found, visits, seconds = read_shift(number, where), count_trials(where), seconds_per_stem(where)
     by = {state: [s for s in found if s.state == state] for state in ("visited", "left", "waiting", "working")}
     numbers = [s.visit for s in found if s.visit is not None]
     reasons = {s.reason for s in by["left"]}
-    worked = (shift.hours[1] - shift.hours[0]) * 3600
     metrics = {
         "stems": len(found), "visited": len(by["visited"]), "left": len(by["left"]),
         "unaccounted": len(by["waiting"]) + len(by["working"]) + sum(s.reason is None for s in found),
         "kills": hit, "visits": visits, "doubled": len(numbers) - len(set(numbers)),
         "lost": sum(s.visit is None for s in by["visited"]),
-        "robots_per_ha": STEMS_HA / shift.days * (shift.stem + 2.0) / worked,
+        "seconds_per_stem": seconds,
+        "robots_per_ha": robots_per_ha(shift, seconds),
     }  # fmt: skip
     words = {
         "stems": "stems of the house", "visited": "visited", "left": "left, each with its reason",
         "unaccounted": "unaccounted for", "kills": "kills of the program", "visits": "visits recorded",
-        "doubled": "doubled", "lost": "lost", "robots_per_ha": "robots a hectare, by these times",
+        "doubled": "doubled", "lost": "lost", "seconds_per_stem": "from stem to stem, entering rows included (s)",
+        "robots_per_ha": "robots a hectare, by these times and charging",
     }  # fmt: skip
     finish(args, metrics, measured(metrics, words), "Left because: " + "; ".join(sorted(map(str, reasons))) + ".")
 
