@@ -115,7 +115,7 @@ def run_killed(number: int, where: Path, seed: int, stops: float, kills: int) ->
                     raise RuntimeError("the last run ended with an error")
                 return hit
             while count_trials(where) < done + 1 and process.poll() is None:
-                time.sleep(0.02)
+                time.sleep(0.2)
             time.sleep(rng.uniform(0, 0.3))
             if process.poll() is not None:
                 return hit

@@ -96,6 +96,8 @@ def align(stored: Hooks, seen: Hooks, weeks: float) -> tuple[Array, float]:
         backward = _forward(*flipped, skip[::-1].copy(), add[::-1].copy(), *ends, *given)
         shares[k] = _combined(*tables, low, *forward, ends[0], *backward, slides, week["tails"])
         evidence[k] = forward[2]
+    if not np.isfinite(evidence).any():
+        return np.zeros_like(shares[0].T), -np.inf
     weight = np.exp(evidence - logsumexp(evidence))
     strange = len(seen.position) * log(1 / pitch)
     return np.tensordot(weight, shares, 1).T, float(logsumexp(evidence) - log(DRAWS) - strange)
