@@ -398,8 +398,8 @@ def _robot_now(shift: Shift, robot: ShiftRobot) -> RobotNow:
     of = _of(shift, robot)
     free = ceil((robot.free - shift.begin).total_seconds())
     return RobotNow(
-        robot.name, free, int(robot.battery - shift.entry), int(of.battery - shift.entry), ceil(of.charge), of.rows,
-        robot.leg,
+        robot.name, free, max(int(robot.battery - shift.entry), 0), int(of.battery - shift.entry), ceil(of.charge),
+        of.rows, robot.leg,
     )  # fmt: skip
 
 
