@@ -44,12 +44,16 @@ def judged_side(rng: np.random.Generator, where: Path) -> Iterator[Judged]:
         seen, who = side.passed("house", "weekly")
         for row in ("weekly", "later") if week != 1 else ("weekly",):
             again = type(seen)(**{**{n: getattr(seen, n) for n in seen.__slots__}, "row": row})
-            found = record_pass(again, where)
-            known = set(labels[row].values())
+            known, name = set(labels[row].values()), "week1" if week == 1 else f"week2_{row}"
+            try:
+                found = record_pass(again, where)
+            except InputError:  # the map takes the row for another one: no stem is named
+                yield from (Judged(name, bool(truth in known), False, 0.0) for truth in who)
+                continue
             for plant, new, p, truth in zip(found.plants, found.new, found.probability, who, strict=True):
                 right = truth not in known if new else labels[row].get(plant) == truth
                 if week:
-                    yield Judged("week1" if week == 1 else f"week2_{row}", bool(truth in known), right, p)
+                    yield Judged(name, bool(truth in known), right, p)
             labels[row] |= {label: int(t) for label, new, t in zip(found.plants, found.new, who, strict=True) if new}
         side.grow()
 
@@ -79,6 +83,8 @@ def metrics_of(rows: list[Judged]) -> dict[str, float]:
         found[f"sure_{key}"] = float(np.mean([r.right and r.probability >= SURE for r in stems]))
         found[f"wrong_and_sure_{key}"] = float(np.mean([not r.right and r.probability >= SURE for r in of]))
         found[f"unsure_{key}"] = float(np.mean([r.probability < SURE for r in of]))
+    found["hooks_refused"] = sum(row.probability == 0 for row in rows)
+    rows = [row for row in rows if row.probability > 0]
     unsure = [row for row in rows if row.probability < SURE]
     claimed, right = (np.array([getattr(r, name) for r in rows]) for name in ("probability", "right"))
     found["unsure_hooks"] = len(unsure)

@@ -32,6 +32,8 @@ MISSED, REMOVED, GROWTH, SCATTER = (
     float(np.sqrt(np.prod(WEEK[n]))) for n in ("missed", "removed", "growth", "scatter")
 )
 """Middles of what a week is believed to do."""
+OTHER_ROW = 1e-3
+"""Prior odds that another row was driven than the one that is named, whose posts were seen (a guess)."""
 WEEKS = timedelta(weeks=1)
 
 
@@ -111,7 +113,7 @@ def record_pass(seen: RowPass, where: Path | str = DEFAULT) -> Recognition:
         if stems:
             before = _hooks_of_map(side, stems, seen, now)
             shares, evidence = align(before, now, weeks)
-            if evidence <= 0:
+            if evidence < np.log(OTHER_ROW):
                 given = f"stems that explain the pass e^{-evidence:.0f} times worse than strangers"
                 do = "Check which row was driven; nothing was changed."
                 raise bad_input("pass", given=given, allowed=f"the stems of {_name(seen)}", do=do)
