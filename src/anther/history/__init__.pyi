@@ -4,6 +4,8 @@ from ._beliefs import Belief, earlier_shake, facts_prior, starting_material
 from ._database import hide_password, open_reader
 from ._export import export
 from ._records import Outcome
+from ._row_records import SURE, House, Recognition, Row, RowPass, Side, Stem
+from ._shift_records import Block, Climate, Order, Report, Robot, Shift, StemResult, Work
 from ._trials import (
     add_missing,
     count_trials,
@@ -18,13 +20,31 @@ from ._trials import (
     record_trial,
 )
 from .fruit_set import Count, FruitSet, fit
+from .row_map import read_stems, record_house, record_pass
+from .shift import begin_shift, read_shift, run_shift, stop_robot
 
 __all__ = [
+    "SURE",
     "Belief",
+    "Block",
+    "Climate",
     "Count",
     "FruitSet",
+    "House",
+    "Order",
     "Outcome",
+    "Recognition",
+    "Report",
+    "Robot",
+    "Row",
+    "RowPass",
+    "Shift",
+    "Side",
+    "Stem",
+    "StemResult",
+    "Work",
     "add_missing",
+    "begin_shift",
     "count_trials",
     "each_trial",
     "earlier_shake",
@@ -37,9 +57,15 @@ __all__ = [
     "merge",
     "open_reader",
     "read_outcomes",
+    "read_shift",
+    "read_stems",
     "read_trials",
+    "record_house",
     "record_note",
     "record_outcome",
+    "record_pass",
     "record_trial",
+    "run_shift",
     "starting_material",
+    "stop_robot",
 ]

@@ -2,8 +2,9 @@
 
 One plant has many visits; a visit has at most one grasp and one shake, a response of every flower, and links to its run
 folder; outcomes belong to a plant, and to one of its visits where the grower says so. A sweep has many jobs, which
-have no visits. Visits, responses, outcomes and notes are never changed. What a `Visit` or `Outcome` has too is called
-here as there; its column is called as in trial.json, with the unit in its name.
+have no visits. A side of a row has many stems, each a plant on a hook; a shift has many stems and robots. Visits,
+responses, outcomes and notes are never changed. What a `Visit` or `Outcome` has too is called here as there; its
+column is called as in trial.json, with the unit in its name.
 """
 
 from __future__ import annotations
@@ -211,3 +212,98 @@ class Note(Base):
     visit_id: Mapped[int] = mapped_column(ForeignKey("visits.id"))
     recorded: Mapped[datetime]
     text: Mapped[str]
+
+
+class RowSide(Base):
+    """One side of a row, and the section of it that was passed last. `posts` are tag -> position [m]."""
+
+    __tablename__ = "row_sides"
+    __table_args__ = (UniqueConstraint("house", "row", "side"),)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    house: Mapped[str]
+    row: Mapped[str]
+    side: Mapped[str]
+    species: Mapped[str]
+    posts: Mapped[Any]
+    begin: Mapped[float | None] = mapped_column("begin_m")
+    end: Mapped[float | None] = mapped_column("end_m")
+    passed: Mapped[datetime | None]
+    labels: Mapped[int]
+    stems: Mapped[list[StemRow]] = relationship(
+        lazy="raise",
+        order_by="StemRow.order",
+        primaryjoin="and_(RowSide.id == StemRow.row_side_id, StemRow.removed.is_(None))",
+        viewonly=True,
+    )
+
+
+class StemRow(Base):
+    """A stem and the hook that its string hangs from: a hook has one stem as long as it lives.
+
+    The plant's visits and counts are those of the stem.
+    """
+
+    __tablename__ = "stems"
+    __table_args__ = (Index("ix_stems_row_side", "row_side_id", "removed", "hook"),)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    row_side_id: Mapped[int] = mapped_column(ForeignKey("row_sides.id"))
+    plant_id: Mapped[int] = mapped_column(ForeignKey("plants.id"), unique=True)
+    order: Mapped[int] = mapped_column("hook")
+    position: Mapped[float] = mapped_column("position_m")
+    position_std: Mapped[float] = mapped_column("position_std_m")
+    appearance: Mapped[Any] = mapped_column(nullable=True)
+    appearance_std: Mapped[Any] = mapped_column(nullable=True)
+    certainty: Mapped[float]
+    gone: Mapped[float]
+    open_flowers: Mapped[int | None]
+    fruit: Mapped[int | None]
+    first_seen: Mapped[datetime]
+    last_seen: Mapped[datetime]
+    removed: Mapped[datetime | None]
+    plant: Mapped[Plant] = relationship(lazy="joined", innerjoin=True)
+
+
+class ShiftRow(Base):
+    """A shift in a house; `asked` is the `Shift` as JSON."""
+
+    __tablename__ = "shifts"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    house: Mapped[str]
+    asked: Mapped[Any]
+    planned: Mapped[datetime | None]
+
+
+class ShiftRobot(Base):
+    """How a robot of a shift stands. `steps` are the legs that it is to go, -1 for the charger, in their order."""
+
+    __tablename__ = "shift_robots"
+    __table_args__ = (UniqueConstraint("shift_id", "name"),)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    shift_id: Mapped[int] = mapped_column(ForeignKey("shifts.id"))
+    name: Mapped[str]
+    free: Mapped[datetime]
+    battery: Mapped[float] = mapped_column("battery_s")
+    leg: Mapped[int | None]
+    row: Mapped[str | None]
+    charging: Mapped[bool]
+    steps: Mapped[Any]
+    stopped: Mapped[str | None]
+
+
+class ShiftStem(Base):
+    """A stem of a shift: its place in the work, and what became of it."""
+
+    __tablename__ = "shift_stems"
+    __table_args__ = (UniqueConstraint("shift_id", "stem_id"), Index("ix_shift_stems", "shift_id", "state", "leg"))
+    id: Mapped[int] = mapped_column(primary_key=True)
+    shift_id: Mapped[int] = mapped_column(ForeignKey("shifts.id"))
+    stem_id: Mapped[int] = mapped_column(ForeignKey("stems.id"))
+    row: Mapped[str]
+    leg: Mapped[int | None]
+    place: Mapped[int | None]
+    state: Mapped[str]
+    tries: Mapped[int]
+    robot: Mapped[str | None]
+    visit_id: Mapped[int | None] = mapped_column(ForeignKey("visits.id"))
+    reason: Mapped[str | None]
+    stem: Mapped[StemRow] = relationship(lazy="raise")

@@ -13,7 +13,7 @@ from sqlalchemy import Connection, inspect, text
 
 from anther.core.errors import bad_input
 
-HEAD = "0006"
+HEAD = "0007"
 """The newest version. It is written here so that Alembic is loaded only where there is something to do."""
 
 _LOCK = 0x616E7468

@@ -1,0 +1,1 @@
+"""A house: its map over weeks, and shifts of robots in it."""
