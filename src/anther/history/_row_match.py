@@ -11,9 +11,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import exp, lgamma, log, pi, sqrt
+from typing import Any, cast
 
 import numpy as np
-from scipy.special import logsumexp, ndtr
+from scipy.special import ndtr
 from scipy.stats import qmc
 
 from anther.core import Array
@@ -83,24 +84,26 @@ def align(stored: Hooks, seen: Hooks, weeks: float) -> tuple[Array, float]:
     slides = np.linspace(-most, most, BINS)
     low, high = _band(stored.position, seen.position, most + pitch)
     evidence, shares = np.empty(DRAWS), np.empty((DRAWS, *moved.shape))
+    sweep, combine = cast(Any, _forward), cast(Any, _combined)
     for k, week in enumerate(_weeks(weeks)):
         skip, add = _left_out(stored, seen, week, SLIDE * weeks / 2, pitch)
         weight = np.exp(_likeness(stored, seen, week)) * (1 - skip)[:, None]
         own = stored.variance[:, None] + seen.variance + week["scatter"] ** 2 + np.diff(slides)[0] ** 2 / 12
         kernel = _kernel(slides, np.sqrt(week["step"] ** 2 + 2 * seen.walk**2 * pitch), week["jump"])
         tables = moved, np.sqrt(own), weight
-        given = (slides, kernel, week["tails"])
-        forward = _forward(*tables, skip, add, low, high, *given)
+        given = slides, kernel, week["tails"]
+        forward = sweep(*tables, skip, add, low, high, *given)
         flipped = (np.ascontiguousarray(table[::-1, ::-1]) for table in tables)
         ends = len(seen.position) - high[::-1], len(seen.position) - low[::-1]
-        backward = _forward(*flipped, skip[::-1].copy(), add[::-1].copy(), *ends, *given)
-        shares[k] = _combined(*tables, low, *forward, ends[0], *backward, slides, week["tails"])
+        backward = sweep(*flipped, skip[::-1].copy(), add[::-1].copy(), *ends, *given)
+        shares[k] = combine(*tables, low, *forward, ends[0], *backward, slides, week["tails"])
         evidence[k] = forward[2]
     if not np.isfinite(evidence).any():
         return np.zeros_like(shares[0].T), -np.inf
-    weight = np.exp(evidence - logsumexp(evidence))
+    total = float(np.logaddexp.reduce(evidence))
+    weight = np.exp(evidence - total)
     strange = len(seen.position) * log(1 / pitch)
-    return np.tensordot(weight, shares, 1).T, float(logsumexp(evidence) - log(DRAWS) - strange)
+    return np.tensordot(weight, shares, 1).T, total - log(DRAWS) - strange
 
 
 def _band(stored: Array, seen: Array, most: float) -> tuple[Array, Array]:
@@ -111,7 +114,7 @@ def _band(stored: Array, seen: Array, most: float) -> tuple[Array, Array]:
 
 def _weeks(weeks: float) -> list[dict[str, float]]:
     """Return draws of what the time between two passes does: moves and changes grow with it, misses do not."""
-    z, drawn = qmc.Sobol(len(WEEK), seed=0).random(DRAWS), []
+    z, drawn = qmc.Sobol(len(WEEK), rng=0).random(DRAWS), []
     for row in z:
         of_week = {name: float(a * (b / a) ** u) for u, (name, (a, b)) in zip(row, WEEK.items(), strict=True)}
         walk = {name: of_week[name] * weeks**0.5 for name in ("step", "scatter")}

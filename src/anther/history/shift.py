@@ -16,7 +16,7 @@ from datetime import UTC, datetime, timedelta
 from itertools import groupby
 from math import ceil
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session, selectinload
@@ -54,7 +54,8 @@ def begin_shift(shift: Shift, where: Path | str = DEFAULT) -> int:
         stems = stems_of(session, shift.house)
         rows = {stem.row for stem in stems}
         asked = [*(block.row for block in shift.blocks), *(row for robot in shift.robots for row in robot.rows)]
-        if not rows or (unknown := [row for row in asked if row not in rows]):
+        unknown = [row for row in asked if row not in rows]
+        if unknown or not rows:
             given = f"row '{unknown[0]}'" if rows else f"house '{shift.house}'"
             allowed = f"of rows with stems: {', '.join(sorted(rows)) or 'none'}"
             raise bad_input("shift", given=given, allowed=allowed, do="Record the house and a pass along its rows.")
@@ -257,7 +258,7 @@ def _waiting(session: Session, number: int) -> dict[int, tuple[str, int]]:
     """Return leg -> row and number of the stems that wait in it."""
     query = select(ShiftStem.leg, ShiftStem.row, func.count()).group_by(ShiftStem.leg, ShiftStem.row)
     query = query.where(ShiftStem.shift_id == number, ShiftStem.state == "waiting").order_by(ShiftStem.leg)
-    return {leg: (row, count) for leg, row, count in session.execute(query)}
+    return {cast(int, leg): (row, count) for leg, row, count in session.execute(query)}
 
 
 def _next_step(

@@ -147,7 +147,7 @@ def _hold_turning(rods: Rods, edges: Edges, joints: JointCompliance) -> Held:
             ground[j] += np.linalg.solve(np.eye(3) + stiffness[j] @ beyond, stiffness[j])
     held = np.flatnonzero(ground.any(axis=(1, 2)))
     on_strains = of_edge.transpose(0, 2, 1) @ ground @ of_edge
-    turning = np.hstack([held[:, None], t[held], m1[held], upper(on_strains[held])])
+    turning = np.hstack([held[:, None].astype(np.float64), t[held], m1[held], upper(on_strains[held])])
     return Held(compliance, turning, np.array(changed, dtype=np.int64))
 
 
