@@ -39,6 +39,7 @@ FOR = {
     "parquet": "history as Parquet",
     "sweep": "many runs at once, on every core or a cluster",
     "serve": "pages of the history",
+    "row": "which robot works which rows of a house",
     "evaluation": "plants of another generator",
 }
 """Extra -> what it is for."""
