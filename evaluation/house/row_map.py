@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -43,7 +44,7 @@ def judged_side(rng: np.random.Generator, where: Path) -> Iterator[Judged]:
     for week in range(3):
         seen, who = side.passed("house", "weekly")
         for row in ("weekly", "later") if week != 1 else ("weekly",):
-            again = type(seen)(**{**{n: getattr(seen, n) for n in seen.__slots__}, "row": row})
+            again = replace(seen, row=row)
             known, name = set(labels[row].values()), "week1" if week == 1 else f"week2_{row}"
             try:
                 found = record_pass(again, where)

@@ -32,6 +32,7 @@ from anther.history import (
     Row,
     Shift,
     Side,
+    Work,
     begin_shift,
     count_trials,
     read_shift,
@@ -74,7 +75,7 @@ def asked_shift(robots: int) -> Shift:
     )  # fmt: skip
 
 
-def drawn_work(seed: int, stops: float, slow: float = 0.0):  # type: ignore[no-untyped-def]
+def drawn_work(seed: int, stops: float, slow: float = 0.0) -> Work:
     """Return what draws the outcome of an order from a seed, its plant and its time, as the same order is given again.
 
     Args:

@@ -105,12 +105,15 @@ class Grip(NamedTuple):
 
     Attributes:
         it: the plant, and what was seen of it.
+        point, direction: (3,) where it is held [m], and along what it is shaken.
         true: by kind what a metre of the grip truly does, see `truths`.
         before: (Q,) what is believed of each shake.
         after: (Q,) the same after an observation.
     """
 
     it: known_plant.Known
+    point: Array
+    direction: Array
     true: dict[str, Array]
     before: list[decision.Answer]
     after: list[Prediction]
@@ -145,12 +148,12 @@ def grips_of(species: Crop, seed: int) -> Iterator[Grip]:
             of = Answer(update_members(members, shown, std, at.axes, k), shown[own], std[own], at.axes[own])
             before.append(foresight.answer(members, tone))
             after.append(predict(foresight, tone, of, 0.0))
-        yield Grip(it, truths(grip, middles, motion), before, after)
+        yield Grip(it, grip.point, direction, truths(grip, middles, motion), before, after)
 
 
 def values_of(species: Crop, seed: int) -> Iterator[Value]:
     """Yield a value for each grip, tone, kind and flower that was found."""
-    for it, true, before, after in grips_of(species, seed):
+    for it, _, _, true, before, after in grips_of(species, seed):
         yield from (
             [MOTOR, species, tone, [float(np.median(felt)) * motor_amplitude(tone)]]
             for tone, felt in zip(TONES.tolist(), true["flowers"], strict=True)

@@ -3,9 +3,9 @@
     python -m evaluation.prediction.rule --plants 24 --jobs 2
 
 Plants, grips, tones and observations are those of `evaluation.prediction.belief`. Each rule chooses tone and amplitude
-of a shake at each grip, by an arm (1-35 Hz, 7 m/s2 of the grip, as a Sawyer does across) and by a motor. MuJoCo's
-linear equations say what it truly does, and `anther.sim.judge.net_fruit` what that was worth, its mean over what the
-plant may bear and over the measures of motion that may free pollen. No arm or motor errs here, and no pads slip.
+of a shake at each grip, by the arm and the motor of `evaluation.trials.oracle`, which do here what they do at the
+median. MuJoCo's linear equations say what it truly does, and `anther.sim.judge.net_fruit` what that was worth, its mean
+over what the plant may bear and over the measures of motion that may free pollen. No pads slip.
 
 Keys of --json, of each machine and rule: net_<machine>_<rule>, mean over plants; _low and _high, of its difference to
 the whole rule, 95 % intervals (bootstrap over plants); flower_..., median over plants of the median flower [m/s2];
@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 from unittest.mock import patch
@@ -27,36 +28,23 @@ from scipy.special import ndtri
 from anther.core import Array, StageFailure
 from anther.pollination import decision
 from anther.pollination.decision import Answer, worth
-from anther.pollination.shake import VIBRATING_GRIPPER, Params
-from anther.sim.judge import lost_flowers, net_fruit
+from anther.pollination.shake import Params
+from anther.sim.judge import LEAF_BAND, lost_flowers, net_fruit
 from anther.sim.truth import TOLERANCE
 from evaluation.harness import by_turns, finish, options, run_cases
-from evaluation.prediction.belief import DEVELOPMENT, TONES, Grip, grips_of, motor_amplitude
+from evaluation.prediction.belief import DEVELOPMENT, TONES, Grip, grips_of
 from evaluation.statistics import bootstrap
 from evaluation.tables import markdown
+from evaluation.trials.oracle import ACTUATORS, reach
 
 FIRST = 9700
 AMPLITUDES, LEAST = 40, 1e-3
 """So many of each tone, on a logarithmic scale from a share of the largest."""
 PRESS = 8.0
 """Of each pad [N]."""
-ARM_ACCELERATION, ARM_SPEED = 7.0, 0.3
-"""[m/s2], [m/s]."""
+MACHINES = {"arm": ACTUATORS["oracle"], "motor": ACTUATORS["oracle_motor"]}
 DRAWN = 64
 """Draws of what a plant bears."""
-
-
-def arm_amplitude(tone: float) -> float:
-    """Return how far an arm moves the grip at a tone [Hz] [m]."""
-    omega = 2 * np.pi * tone
-    return float(min(0.03, ARM_SPEED / omega, ARM_ACCELERATION / omega**2))
-
-
-MACHINES: Mapping[str, tuple[Callable[[float], float], float, float]] = {
-    "arm": (arm_amplitude, 1.0, 35.0),
-    "motor": (motor_amplitude, VIBRATING_GRIPPER.lowest, VIBRATING_GRIPPER.highest),
-}
-"""Machine -> its largest amplitude at a tone, and its band [Hz]."""
 
 
 class Rule(NamedTuple):
@@ -116,47 +104,43 @@ def one_plant(row: dict[str, Any], folder: Path) -> dict[str, Any]:
 def shakes_of(grip: Grip) -> dict[str, dict[str, Any]]:
     """Return by machine and rule what the shake that it chooses does; of `ALIKE` a table of all."""
     found = dict[str, dict[str, Any]]()
-    for machine, (reach, lowest, highest) in MACHINES.items():
-        tones = [k for k, tone in enumerate(TONES.tolist()) if lowest <= tone <= highest]
-        choices = {name: _chosen(grip, rule, tones, reach) for name, rule in RULES.items()}
-        choices[LIMITED] = _limited(grip, tones, reach)
+    for machine, actuator in MACHINES.items():
+        most = reach(actuator, grip.point, grip.direction[None], TONES)[:, 0]
+        tones = [k for k, tone in enumerate(TONES.tolist()) if actuator.lowest <= tone <= actuator.highest]
+        choices = {name: _chosen(grip, rule, tones, most) for name, rule in RULES.items()}
+        choices[LIMITED] = _limited(grip, tones, most)
         found[machine] = {name: _outcome(grip.true, *choice) for name, choice in choices.items()}
         found[machine][ALIKE] = [
-            [_outcome(grip.true, k, share * reach(TONES[k])) for share in np.geomspace(0.02, 1, 12)] for k in tones
+            [_outcome(grip.true, k, share * most[k]) for share in np.geomspace(0.02, 1, 12)] for k in tones
         ]
     return found
 
 
-def _chosen(grip: Grip, rule: Rule, tones: list[int], reach: Callable[[float], float]) -> tuple[int, float]:
-    """Return the tone and the amplitude [m] that a rule chooses."""
+def _chosen(grip: Grip, rule: Rule, tones: list[int], most: Array) -> tuple[int, float]:
+    """Return the tone and the amplitude [m] that a rule chooses, up to `most` (Q,) [m]."""
     best = (-np.inf, tones[0], 0.0)
     with ExitStack() as stack:
         for name, value in rule.changes.items():
             stack.enter_context(patch.object(decision, name, value))
         for k in tones:
-            prediction = grip.after[k]
-            answer = prediction.answer if rule.observed else grip.before[k]
+            prediction, tried = grip.after[k], np.geomspace(LEAST, 1.0, AMPLITUDES) * most[k]
+            answer, seen = (prediction.answer, prediction.seen) if rule.observed else (grip.before[k], None)
             if rule.middle:
                 answer = Answer(*(np.exp(np.log(np.maximum(x, 1e-12)).mean(axis=0, keepdims=True)) for x in answer))
-            tried, seen = _tried(k, reach), prediction.seen if rule.observed else None
             net = worth(answer, tried, TONES[k], Params().held(PRESS), rule.price, seen).net
             best = max(best, (float(net.max()), k, float(tried[net.argmax()])))
     return best[1:] if best[0] > 0 else (best[1], 0.0)
 
 
-def _tried(k: int, reach: Callable[[float], float]) -> Array:
-    return np.asarray(np.geomspace(LEAST, 1.0, AMPLITUDES) * reach(float(TONES[k])))
-
-
-def _limited(grip: Grip, tones: list[int], reach: Callable[[float], float]) -> tuple[int, float]:
+def _limited(grip: Grip, tones: list[int], most: Array) -> tuple[int, float]:
     """Return the tone and amplitude that move the median flower most within what 19 of 20 organs bear, as expected."""
     best = (-1.0, tones[0], 0.0)
     for k in tones:
         answer, hertz = grip.after[k].answer, float(TONES[k])
         loads = {kind: float(decision.expected(kind, getattr(answer, kind), hertz, False)) for kind in _BORNE}
         flowers = np.array([decision.expected("flowers", f, hertz, False) for f in answer.flowers.T])
-        most = min(_BORNE[kind].low / max(load, 1e-12) for kind, load in loads.items())
-        amplitude = min(most, decision.LOST_AT.low / max(flowers.max(), 1e-12), reach(hertz))
+        borne = min(_BORNE[kind].low / max(load, 1e-12) for kind, load in loads.items())
+        amplitude = float(min(borne, decision.LOST_AT.low / max(flowers.max(), 1e-12), most[k]))
         best = max(best, (float(np.median(flowers)) * amplitude, k, amplitude))
     return best[1:]
 
@@ -164,25 +148,24 @@ def _limited(grip: Grip, tones: list[int], reach: Callable[[float], float]) -> t
 _BORNE = {kind: decision.TOLERANCE[organ] for kind, organ in (("base_strain", "base"), ("stem_strain", "stem"))}
 
 
+@cache
+def _drawn_limits() -> dict[str, Array]:
+    """Return by kind of load (D,) what plants may bear, each kind drawn evenly and apart from the others."""
+    middles, rng = ndtri((np.arange(DRAWN) + 0.5) / DRAWN), np.random.default_rng(0)
+    return {kind: one.median * np.exp(one.sigma * rng.permutation(middles)) for kind, one in TOLERANCE.items()}
+
+
 def _outcome(true: Mapping[str, Array], k: int, amplitude: float) -> list[float]:
     """Return what a shake was truly worth, the median flower's acceleration [m/s2], the share of flowers lost, and the
     worth where each of them counts as the default price has it."""
-    felt, rng = amplitude * true["flowers"][k], np.random.default_rng(0)
-    middles = (np.arange(DRAWN) + 0.5) / DRAWN
-    nets, lost = list[float](), list[float]()
-    bears = {kind: one.median * np.exp(one.sigma * ndtri(rng.permutation(middles))) for kind, one in TOLERANCE.items()}
-    for draw in range(DRAWN):
-        limits = {kind: float(values[draw]) for kind, values in bears.items()}
-        gone = lost_flowers(amplitude * true["pedicels"][k], amplitude * true["peduncles"][k], limits).mean()
-        bent = {
-            "stem": amplitude * true["stem_strain"][k] > limits["stem"],
-            "base": amplitude * true["base_strain"][k] > limits["base"],
-            "leaf": TONES[k] <= 5 and amplitude * true["leaf_load"][k] > limits["leaf"],
-        }
-        nets.append(float(net_fruit(felt, TONES[k], gone, bent, measure=None)))
-        lost.append(1.0 if bent["stem"] else float(gone))
-    net, share_lost = float(np.mean(nets)), float(np.mean(lost))
-    return [net, float(np.median(felt)), share_lost, net - (decision.PRICES["default"] - 1) * share_lost]
+    felt, limits = amplitude * true["flowers"][k], _drawn_limits()
+    stalks = (amplitude * true[kind][k] for kind in ("pedicels", "peduncles"))
+    gone = lost_flowers(*stalks, {kind: one[:, None] for kind, one in limits.items()}).mean(axis=-1)
+    bent = {kind: amplitude * true[f"{kind}_strain"][k] > limits[kind] for kind in ("stem", "base")}
+    bent["leaf"] = (TONES[k] <= LEAF_BAND) & (amplitude * true["leaf_load"][k] > limits["leaf"])
+    net = float(net_fruit(felt, TONES[k], gone, bent, measure=None).mean())
+    lost = float(np.where(bent["stem"], 1.0, gone).mean())
+    return [net, float(np.median(felt)), lost, net - (decision.PRICES["default"] - 1) * lost]
 
 
 def metrics(plants: list[list[dict[str, dict[str, Any]]]]) -> dict[str, float]:

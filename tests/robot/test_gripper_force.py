@@ -195,7 +195,8 @@ def test_a_stem_that_one_pad_bends_away_is_no_stuck_force() -> None:
 
     guarded = GuardedGripper(ElasticStem(bent), LIMITS)
     for opening in (0.03, *(0.0157 - STEP * np.arange(8))):
-        guarded.move(opening)
+        state = guarded.move(opening)
+    assert (state.opening, state.force) == pytest.approx((0.0122, 1.71))
 
 
 def test_pads_that_are_opened_open_whatever_the_force_reads() -> None:

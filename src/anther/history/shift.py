@@ -65,11 +65,12 @@ def begin_shift(shift: Shift, where: Path | str = DEFAULT) -> int:
         for robot in shift.robots:
             stands = {"free": shift.begin, "battery": robot.battery, "charging": False, "steps": []}
             session.add(ShiftRobot(shift_id=row.id, name=robot.name, **stands))
-        due = [stem for stem in stems if _why_not(stem, shift) is None]
+        reasons = {stem.number: _why_not(stem, shift) for stem in stems}
+        due = [stem for stem in stems if reasons[stem.number] is None]
         places = {n: (leg, k) for leg, part in enumerate(_legs(due, shift)) for k, n in enumerate(part)}
         for stem in stems:
             leg, place = places.get(stem.number, (None, None))
-            reason = _why_not(stem, shift)
+            reason = reasons[stem.number]
             state = {"state": "left" if reason else "waiting", "reason": reason, "tries": 0}
             session.add(ShiftStem(shift_id=row.id, stem_id=stem.number, row=stem.row, leg=leg, place=place, **state))
         return row.id
@@ -167,9 +168,13 @@ def stop_robot(number: int, robot: str, reason: str, where: Path | str = DEFAULT
     """
     with open_writer(where) as session:
         _, _, robots = _state(session, number)
-        if robot not in robots:
-            raise bad_input("robot", given=f"'{robot}'", allowed=", ".join(robots), do="Name one of the shift's.")
+        _check_robots([robot], robots)
         _stop(session, robots[robot], reason)
+
+
+def _check_robots(names: Collection[str], robots: Collection[str]) -> None:
+    if unknown := sorted(set(names) - set(robots)):
+        raise bad_input("robot", given=f"'{unknown[0]}'", allowed=", ".join(robots), do="Name one of the shift's.")
 
 
 def _stop(session: Session, robot: ShiftRobot, reason: str) -> None:
@@ -197,8 +202,7 @@ def _resume(number: int, where: Path | str, names: Collection[str] | None) -> tu
     """Take up a shift: what its robots had begun and not reported waits again, or is left after `TRIES`."""
     with open_writer(where) as session:
         _, shift, robots = _state(session, number)
-        if unknown := sorted(set(names or ()) - set(robots)):
-            raise bad_input("robot", given=f"'{unknown[0]}'", allowed=", ".join(robots), do="Name one of the shift's.")
+        _check_robots(names or (), robots)
         mine = list(names if names is not None else robots)
         for stem in _working(session, number):
             if stem.robot in mine:
@@ -297,12 +301,8 @@ def _charge(shift: Shift, robot: ShiftRobot, robots: dict[str, ShiftRobot]) -> b
         return False
     full = _of(shift, robot)
     seconds = full.charge * max(1 - robot.battery / full.battery, 0.0) + shift.entry
-    robot.free, robot.battery, robot.charging, robot.leg = (
-        robot.free + timedelta(seconds=seconds),
-        full.battery,
-        True,
-        None,
-    )
+    robot.free += timedelta(seconds=seconds)
+    robot.battery, robot.charging, robot.leg = full.battery, True, None
     first = robot.steps.index(CHARGE) if CHARGE in robot.steps else len(robot.steps)
     robot.steps = [n for k, n in enumerate(robot.steps) if k != first]
     return True
@@ -329,10 +329,11 @@ def _begin(session: Session, shift: Shift, robot: ShiftRobot, leg: int, enters: 
     """Mark the next stem of a leg as being worked on, and return the order."""
     query = select(ShiftStem).where(ShiftStem.shift_id == robot.shift_id, ShiftStem.leg == leg)
     query = query.where(ShiftStem.state == "waiting").order_by(ShiftStem.place).limit(1)
-    todo = session.scalars(query.options(selectinload(ShiftStem.stem))).one()
-    side = session.get_one(RowSide, todo.stem.row_side_id)
-    todo.state, todo.robot, todo.tries, robot.row = "working", robot.name, todo.tries + 1, todo.row
-    plant, stem = todo.stem.plant, todo.stem
+    following = session.scalars(query.options(selectinload(ShiftStem.stem))).one()
+    stem, plant = following.stem, following.stem.plant
+    side = session.get_one(RowSide, stem.row_side_id)
+    following.state, following.robot, following.tries = "working", robot.name, following.tries + 1
+    robot.row = following.row
     where = side.house, side.row, side.side, stem.order, stem.position
     return Order(robot.shift_id, robot.name, plant.species, plant.label, *where, robot.free, enters)
 
@@ -360,13 +361,13 @@ def note_report(number: int, order: Order, report: Report, where: Path | str = D
     with open_writer(where) as session:
         _, _, robots = _state(session, number)
         robot = robots[order.robot]
-        (todo,) = (stem for stem in _working(session, number) if stem.robot == robot.name)
-        todo.visit_id = add(session, visit)[0]
+        (visited,) = (stem for stem in _working(session, number) if stem.robot == robot.name)
+        visited.visit_id = add(session, visit)[0]
         if visit.failure in ("device_fault", "interrupted"):
-            _try_again(todo, visit.failure.replace("_", " "))
+            _try_again(visited, visit.failure.replace("_", " "))
         else:
-            todo.state = "visited"
-            todo.reason = result_words(visit.held_unharmed, visit.flowers_moved, visit.failure)
+            visited.state = "visited"
+            visited.reason = result_words(visit.held_unharmed, visit.flowers_moved, visit.failure)
         robot.battery = max(robot.battery - (report.ended - order.begin).total_seconds(), 0.0)
         robot.free = max(report.ended, robot.free)
         session.flush()

@@ -210,9 +210,9 @@ class ForceCheck:
             raise DeviceError(f"{given}; allowed: 1 s. The sensor is stuck: check it, then start anew.")
 
 
-def find_fast_swings(times: Array, commanded: Array) -> NDArray[np.bool_]:
-    """Return (J,) which joints are commanded to and fro `TURNS` times or more, at times (T,) [s]: (T, J) [rad]."""
-    return np.count_nonzero(np.diff(np.sign(_detrend(times, commanded)), axis=0), axis=0) >= TURNS
+def _is_fast(swing: Array) -> NDArray[np.bool_]:
+    """Return (J,) which joints go to and fro `TURNS` times or more, by their path (T, J) without its line [rad]."""
+    return np.asarray(np.count_nonzero(np.diff(np.sign(swing), axis=0), axis=0) >= TURNS)
 
 
 def find_hidden_swings(times: Array, commanded: Array, measured: Array, travel: Array) -> NDArray[np.bool_]:
@@ -231,7 +231,7 @@ def find_hidden_swings(times: Array, commanded: Array, measured: Array, travel: 
     """
     swing, rate, found = (_detrend(times, x) for x in (commanded, np.gradient(commanded, times, axis=0), measured))
     size = np.minimum(np.ptp(swing, axis=0), travel)
-    swings = find_fast_swings(times, commanded) & (size >= max(SWINGS, min(STILL, 0.5 * float(size.max()))))
+    swings = _is_fast(swing) & (size >= max(SWINGS, min(STILL, 0.5 * float(size.max()))))
     hidden = swings.copy()
     for j in np.flatnonzero(swings):
         basis = np.linalg.qr(np.stack([swing[:, j], rate[:, j]], axis=1))[0]
@@ -281,7 +281,8 @@ class Watchdog:
         With `stale_after` = 0.1 s: a joint that freezes, to the bit or with noise below `SHOWS` of its travel, is
         noticed within 0.2 s where its command goes faster than 0.04 rad/s all the while, else within 0.35 s where it
         travels 2 mrad in any 0.2 s of them: a swing of 3 mrad at 2 Hz, of 1.3 mrad at 4 Hz. From 10 Hz on a swing of
-        `SWINGS` is enough (`find_hidden_swings`). What lags by up to 0.15 s is not.
+        `SWINGS` is enough (`find_hidden_swings`); not where one joint of several freezes with noise and swings by less
+        than `STILL`. What lags by up to 0.15 s is not.
         """
         past, after = self._past, self._limits.stale_after
         if past and not sample.time > past[-1].time:
@@ -307,7 +308,7 @@ class Watchdog:
                 hidden = (doubted > STILL) & (shown < SHOWS * doubted)
                 if hidden.any():
                     recent = times > sample.time - SPANS[-1] * after
-                    hidden &= ~find_fast_swings(times[recent], commanded[recent])  # judged by their own rule
+                    hidden &= ~_is_fast(_detrend(times[recent], commanded[recent]))  # judged by their own rule
                 if swings:
                     self._next = sample.time + after / 2  # it takes a quarter of a millisecond
                     hidden |= find_hidden_swings(times[begin:], commanded[begin:], measured[begin:], doubted)
