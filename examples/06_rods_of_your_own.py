@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from anther.rods import Clamp, FunctionDrive, Loads, Rods, Section, equilibrium, natural_frequencies, simulate
+from anther.rods import Clamp, FunctionDrive, Loads, Rods, Section, Support, equilibrium, natural_frequencies, simulate
 
 LENGTH, EDGES, YOUNGS, DENSITY, WIDTH, HEIGHT = 0.15, 30, 300e6, 950.0, 5e-3, 2.5e-3  # m, -, Pa, kg/m^3, m, m
 nodes = np.outer(np.linspace(0, LENGTH, EDGES + 1), [1, 0, 0])
@@ -36,5 +36,5 @@ shaken = simulate(petiole, clamp, None, 4 / hertz[0], 0.01 / hertz[0], gravity=n
 swing = 1e3 * np.abs(shaken.positions[:, tip, 2]).max()
 print(f"on a table shaken by 1 mm at its frequency the tip swings {swing:.1f} mm")
 
-leaning = replace(petiole, support=np.where(np.arange(EDGES + 1) == tip, 20.0, 0.0))  # [N/m]
+leaning = replace(petiole, supports=(Support(tip, translation=20.0),))  # [N/m]
 print("leaning on a string:", natural_frequencies(leaning, clamp, 2, gravity=nothing).frequencies.round(2), "Hz")
