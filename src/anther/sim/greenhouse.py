@@ -110,6 +110,12 @@ def _neighbours(x: float, y: float) -> tuple[Mesh, NDArray[Any]]:
     count = 2500
     angle, away = rng.uniform(-1.75, 1.75, count), rng.uniform(0.75, 1.3, count)
     centre = np.stack([x + away * np.cos(angle), y + away * np.sin(angle), rng.uniform(-0.55, 0.5, count)], axis=1)
+    return leaves_at(centre, rng)
+
+
+def leaves_at(centre: Array, rng: np.random.Generator) -> tuple[Mesh, NDArray[Any]]:
+    """Return a simple leaf about each of (n, 3) points [m], turned at random, and sRGB vertex colours: a backdrop."""
+    count = len(centre)
     along = unit(rng.normal(size=(count, 3)))
     across = unit(np.cross(along, rng.normal(size=(count, 3))))
     length, width = rng.uniform(0.03, 0.06, (2, count, 1)) * np.array([[[1.0]], [[0.6]]])

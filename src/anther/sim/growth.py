@@ -239,7 +239,7 @@ class Growth:
         return supported_youngs(self.plant(species, seed, T, Pot(T[:3, 3], pot_radius)))
 
     def plant(self, species: str, seed: int, T: Array, pot: Pot, twines: tuple[Twine, ...] = ()) -> SimPlant:
-        """Return the plant at T (4, 4) as it grew, whether or not it holds itself up; pot and twines are in the world."""
+        """Return the plant at T (4, 4) as it grew, whether or not it holds itself up; pot and twines are placed."""
         part: dict[str, Any] = {name: np.array([s[name] for s in self._segments]) for name in self._segments[0]}
         mesh: dict[str, Any] = {name: np.concatenate([m[name] for m in self._meshes]) for name in self._meshes[0]}
         lump_mass, moment = part["lump_mass"], part.pop("lump_moment")

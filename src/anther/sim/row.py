@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from anther.core.checks import check_range
 from anther.core.choices import Crop
 from anther.core.geometry import Array
-from anther.sim.greenhouse import Painted, Setting, joined, shell
+from anther.sim.greenhouse import Painted, Setting, joined, leaves_at, shell
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.render import Scene
 from anther.sim.row_house import CUBE, SLAB, Measures, Part, Rod, draw_measures, installation, painted
@@ -124,13 +124,15 @@ def _line(m: Measures, crop: Crop, count: int, line: int, rng: np.random.Generat
     # stems of high-wire tomatoes rise from holders below their strings; those of peppers grow out of their cubes
     foot_x = on if crop == "pepper" else x + 0.06 * inward
     feet = [np.array([foot_x, place - drift + rng.normal(0, UNEVEN), foot_z + rise]) for place in y]
-    return [Place(foot, np.array([x, place, m.wire]), -inward * np.eye(3)[0]) for foot, place in zip(feet, y, strict=True)]
+    return [
+        Place(foot, np.array([x, place, m.wire]), -inward * np.eye(3)[0]) for foot, place in zip(feet, y, strict=True)
+    ]
 
 
 def row_scene(row: Row, worked: SimPlant | None = None, setting: Setting | None = None) -> Scene:
     """Return what cameras see of a row; the worked plant's vertices come first, for `Scene.moved`.
 
-    Behind the row stands another like it, as far off as rows are.
+    Behind the row hang the leaves of the next.
 
     Args:
         row: where it stands.
@@ -141,8 +143,8 @@ def row_scene(row: Row, worked: SimPlant | None = None, setting: Setting | None 
     first = worked or row.worked
     parts = [_painted(plant) for plant in row.neighbours]
     parts = [part for plant in parts for part in plant] + painted(row.parts)
-    behind = np.array([row.measures.path, 0.5 * row.measures.pitch, 0.0])
-    parts += [((mesh[0] + behind, mesh[1]), Organ.SURROUNDINGS, colour) for mesh, _, colour in parts]
+    leaves, green = leaves_at(_backdrop(row, rng), rng)
+    parts.append((leaves, Organ.SURROUNDINGS, green))
     parts += shell(row.origin, rng, height=row.measures.wire + 1.5)
     vertices, faces, organ, colour = joined(parts)
     return Scene(
@@ -152,6 +154,16 @@ def row_scene(row: Row, worked: SimPlant | None = None, setting: Setting | None 
         np.vstack([first.vertex_color, colour]),
         setting=setting,
     )
+
+
+def _backdrop(row: Row, rng: np.random.Generator) -> Array:
+    """Return (n, 3) where leaves of the next row are: 1.3 m of its height below the wire, 0.8 m deep [m]; guesses."""
+    m = row.measures
+    span = float(np.ptp(row.hooks[:, 1])) / 2 + 1.5
+    x = m.near + m.path + rng.uniform(-0.2, 0.6, 4000)
+    z = m.wire - 0.2 - 1.3 * rng.beta(1.5, 1.2, 4000)
+    y = row.hooks[:, 1].mean() - row.origin[1] + rng.uniform(-span, span, 4000)
+    return row.origin + np.stack([x, y, z], axis=1)
 
 
 def _painted(plant: SimPlant) -> list[Painted]:

@@ -16,7 +16,7 @@ from anther.core.geometry import Array, Box
 from anther.sim.greenhouse import RGB, Painted
 from anther.sim.mesh import box, tube
 from anther.sim.plant import Organ
-from anther.sim.truth import Spread
+from anther.sim.truth import uniform
 
 STEEL, WHITE, PIPE, SPOOL = (150, 154, 156), (232, 234, 232), (214, 216, 214), (226, 206, 70)
 PIPE_RADIUS = 0.0255
@@ -25,11 +25,6 @@ SLAB = (0.20, 1.0, 0.075)
 """Of a slab of substrate: width, length, height [m], as rock wool is sold; remembered."""
 CUBE = (0.10, 0.065)
 """Of the cube that a plant was raised in: side and height [m]; remembered."""
-
-
-def uniform(low: float, high: float) -> Spread:
-    """Return a distribution that is flat from `low` to `high`."""
-    return Spread(low, high, log=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,9 +205,10 @@ def _cubes(m: Measures, feet: Array) -> list[Part]:
 def _hooks(hooks: Array) -> list[Part]:
     """Return the hooks, each with the spool of string that is unwound from week to week."""
     found: list[Part] = []
+    _, y, z = np.eye(3)
     for hook in hooks:
-        found.append(Rod("hook", hook + [0, 0, 0.02], hook + [0, 0, -0.03], 0.002, STEEL))
-        found.append(Rod("spool", hook + [0, 0.012, 0.0], hook + [0, 0.11, 0.0], 0.016, SPOOL))
+        found.append(Rod("hook", hook + 0.02 * z, hook - 0.03 * z, 0.002, STEEL))
+        found.append(Rod("spool", hook + 0.012 * y, hook + 0.11 * y, 0.016, SPOOL))
     return found
 
 

@@ -23,7 +23,7 @@ from anther.sim.pieces import Params
 from anther.sim.plant import GRAVITY, Organ, Pot, SimPlant, Twine
 from anther.sim.plant_mechanics import alone
 from anther.sim.tomato import SEPAL_GREEN, STEM_GREEN, grow_leaf, grow_truss
-from anther.sim.truth import Spread
+from anther.sim.truth import Spread, uniform
 
 RGB = tuple[int, int, int]
 LYING = (134, 136, 92)
@@ -36,11 +36,6 @@ HEAVIEST = {"tomato": 0.25, "pepper": 0.25}
 """Fruit [kg]: beef tomatoes and blocky peppers; an estimate."""
 HEAD = np.array([0.33, 0.33, 0.25, 0.17, 0.1])
 """Internodes above the topmost open truss, over the pitch of trusses: they still grow. A guess."""
-
-
-def uniform(low: float, high: float) -> Spread:
-    """Return a distribution that is flat from `low` to `high`."""
-    return Spread(low, high, log=False)
 
 
 BOTH: dict[str, Spread] = {
@@ -208,9 +203,7 @@ def _over_the_wire(top: Array, lean: Array, rest: float, rng: np.random.Generato
     return arc(top, side, rest, (np.radians(70), down), max(int(rest / 0.02), 3))[1:]
 
 
-def grow_axis(
-    growth: Growth, axis: Axis, stops: Array, radii: Array, organ: Organ, parent: int, colour: RGB
-) -> Axis:
+def grow_axis(growth: Growth, axis: Axis, stops: Array, radii: Array, organ: Organ, parent: int, colour: RGB) -> Axis:
     """Grow segments along an axis that end at `stops` (m,) [m] with `radii` (m + 1,) [m]; return the axis with them."""
     points = axis.at(np.concatenate([[0.0], stops]))
     segments = growth.chain(points, radii, organ, parent, colour, sides=10)
