@@ -188,13 +188,14 @@ def test_a_moved_row_takes_its_hooks_and_parts_along() -> None:
 
 
 def test_an_arm_that_strikes_a_neighbour_is_seen_to() -> None:
-    """A neighbour's stem through the arm's forearm is a contact with a neighbour; the rest of the row is none."""
+    """A neighbour's stem through the arm's fingers is a contact with a neighbour; without it there is none."""
     plant = pulled(1.0, 0.006, 1e8, 0.2, 20.0).moved([2.5, 2.5, -1.0])
     assert not np.any(Cell(plant).log().contact_other == NEIGHBOUR)
     base = Cell(plant)
     tip = base.flange_pose()[:3, 3] + 0.06 * base.flange_pose()[:3, 2]
     stem = next(part for part in row("tomato").obstacles() if part.name == "neighbour")
-    stem = replace(stem, start=tip + [0, 0, -0.2], end=tip + [0, 0, 0.2])  # type: ignore[arg-type]
+    up = 0.2 * np.eye(3)[2]
+    stem = replace(stem, start=tip - up, end=tip + up)  # type: ignore[arg-type]
     struck = Cell(plant, obstacles=[stem])
     struck.run(np.tile(struck.joints, (4, 1)), np.zeros((4, 7)), np.full(4, struck.opening))
     assert np.any(struck.log().contact_other == NEIGHBOUR)

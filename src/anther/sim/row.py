@@ -157,11 +157,12 @@ def row_scene(row: Row, worked: SimPlant | None = None, setting: Setting | None 
 
 
 def _backdrop(row: Row, rng: np.random.Generator) -> Array:
-    """Return (n, 3) where leaves of the next row are: 1.3 m of its height below the wire, 0.8 m deep [m]; guesses."""
+    """Return (n, 3) where leaves of the next row are: 1.3 m down from its heads, 0.8 m deep [m]; guesses."""
     m = row.measures
     span = float(np.ptp(row.hooks[:, 1])) / 2 + 1.5
     x = m.near + m.path + rng.uniform(-0.2, 0.6, 4000)
-    z = m.wire - 0.2 - 1.3 * rng.beta(1.5, 1.2, 4000)
+    heads = float(np.mean([plant.end[:, 2].max() for plant in row.plants])) - row.origin[2]
+    z = heads - 1.3 * rng.beta(1.5, 1.2, 4000)
     y = row.hooks[:, 1].mean() - row.origin[1] + rng.uniform(-span, span, 4000)
     return row.origin + np.stack([x, y, z], axis=1)
 

@@ -397,6 +397,8 @@ def _grow_pepper_stem(
         if rng.uniform() < bare:
             size = max(habit["leaf"] * grown * rng.uniform(0.85, 1.15), 0.02)
             grow_pepper_leaf(growth, segment, azimuth, size, young=1 - grown)
+            if number > 4:  # of the side shoot, which was stopped after its first leaf
+                grow_pepper_leaf(growth, segment, azimuth + rng.uniform(0.4, 0.9), 0.8 * size, young=0.2)
         if 3 <= number < 3 + int(habit["open_nodes"]):
             grow_flower(growth, segment, unit([np.cos(azimuth + 2.4), np.sin(azimuth + 2.4), 0.2]))
     return axis, nodes
