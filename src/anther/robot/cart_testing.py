@@ -1,4 +1,4 @@
-"""Checks for whoever writes a driver of a cart, as those of `anther.robot.testing` are for arms. Never run them on metal."""
+"""Checks for whoever writes a driver of a cart, as `anther.robot.testing` has for arms. Never run them on metal."""
 
 from __future__ import annotations
 
