@@ -17,6 +17,7 @@ from anther.sim.pieces import Params
 from anther.sim.plant import GRAVITY, Organ, Pot, SimPlant, Twine
 from anther.sim.plant_mechanics import PlantMechanics, alone, mujoco
 from anther.sim.row import Row, grow_row
+from anther.sim.row_cell import before_arm, row_layout, row_world
 from anther.sim.row_house import RANGES, Measures
 from anther.sim.row_plants import HABIT, held_by_string
 
@@ -208,3 +209,19 @@ def test_leaves_were_cut_below_and_the_head_is_young() -> None:
     assert petioles.min() > foot + 0.25 * (top - foot), "the foot is bare"
     lengths = plant.vertices[plant.faces[plant.face_organ == Organ.LEAF].ravel(), 2]
     assert lengths.max() > top - 0.05, "leaves to the tip"
+
+
+def test_an_arm_before_a_row_has_the_asked_plant_at_hand_and_touches_nothing() -> None:
+    before = before_arm(row("pepper"))
+    place = row_layout(before)
+    assert before.flowers[2] == pytest.approx(0.15)
+    stem = before.worked.end[before.worked.stem_segments()]
+    assert abs(stem[np.argmin(np.abs(stem[:, 2] - 0.15)), 1]) < 1e-9
+    assert place.workspace.contains(before.flowers[None]).all()
+    far = place.solids[0]
+    assert far.upper[0] == pytest.approx(before.origin[0] - before.measures.corridor / 2), "the other side"
+    cell = row_world(before)
+    cell.run(np.tile(cell.joints, (20, 1)), np.zeros((20, 7)), np.full(20, cell.opening))
+    assert len(cell.log().contact_other) == 0
+    assert np.abs(cell.segment_poses() - np.eye(4)).max() < 1e-4, "the plant rests"
+    assert cell.model.ntendon >= len(before.worked.twines)
