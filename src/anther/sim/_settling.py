@@ -1,4 +1,4 @@
-"""Where a stem lies that its string holds up: on the line along which nothing bends it. K segments, m of them a stem's."""
+"""Where a stem that its string holds up lies: where nothing bends it. K segments, of which m are the stem's."""
 
 from __future__ import annotations
 
