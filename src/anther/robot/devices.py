@@ -254,6 +254,71 @@ class Motor(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class CartState:
+    """One reading of a cart of A axes.
+
+    Attributes:
+        time: when it was read [s], on the robot's clock.
+        place: (A,) [m]: travel along the rails, then lift, as far as it has one.
+        is_moving: whether any of them moves, by the cart's own word.
+    """
+
+    time: float
+    place: Array
+    is_moving: bool
+
+
+class Cart(Protocol):
+    """What carries an arm along a row, and up and down: A axes, travel first."""
+
+    def state(self) -> CartState:
+        """Return the newest reading, at once.
+
+        Raises:
+            DeviceError: there is none.
+        """
+        ...
+
+    def move(self, place: Array) -> CartState:
+        """Go to a place (A,) [m] and stand there; return the state then. Ctrl-C stops the cart on the way.
+
+        Raises:
+            DeviceError: the cart refused or stopped on the way; it stands, with its brakes on.
+        """
+        ...
+
+    def stop(self) -> None:
+        """Stop all axes at once, and hold them."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CartLimits(Record):
+    """What no command to a cart may exceed, and when the arm on it may move. A axes, J joints.
+
+    Attributes:
+        lower, upper: (A,) ends of its axes [m].
+        stowed: (J,) where the arm keeps within the cart's outline: only so does the cart move [rad].
+        stowed_tolerance: largest gap from there [rad].
+        tolerance: by which a cart that stands may be off [m]; more is a motion.
+        stale_after: a cart that gives no newer reading for so long is not believed [s].
+    """
+
+    CALLED = "cart limits"
+    lower: Annotated[Array, Shape("A"), Range(unit="m")]
+    upper: Annotated[Array, Shape("A"), Range(unit="m")]
+    stowed: Annotated[Array, Shape("J"), Range(unit="rad")]
+    stowed_tolerance: Annotated[float, Range(1e-3, 0.5, "rad")] = 0.05
+    tolerance: Annotated[float, Range(1e-4, 0.05, "m")] = 0.003
+    stale_after: Annotated[float, Range(0.02, 1.0, "s")] = 0.2
+
+    def _check(self) -> None:
+        if len(self.lower) == 0 or np.any(self.lower >= self.upper):
+            given = f"{self.lower} .. {self.upper} m"
+            raise bad_input("cart limits", given=given, allowed="lower < upper on every axis", do="Swap them.")
+
+
 @dataclass(frozen=True, slots=True)
 class Robot:
     """The machines of one cell.
@@ -263,6 +328,7 @@ class Robot:
         wrist_camera: rides on the flange; takes the views.
         side_camera: stands still at `T_world_side_camera`; watches the flowers during the shake. None if there is none.
         motor: in the gripper; None if there is none.
+        cart: carries the arm; None if it stands on the floor.
     """
 
     arm: Arm
@@ -271,6 +337,7 @@ class Robot:
     side_camera: Camera | None = None
     T_world_side_camera: Array | None = None
     motor: Motor | None = None
+    cart: Cart | None = None
 
 
 class Proxy:

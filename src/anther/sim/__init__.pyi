@@ -5,6 +5,8 @@ from .pepper import grow_pepper
 from .plant import Organ, SimPlant
 from .render import Scene
 from .robot import robot_of
+from .row import Row, grow_row, row_scene
+from .row_cell import build_row
 from .simulated_cell import SimulatedCell, build, grow, layout, photograph, views_at
 from .tomato import grow_tomato
 from .true_plant import as_true
@@ -15,22 +17,26 @@ __all__ = [
     "WIDE",
     "CaptureTruth",
     "Organ",
+    "Row",
     "Scene",
     "SimPlant",
     "SimulatedCell",
     "Truth",
     "as_true",
     "build",
+    "build_row",
     "camera_errors",
     "capture_from_poses",
     "capture_views",
     "draw",
     "grow",
     "grow_pepper",
+    "grow_row",
     "grow_tomato",
     "layout",
     "orbit_poses",
     "photograph",
     "robot_of",
+    "row_scene",
     "views_at",
 ]

@@ -24,10 +24,11 @@ from anther.sim import arm_model
 from anther.sim.pieces import Params as Cut
 from anther.sim.plant import GRAVITY, POT_HEIGHT, Organ, SimPlant
 from anther.sim.plant_mechanics import PlantMechanics, add_plant, mujoco
+from anther.sim.row_house import Block, Part
 from anther.sim.sway import Air
 from anther.sim.truth import NOMINAL, Truth
 
-POT, BENCH = range(-1, -3, -1)
+POT, BENCH, NEIGHBOUR = range(-1, -4, -1)
 """What a contact's `other` says when it is not a plant segment."""
 PLANT_BIT, ROBOT_BIT, SCENERY_BIT = 1, 2, 4
 LOG_EVERY = 2
@@ -69,7 +70,7 @@ class CellLog:
         grip_command, opening: (T,) commanded and true distance between the pads [m].
         contact_sample: (C,) log sample of each contact of the robot with plant, pot or bench.
         contact_pad: (C,) 0 left pad, 1 right pad, 2 any other part of the robot.
-        contact_other: (C,) plant segment, or POT or BENCH.
+        contact_other: (C,) plant segment, or POT or BENCH, or NEIGHBOUR: another plant or its string.
         contact_blade: (C,) bool, whether it is the leaf blade that rides on that segment.
         contact_force: (C,) normal force [N].
         contact_point: (C, 3) world [m].
@@ -108,13 +109,14 @@ class Cell:
         truth: Truth = NOMINAL,
         arm: ArmModel = SAWYER,
         solids: Sequence[Box] = (),
+        obstacles: Sequence[Part] = (),
     ) -> None:
         """Build the world, plant at rest under gravity, arm at `joints` (J,) [rad] or neutral, gripper open.
 
-        `solids` stand there besides pot and bench, and count as bench.
+        `solids` and `obstacles` stand there besides pot and bench, and count as bench; but for a row's neighbours.
         """
         self.plant, self.params, self.truth, self.arm = plant, params or Params(), truth, arm
-        spec = _world(self.params.timestep, plant, solids)
+        spec = _world(self.params.timestep, plant, solids, obstacles)
         pieces = add_plant(spec, plant, self.params.plant, contype=PLANT_BIT)
         forces = {"grip_force": self.params.grip_force, "coil_force": self.params.coil_force}
         arm_model.add_arm(spec, arm, truth, **forces, contype=ROBOT_BIT, conaffinity=PLANT_BIT)
@@ -335,7 +337,7 @@ def _addresses(model: Any, joints: list[str]) -> NDArray[Any]:
     return np.array([model.joint(joint).qposadr[0] for joint in there], dtype=int)
 
 
-def _world(timestep: float, plant: SimPlant, solids: Sequence[Box]) -> Any:
+def _world(timestep: float, plant: SimPlant, solids: Sequence[Box], obstacles: Sequence[Part]) -> Any:
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     option = spec.option
@@ -344,29 +346,50 @@ def _world(timestep: float, plant: SimPlant, solids: Sequence[Box]) -> Any:
     option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     option.cone, option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10
     bits = {"contype": SCENERY_BIT, "conaffinity": ROBOT_BIT}
+    if plant.pot.radius:
+        _add_pot(spec.worldbody, plant, bits)
+    for i, box in enumerate(solids):
+        middle, half = (box.lower + box.upper) / 2, (box.upper - box.lower) / 2
+        spec.worldbody.add_geom(name=f"bench_{i}", type=mujoco.mjtGeom.mjGEOM_BOX, pos=middle, size=half, **bits)
+    for i, part in enumerate(obstacles):
+        _add_obstacle(spec.worldbody, i, part, bits)
+    return spec
+
+
+def _add_pot(world: Any, plant: SimPlant, bits: dict[str, int]) -> None:
     pot = plant.pot
-    spec.worldbody.add_geom(
+    world.add_geom(
         name="pot",
         type=mujoco.mjtGeom.mjGEOM_CYLINDER,
         pos=pot.centre - [0, 0, POT_HEIGHT / 2],
         size=[pot.radius, POT_HEIGHT / 2, 0],
         **bits,
     )
-    spec.worldbody.add_geom(
+    world.add_geom(
         name="bench",
         type=mujoco.mjtGeom.mjGEOM_BOX,
         pos=[pot.centre[0] + 0.1, pot.centre[1], pot.bench_z - 0.02],
         size=(0.35, 0.5, 0.02),
         **bits,
     )
-    for i, box in enumerate(solids):
-        middle, half = (box.lower + box.upper) / 2, (box.upper - box.lower) / 2
-        spec.worldbody.add_geom(name=f"bench_{i}", type=mujoco.mjtGeom.mjGEOM_BOX, pos=middle, size=half, **bits)
-    return spec
+
+
+def _add_obstacle(world: Any, number: int, part: Part, bits: dict[str, int]) -> None:
+    kind = "neighbour" if part.name in ("neighbour", "string") else "bench"
+    name = f"{kind}_{part.name}_{number}"
+    if isinstance(part, Block):
+        middle, half = (part.box.lower + part.box.upper) / 2, (part.box.upper - part.box.lower) / 2
+        world.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_BOX, pos=middle, size=half, **bits)
+        return
+    ends, size = [*part.start, *part.end], [part.radius, 0, 0]
+    world.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=ends, size=size, **bits)
 
 
 def _contact_codes(model: Any) -> NDArray[Any]:
-    """Return (geoms, 3): part of the robot (0, 1 pads, 2 rest, -9 none); segment, POT or BENCH; whether a blade."""
+    """Return (geoms, 3): part of the robot (0, 1 pads, 2 rest, -9 none); what it touches; whether that is a blade.
+
+    It touches a segment, POT, BENCH or NEIGHBOUR.
+    """
     named = {"left_pad": (0, -9, 0), "right_pad": (1, -9, 0), "pot": (-9, POT, 0)}
     codes = np.full((model.ngeom, 3), -9)
     for i in range(model.ngeom):
@@ -375,6 +398,8 @@ def _contact_codes(model: Any) -> NDArray[Any]:
             codes[i] = (-9, int(name.rpartition("_")[2]), name.startswith("blade_"))
         elif name.startswith("bench"):
             codes[i] = (-9, BENCH, 0)
+        elif name.startswith("neighbour"):
+            codes[i] = (-9, NEIGHBOUR, 0)
         else:
             codes[i] = named.get(name, (2, -9, 0))
     return codes

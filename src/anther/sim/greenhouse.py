@@ -5,6 +5,7 @@ A `Setting` changes the looks of it, adds a stake or other plants behind, and sa
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +17,8 @@ from anther.sim.mesh import Mesh, box, grid_faces, join, tube, unit
 from anther.sim.plant import Organ, Pot
 
 RGB = tuple[int, int, int]
+Painted = tuple[Mesh, Organ, NDArray[Any]]
+"""A mesh, the `Organ` of its faces, and its sRGB colour (3,) or those of its vertices (n, 3)."""
 Matrix = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
 
 FLOOR_Z, WALL_DISTANCE, WALL_TOP = -1.25, 3.5, 2.2
@@ -52,24 +55,34 @@ def surroundings(
     rng = np.random.default_rng(7)
     x, y = pot.centre[:2]
     bench = box([x - 0.25, y - 0.4, pot.bench_z - 0.04], [x + 0.25, y + 0.4, pot.bench_z])
-    floor, walls = _floor(x, y), _walls(x, y)
-    height = np.clip((walls[0][:, 2:] - FLOOR_Z) / (WALL_TOP - FLOOR_Z) * 1.6 - 0.25, 0, 1)
-    haze = (1 - height) * (170, 180, 166) + height * (244, 248, 250) + rng.normal(0, 3, (len(walls[0]), 1))
-    parts = [
-        (bench, Organ.BENCH, np.array(setting.bench)),
-        (floor, Organ.SURROUNDINGS, np.array((176, 172, 165)) + rng.normal(0, 6, (len(floor[0]), 1))),
-        (walls, Organ.SURROUNDINGS, haze),
-    ]
+    parts = [(bench, Organ.BENCH, np.array(setting.bench)), *shell(np.array([x, y, FLOOR_Z]), rng)]
     if setting.stake:
         parts.append((_rod(pot, (0.02, 0.015), 0.004, 0.55), Organ.BENCH, np.array((196, 164, 110))))
         parts.append((_rod(pot, (-0.03, 0.03), 0.0012, 0.8), Organ.BENCH, np.array((228, 226, 214))))
     if setting.greenery:
         mesh, green = _neighbours(x, y)
         parts.append((mesh, Organ.SURROUNDINGS, green))
+    return joined(parts)
+
+
+def joined(parts: Sequence[Painted]) -> tuple[Array, NDArray[Any], NDArray[np.uint8], NDArray[np.uint8]]:
+    """Return vertices [m], faces, the `Organ` of each face and sRGB vertex colours of several meshes as one."""
     vertices, faces = join([mesh for mesh, _, _ in parts])
     organ = np.concatenate([np.full(len(mesh[1]), organ, dtype=np.uint8) for mesh, organ, _ in parts])
     colours = [np.broadcast_to(colour, mesh[0].shape) for mesh, _, colour in parts]
     return vertices, faces, organ, np.clip(np.vstack(colours), 0, 255).astype(np.uint8)
+
+
+def shell(middle: Array, rng: np.random.Generator, height: float = WALL_TOP - FLOOR_Z) -> list[Painted]:
+    """Return the floor and the hazy walls around a point (3,) on the floor, up to `height` [m] above it."""
+    x, y, z = middle
+    floor, walls = _floor(x, y, z), _walls(x, y, z, height)
+    up = np.clip((walls[0][:, 2:] - z) / height * 1.6 - 0.25, 0, 1)
+    haze = (1 - up) * (170, 180, 166) + up * (244, 248, 250) + rng.normal(0, 3, (len(walls[0]), 1))
+    return [
+        (floor, Organ.SURROUNDINGS, np.array((176, 172, 165)) + rng.normal(0, 6, (len(floor[0]), 1))),
+        (walls, Organ.SURROUNDINGS, haze),
+    ]
 
 
 def repainted(face_organ: NDArray[Any], faces: NDArray[Any], colour: NDArray[Any], setting: Setting) -> NDArray[Any]:
@@ -97,6 +110,12 @@ def _neighbours(x: float, y: float) -> tuple[Mesh, NDArray[Any]]:
     count = 2500
     angle, away = rng.uniform(-1.75, 1.75, count), rng.uniform(0.75, 1.3, count)
     centre = np.stack([x + away * np.cos(angle), y + away * np.sin(angle), rng.uniform(-0.55, 0.5, count)], axis=1)
+    return leaves_at(centre, rng)
+
+
+def leaves_at(centre: Array, rng: np.random.Generator) -> tuple[Mesh, NDArray[Any]]:
+    """Return a simple leaf about each of (n, 3) points [m], turned at random, and sRGB vertex colours: a backdrop."""
+    count = len(centre)
     along = unit(rng.normal(size=(count, 3)))
     across = unit(np.cross(along, rng.normal(size=(count, 3))))
     length, width = rng.uniform(0.03, 0.06, (2, count, 1)) * np.array([[[1.0]], [[0.6]]])
@@ -107,14 +126,14 @@ def _neighbours(x: float, y: float) -> tuple[Mesh, NDArray[Any]]:
     return (vertices, faces), np.repeat(green, 4, axis=0)
 
 
-def _floor(x: float, y: float) -> Mesh:
+def _floor(x: float, y: float, z: float) -> Mesh:
     u, v = np.meshgrid(np.linspace(-WALL_DISTANCE, WALL_DISTANCE, 29), np.linspace(-WALL_DISTANCE, WALL_DISTANCE, 29))
-    vertices = np.stack([x + u, y + v, np.full_like(u, FLOOR_Z)], axis=-1).reshape(-1, 3)
+    vertices = np.stack([x + u, y + v, np.full_like(u, z)], axis=-1).reshape(-1, 3)
     return vertices, grid_faces(29, 29, closed=False)
 
 
-def _walls(x: float, y: float) -> Mesh:
+def _walls(x: float, y: float, bottom: float, height: float) -> Mesh:
     """A round wall of 48 panels: no corner catches the eye, and every view ends in it."""
-    angle, z = np.meshgrid(np.arange(48) * 2 * np.pi / 48, np.linspace(FLOOR_Z, WALL_TOP, 9))
+    angle, z = np.meshgrid(np.arange(48) * 2 * np.pi / 48, np.linspace(bottom, bottom + height, 9))
     ring = [x + WALL_DISTANCE * np.cos(angle), y + WALL_DISTANCE * np.sin(angle), z]
     return np.stack(ring, axis=-1).reshape(-1, 3), grid_faces(9, 48, closed=True)

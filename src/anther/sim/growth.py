@@ -15,7 +15,7 @@ from scipy.linalg import eigh
 
 from anther.core.geometry import Array, transform, transform_points
 from anther.sim.mesh import Mesh, revolve, tube, unit
-from anther.sim.plant import GRAVITY, POT_HEIGHT, SOIL_Z, Organ, Pot, SimPlant
+from anther.sim.plant import GRAVITY, POT_HEIGHT, SOIL_Z, Organ, Pot, SimPlant, Twine
 
 SELF_SUPPORT = 2.0
 """How many times stiffer a plant is than one that just does not buckle under its own weight; 2 is a height margin of
@@ -198,6 +198,16 @@ class Growth:
         """Return where a segment ends (3,) [m]."""
         return self._segments[segment]["end"]
 
+    @property
+    def mass(self) -> float:
+        """Of all that has grown so far [kg]."""
+        a, b, start, end, density, lump = (
+            np.array([s[name] for s in self._segments])
+            for name in ("radius_start", "radius_end", "start", "end", "density", "lump_mass")
+        )
+        volume = np.pi * np.linalg.norm(end - start, axis=1) * (a * a + a * b + b * b) / 3
+        return float((density * volume + lump).sum())
+
     def _pot(self, radius: float) -> None:
         """Add a pot with soil under the origin."""
         paints = ((178, 98, 66), (42, 42, 45), (160, 88, 60))  # terracotta, black plastic, darker terracotta
@@ -226,6 +236,10 @@ class Growth:
         self._pot(pot_radius)
         c, s = np.cos(np.radians(viewpoint)), np.sin(np.radians(viewpoint))
         T = transform([[c, -s, 0], [s, c, 0], [0, 0, 1]], [*axis, SOIL_Z])
+        return supported_youngs(self.plant(species, seed, T, Pot(T[:3, 3], pot_radius)))
+
+    def plant(self, species: str, seed: int, T: Array, pot: Pot, twines: tuple[Twine, ...] = ()) -> SimPlant:
+        """Return the plant at T (4, 4) as it grew, whether or not it holds itself up; pot and twines are placed."""
         part: dict[str, Any] = {name: np.array([s[name] for s in self._segments]) for name in self._segments[0]}
         mesh: dict[str, Any] = {name: np.concatenate([m[name] for m in self._meshes]) for name in self._meshes[0]}
         lump_mass, moment = part["lump_mass"], part.pop("lump_moment")
@@ -234,17 +248,17 @@ class Growth:
         places = {"start": part.pop("start"), "end": part.pop("end"), "lump_centre": centre}
         places |= {"flower_position": np.array([p for _, p in self._flowers]), "vertices": mesh.pop("vertices")}
         placed: dict[str, Any] = {name: transform_points(T, value) for name, value in places.items()}
-        plant = SimPlant(
+        return SimPlant(
             species=species,
             seed=seed,
             damping_ratio=np.full(len(self._segments), self.rng.uniform(0.03, 0.08)),
             flower_segment=np.array([k for k, _ in self._flowers]),
-            pot=Pot(T[:3, 3], pot_radius),
+            pot=pot,
+            twines=twines,
             **part,
             **mesh,
             **placed,
         )
-        return supported_youngs(plant)
 
 
 def pedicel_radius(length: float, flower_mass: float, youngs: float, resonance: float) -> float:

@@ -19,7 +19,7 @@ from anther.core.errors import FailureKind
 from anther.core.geometry import Array, inverse
 from anther.core.oscillation import fit_swing
 from anther.plant.limits import moved
-from anther.sim.cell import Cell, CellLog
+from anther.sim.cell import NEIGHBOUR, Cell, CellLog
 from anther.sim.pieces import of_flower_stalks
 from anther.sim.plant import Organ
 from anther.sim.truth import DOSE_EXPONENT, DOSE_MEASURES, DOSE_MIDDLE, HALF_DOSE, TOLERANCE, tolerances
@@ -257,6 +257,7 @@ def judge(
     )
     effort = np.abs(log.torques / cell.arm.effort).max(axis=0)
     findings: list[tuple[bool, FailureKind, str]] = [
+        (bool(np.any(log.contact_other == NEIGHBOUR)), "collision", "the robot touched another plant or its string"),
         (bool(np.any(log.contact_other < 0)), "collision", "the robot touched the pot or the bench"),
         (push > PUSH, "collision", f"the plant was pushed with {push:.1f} N before the gripper closed"),
         (bool(effort.max() >= 0.999), "limits_exceeded", f"motor {effort.argmax()} was at its torque limit"),

@@ -36,7 +36,7 @@ def grow_pepper(seed: int, *, viewpoint: float = 0.0, axis: tuple[float, float] 
     for node in range(leaves):
         azimuth += GOLDEN_ANGLE + rng.normal(0, np.radians(10))
         size = rng.uniform(0.85, 1.15) * (0.085 + 0.045 * np.sin(np.pi * (node + 1) / (leaves + 0.6)))
-        _grow_leaf(growth, stem[node], azimuth, size, young=0.0)
+        grow_leaf(growth, stem[node], azimuth, size, young=0.0)
     _grow_fork(growth, stem[-1], unit([0.0, 0.0, 1.0]), height - fork, base * 0.72, order=0)
     return growth.finish("pepper", seed, axis=axis, viewpoint=viewpoint)
 
@@ -60,7 +60,7 @@ def _grow_fork(growth: Growth, parent: int, along: Array, reach: float, radius: 
     spread = rng.uniform(0, 2 * np.pi)
     first = unit(np.cross(along, [0.31, 0.42, 0.2]))
     second = np.cross(along, first)
-    _grow_flower(growth, parent, unit(np.cos(spread + 1.3) * first + np.sin(spread + 1.3) * second + 0.5 * along))
+    grow_flower(growth, parent, unit(np.cos(spread + 1.3) * first + np.sin(spread + 1.3) * second + 0.5 * along))
     for i in range(count):
         angle = spread + 2 * np.pi * i / count + rng.normal(0, 0.25)
         outward = np.cos(angle) * first + np.sin(angle) * second
@@ -78,21 +78,21 @@ def _grow_branch(growth: Growth, parent: int, way: Array, *, length: float, radi
     points = np.stack([base, base + 0.5 * length * way, base + length * (0.5 * way + 0.5 * upward)])
     branch = growth.chain(points, radius * np.array([1, 0.88, 0.78]), Organ.BRANCH, parent, BRANCH_GREEN)
     azimuth = float(np.arctan2(way[1], way[0]))
-    _grow_leaf(growth, branch[-1], azimuth + rng.normal(0, 0.4), rng.uniform(0.07, 0.115), young=0.3 * (order + 1))
-    _grow_leaf(
+    grow_leaf(growth, branch[-1], azimuth + rng.normal(0, 0.4), rng.uniform(0.07, 0.115), young=0.3 * (order + 1))
+    grow_leaf(
         growth, branch[0], azimuth + rng.choice([-1.0, 1.0]) * rng.uniform(1.2, 2.2), rng.uniform(0.05, 0.09), young=0.4
     )
     if order == 0:
         _grow_fork(growth, branch[-1], upward, length, radius * 0.8, order=1)
         return
     if rng.random() < 0.6:
-        _grow_flower(growth, branch[-1], unit(np.array([*rng.normal(size=2), 0.2])))
+        grow_flower(growth, branch[-1], unit(np.array([*rng.normal(size=2), 0.2])))
     for turn in (0.8, 2.9, 5.0):
         size = rng.uniform(0.025, 0.055)
-        _grow_leaf(growth, branch[-1], azimuth + turn + rng.normal(0, 0.3), size, young=1.0)
+        grow_leaf(growth, branch[-1], azimuth + turn + rng.normal(0, 0.3), size, young=1.0)
 
 
-def _grow_leaf(growth: Growth, parent: int, azimuth: float, length: float, *, young: float) -> None:
+def grow_leaf(growth: Growth, parent: int, azimuth: float, length: float, *, young: float) -> None:
     """A simple leaf: petiole, then a midrib that carries an ovate, pointed blade."""
     rng = growth.rng
     stalk = (0.45 - 0.2 * young) * length * rng.uniform(0.8, 1.2)
@@ -123,7 +123,7 @@ def _grow_leaf(growth: Growth, parent: int, azimuth: float, length: float, *, yo
         growth.carry(segment, float(mass), point)
 
 
-def _grow_flower(growth: Growth, parent: int, out: Array) -> None:
+def grow_flower(growth: Growth, parent: int, out: Array) -> None:
     """A single nodding white flower on a curved pedicel."""
     rng = growth.rng
     kind = {"length": (0.01, 0.02), "mass": (0.07e-3, 0.13e-3), "nod": (0.6, 1.6)}

@@ -61,11 +61,12 @@ class Organ(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pot:
-    """A pot that stands upright.
+    """A pot that stands upright, or only where a stem leaves its holder.
 
     Attributes:
         centre: (3,) on the axis at the height of the soil surface [m].
-        radius: outer, at its rim [m], which is level with the soil surface and `POT_HEIGHT` above the bench.
+        radius: outer, at its rim [m], which is level with the soil surface and `POT_HEIGHT` above the bench; 0: there
+            is neither pot nor bench.
     """
 
     centre: Array
@@ -80,6 +81,23 @@ class Pot:
     def bench_z(self) -> float:
         """Height of the bench the pot stands on [m]."""
         return self.soil_z - POT_HEIGHT
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Twine:
+    """A string that pulls a stem towards a hook: its second, elastic support.
+
+    Attributes:
+        hook: (3,) on the wire, world [m].
+        segment: the stem's, whose end is the topmost place that the string holds.
+        tension: while the plant is at rest [N].
+        stiffness: of the string from there to the hook [N/m].
+    """
+
+    hook: Array
+    segment: int
+    tension: float
+    stiffness: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,6 +133,7 @@ class SimPlant:
         bend_over_twist: EI/GJ of what twists [-], 11.5-13.3 in dicot petioles (facts: pollination 2).
         foot: stiffness with which root, soil and pot hold the stem's direction [N m/rad].
         tie: segment whose end is tied to a stake, and the tie's stiffness sideways [N/m]; None: it stands by itself.
+        twines: strings that it hangs on.
     """
 
     species: str
@@ -144,6 +163,7 @@ class SimPlant:
     bend_over_twist: float = 12.0
     foot: float = np.inf
     tie: tuple[int, float] | None = None
+    twines: tuple[Twine, ...] = ()
 
     def __post_init__(self) -> None:
         rows = dict.fromkeys(OF_SEGMENTS, len(self.start)) | dict.fromkeys(OF_FLOWERS, len(self.flower_segment))
@@ -175,7 +195,8 @@ class SimPlant:
         """Return the plant and its pot elsewhere, `way` (3,) from here [m]."""
         names = ("start", "end", "lump_centre", "flower_position", "vertices")
         places: dict[str, Any] = {name: getattr(self, name) + np.asarray(way) for name in names}
-        return replace(self, **places, pot=replace(self.pot, centre=self.pot.centre + np.asarray(way)))
+        twines = tuple(replace(twine, hook=twine.hook + np.asarray(way)) for twine in self.twines)
+        return replace(self, **places, pot=replace(self.pot, centre=self.pot.centre + np.asarray(way)), twines=twines)
 
     def carried(self, values: Array) -> Array:
         """Return values (K, ...) summed over each segment and all that grows on it."""

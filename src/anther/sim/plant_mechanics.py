@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from anther.core.errors import StageFailure
 from anther.core.geometry import Array
 from anther.sim.pieces import Params, Pieces, cut, mass_properties
-from anther.sim.plant import GRAVITY, Organ, SimPlant
+from anther.sim.plant import GRAVITY, Organ, SimPlant, Twine
 
 mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
 
@@ -56,6 +56,8 @@ def add_plant(spec: Any, plant: SimPlant, params: Params, *, contype: int = 0) -
         bodies.append(body)
     if plant.tie is not None:
         _add_tie(spec, plant, bodies[pieces.body[plant.tie[0]]], pieces)
+    for i, twine in enumerate(plant.twines):
+        _add_twine(spec, plant, twine, i, bodies[pieces.body[twine.segment]], pieces)
     radius = (plant.radius_start + plant.radius_end) / 2
     for k, b in enumerate(pieces.body):
         touches = plant.organ[k] != Organ.LEAF
@@ -147,6 +149,23 @@ def _add_tie(spec: Any, plant: SimPlant, body: Any, pieces: Pieces) -> None:
         string.stiffness = [stiffness, 0, 0]
 
 
+def _add_twine(spec: Any, plant: SimPlant, twine: Twine, number: int, body: Any, pieces: Pieces) -> None:
+    """Hang a body on a string: a spring from the hook, longer than at ease by tension / stiffness; slack, it pulls not.
+
+    It is damped as polymers are, by a loss factor of about 0.1 at 10 Hz (a guess).
+    """
+    at = plant.end[twine.segment]
+    body.add_site(name=f"held_{number}", pos=at - plant.start[pieces.first[pieces.body[twine.segment]]])
+    spec.worldbody.add_site(name=f"hook_{number}", pos=twine.hook)
+    string = spec.add_tendon(name=f"twine_{number}")
+    string.wrap_site(f"hook_{number}")
+    string.wrap_site(f"held_{number}")
+    ease = float(np.linalg.norm(twine.hook - at)) - twine.tension / twine.stiffness
+    string.springlength = [0.0, ease]
+    string.stiffness = [twine.stiffness, 0, 0]
+    string.damping = [0.1 * twine.stiffness / (2 * np.pi * 10.0), 0, 0]
+
+
 def _add_hinges(body: Any, plant: SimPlant, k: int, bending: float, twist: float, params: Params, *, dt: float) -> None:
     along = plant.end[k] - plant.start[k]
     along = along / np.linalg.norm(along)
@@ -210,10 +229,14 @@ class PlantMechanics:
         self._rest_origin = plant.start[pieces.first]
 
     def _hang(self, data: Any) -> None:
-        """Set the springs' references so that the generated shape carries its own weight (inverse statics)."""
+        """Set the springs' references so that the generated shape carries its own weight (inverse statics).
+
+        What strings pull is carried already.
+        """
         m = self.model
         mujoco.mj_forward(m, data)
-        m.qpos_spring[m.jnt_qposadr[self.joints]] = data.qfrc_bias[self.dofs] / m.jnt_stiffness[self.joints]
+        load = data.qfrc_bias[self.dofs] - data.qfrc_spring[self.dofs]
+        m.qpos_spring[m.jnt_qposadr[self.joints]] += load / m.jnt_stiffness[self.joints]
 
     def damp(self, timestep: float) -> None:
         """Damp hinges and plant anew as a finer `timestep` [s] allows: by what is true of more of them."""
@@ -260,7 +283,7 @@ class PlantMechanics:
     def stiffness(self, data: Any, step: float = 1e-5) -> Array:
         """Return (D, D) the springs and the change of the gravity torques with the hinge angles, at `data`'s place.
 
-        The latter by central differences.
+        The latter, with the torques of strings, by central differences.
         """
         m, columns = self.model, []
         for address in m.jnt_qposadr[self.joints]:
@@ -273,11 +296,23 @@ class PlantMechanics:
                 bias = np.zeros(m.nv)
                 mujoco.mj_rne(m, data, 0, bias)
                 data.qpos[address] -= sign * step
-                pair.append(bias[self.dofs])
+                pair.append(bias[self.dofs] - self._pull(data))
             columns.append((pair[0] - pair[1]) / (2 * step))
         K = np.array(columns)
         mujoco.mj_forward(m, data)
         return np.diag(m.jnt_stiffness[self.joints]) + (K + K.T) / 2 + self._tie(data)
+
+    def _pull(self, data: Any) -> Array:
+        """Return (D,) the torques of the strings where the plant is in `data`."""
+        m, torque = self.model, np.zeros(self.model.nv)
+        for i, twine in enumerate(self.plant.twines):
+            site, place = m.site(f"held_{i}").id, np.zeros((3, m.nv))
+            way = twine.hook - data.site_xpos[site]
+            length = float(np.linalg.norm(way))
+            force = max(twine.stiffness * (length - m.tendon_lengthspring[m.tendon(f"twine_{i}").id, 1]), 0.0)
+            mujoco.mj_jacSite(m, data, place, None, site)
+            torque += force / length * way @ place
+        return torque[self.dofs]
 
     def _tie(self, data: Any) -> Array:
         """Return (D, D) what the tie to a stake adds."""

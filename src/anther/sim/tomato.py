@@ -34,12 +34,12 @@ def grow_tomato(seed: int, *, viewpoint: float = 0.0, axis: tuple[float, float] 
     azimuth = rng.uniform(0, 2 * np.pi)
     for node in range(1, internodes + 1):
         azimuth += GOLDEN_ANGLE + rng.normal(0, np.radians(8))
-        _grow_leaf(growth, stem[2 * node - 1], azimuth, _leaf_length(rng, node, internodes), node / internodes)
+        grow_leaf(growth, stem[2 * node - 1], azimuth, _leaf_length(rng, node, internodes), node / internodes)
     for size in rng.uniform([0.05, 0.03], [0.075, 0.05]):
         azimuth += GOLDEN_ANGLE
-        _grow_leaf(growth, stem[-1], azimuth, size, 1.0)
+        grow_leaf(growth, stem[-1], azimuth, size, 1.0)
     for truss, node in enumerate(_truss_nodes(rng, internodes)):
-        _grow_truss(growth, stem[2 * node], azimuth + np.pi + truss * GOLDEN_ANGLE, truss)
+        grow_truss(growth, stem[2 * node], azimuth + np.pi + truss * GOLDEN_ANGLE, truss)
     return growth.finish("tomato", seed, axis=axis, viewpoint=viewpoint)
 
 
@@ -76,7 +76,7 @@ def _grow_stem(growth: Growth, internodes: int) -> list[int]:
     return growth.chain(points, base * (1 - (1 - taper) * t**1.2), Organ.STEM, -1, STEM_GREEN, sides=12)
 
 
-def _grow_leaf(growth: Growth, parent: int, azimuth: float, length: float, height: float) -> None:
+def grow_leaf(growth: Growth, parent: int, azimuth: float, length: float, height: float) -> None:
     """A compound leaf: petiole, rachis, terminal leaflet and two to four pairs."""
     rng = growth.rng
     young = np.clip((0.2 - length) / 0.12, 0, 1)
@@ -127,7 +127,7 @@ def _grow_leaflet(growth: Growth, segment: int, base: Array, direction: Array, *
     growth.carry(segment, AREAL_DENSITY * area, midrib.mean(axis=0))
 
 
-def _grow_truss(growth: Growth, parent: int, azimuth: float, order: int) -> None:
+def grow_truss(growth: Growth, parent: int, azimuth: float, order: int) -> None:
     """A scorpioid cyme: a drooping peduncle, then flowers left and right by turns; younger trusses are smaller."""
     rng = growth.rng
     flowers = int(rng.integers(4, 9)) if order == 0 else int(rng.integers(4, 7))

@@ -17,6 +17,7 @@ from anther.sim.growth import AREAL_DENSITY, buckling_factor, supported_youngs
 from anther.sim.pieces import Params
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.plant_mechanics import alone
+from anther.sim.row_plants import held_by_string
 from anther.sim.truth import NOMINAL, Truth
 
 FOLIAGE = (Organ.PETIOLE, Organ.RACHIS, Organ.LEAF)
@@ -137,9 +138,12 @@ def _joints(plant: SimPlant, truth: Truth) -> Array:
 def _support(plant: SimPlant, truth: Truth, rng: np.random.Generator) -> SimPlant:
     """Return the plant with the self-support of the truth, tied to a stake where that is little: below 1.5.
 
-    A cane of 1 cm in a pot holds the stem with 20-200 N/m (a guess). Plants slower than `SLOWEST` are made stiffer.
+    A plant on strings is held up by them. A cane of 1 cm in a pot holds the stem with 20-200 N/m (a guess). Plants
+    slower than `SLOWEST` are made stiffer.
     """
     share, strength = rng.uniform(0.55, 0.85), np.exp(rng.uniform(*np.log((20.0, 200.0))))
+    if plant.twines:
+        return held_by_string(plant)
     if truth.self_support is None:
         return supported_youngs(plant)
     stiffer = truth.self_support / buckling_factor(plant)

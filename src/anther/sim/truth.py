@@ -34,6 +34,11 @@ class Spread(NamedTuple):
         return float(rng.uniform(self.low, self.high))
 
 
+def uniform(low: float, high: float) -> Spread:
+    """Return a distribution that is flat from `low` to `high`."""
+    return Spread(low, high, log=False)
+
+
 class Lognormal(NamedTuple):
     """A lognormal distribution by its 5 % and its 95 % quantile."""
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -24,16 +24,17 @@ from anther.robot.arm.plausible import FARTHEST
 from anther.robot.arm.sawyer import SAWYER
 from anther.robot.calibration import HandEye
 from anther.robot.cells import _parts
+from anther.robot.cells._cart import CartSection
 from anther.robot.cells._lock import own_arm
 from anther.robot.cells._reading import Keys, Point, Pose, TomlFile, box, build, convert, fit_arguments, read_toml
-from anther.robot.devices import JointTrajectory, SafetyLimits
+from anther.robot.devices import CartLimits, JointTrajectory, SafetyLimits
 from anther.robot.drivers.apart import ArmApart
 from anther.robot.safety import check_trajectory
 
 __all__ = ["CellFile", "Limits", "Part", "Simulation", "ToolSection", "own_arm", "own_cell", "read_cell"]
 
 REQUIRED = "arm", "gripper", "wrist_camera", "workspace", "region", "arm_space"
-KNOWN = (*REQUIRED, "side_camera", "shaker", "tool", "keep_out", "limits", "simulation")
+KNOWN = (*REQUIRED, "side_camera", "shaker", "tool", "keep_out", "limits", "simulation", "cart")
 Lens = tuple[float, float, float, float, float, float]
 Suppose = Callable[[ArmModel, "Simulation", Box | None], Mapping[str, Any]]
 """Returns the tables that a simulated cell has where its file has none; of (arm, simulation, region or None)."""
@@ -138,6 +139,7 @@ class CellFile:
         arm_space: where the flange may be.
         keep_out: where no part of arm and tool may be.
         supposed: names of the tables, and of keys in them, that the file lacks; only where it is to be simulated.
+        cart, rails: what carries the arm along a row, and where it may go; None: the arm stands on the floor.
     """
 
     source: TomlFile
@@ -157,6 +159,8 @@ class CellFile:
     model: ArmModel = SAWYER
     simulation: Simulation = field(default_factory=Simulation)
     supposed: tuple[str, ...] = ()
+    cart: Part | None = None
+    rails: CartSection | None = None
 
     @property
     def owner_name(self) -> str:
@@ -220,6 +224,10 @@ class CellFile:
                 **values,
             )
 
+    def cart_limits(self) -> CartLimits | None:
+        """Return what no command to the cart may exceed; None without one."""
+        return None if self.rails is None else self.rails.limits(self.model)
+
 
 def read_cell(path: Path | str, suppose: Suppose | None = None) -> CellFile:
     """Read and check a cell file.
@@ -261,9 +269,30 @@ def read_cell(path: Path | str, suppose: Suppose | None = None) -> CellFile:
         supposed=supposed,
     )
     cell = replace(cell, model=_equip(source, _model(source), cell.T_flange_cam))
+    if "cart" in table:
+        cell = _on_cart(cell, connects=suppose is None)
     _check_tool(cell)
     _check_places(cell)
     return cell
+
+
+def _on_cart(cell: CellFile, *, connects: bool) -> CellFile:
+    """Return the cell with its cart; the row on the other side of the path is kept clear of."""
+    source, own = cell.source, tuple(part.name for part in fields(CartSection))
+    part = _part(source, "cart", _parts.CARTS, besides=own, connects=connects)
+    said = {key: value for key, value in source.table["cart"].items() if key in own}
+    rails = build(source, ("cart",), said, CartSection)
+    with source.locate_errors(("cart",)):
+        stowed = rails.limits(cell.model).stowed
+    other = rails.other_side(cell.workspace)
+    for name, joints in (("ready", cell.model.ready), ("stowed", stowed)):
+        try:
+            still = JointTrajectory.standstill(joints, 1.0)
+            check_trajectory(still, joints, replace(cell.safety_limits(), keep_out=(other,)))
+        except StageFailure as failure:
+            given = f"{rails.corridor:g} m, in which the arm may not be where it is {name} ({failure})"
+            raise source.error(("cart", "corridor"), given=given, allowed="a wider path", do="Fold it.") from failure
+    return replace(cell, cart=part, rails=rails, keep_out=(*cell.keep_out, other))
 
 
 def _suppose(source: TomlFile, suppose: Suppose, simulation: Simulation) -> tuple[TomlFile, tuple[str, ...]]:

@@ -140,6 +140,8 @@ def uvc(
 ARMS: dict[str, Callable[..., Any]] = {"sawyer-ros1": sawyer_ros1, "ros2": ros2, "ur": ur, "franka": franka}
 GRIPPERS: dict[str, Callable[..., Any]] = {"rethink": rethink, "robotiq-2f": robotiq_2f}
 CAMERAS: dict[str, Callable[..., Any]] = {"realsense": realsense, "uvc": uvc}
+CARTS: dict[str, Callable[..., Any]] = {}
+"""None yet: every cart has a driver of one's own."""
 SHAKERS: dict[str, Callable[..., Any]] = {"voice-coil": voice_coil}
 
 

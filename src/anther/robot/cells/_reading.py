@@ -165,6 +165,8 @@ def _lines(rows: list[str]) -> dict[Keys, int]:
             here = (*name, str(counts[name]))
         elif one:
             here = _parts(one[1])
+            for name in (name for name in counts if name == here[: len(name)]):  # of a list's last table so far
+                here = (*name, str(counts[name]), *here[len(name) :])
         elif key:
             found.setdefault((*here, *_parts(key[1])), number)
             continue

@@ -98,6 +98,7 @@ def connect_cell(file: CellFile) -> Iterator[Robot]:
             side_camera=part(file.side_camera),
             T_world_side_camera=file.T_world_side_camera,
             motor=part(file.shaker),
+            cart=part(file.cart),
         )
 
 
@@ -120,7 +121,7 @@ def hardware_cell(file: CellFile, views: ViewParams, tap: Tap = no_tap) -> Itera
     limits, ratio, arm = file.safety_limits(), file.limits.speed_ratio, file.model
     boxes = file.keep_out
     with connect_cell(file) as bare:
-        robot = guard(tap(bare, limits, file.T_flange_cam, time.monotonic), limits)
+        robot = guard(tap(bare, limits, file.T_flange_cam, time.monotonic), limits, file.cart_limits())
 
         def take_views(advance: Advance) -> Capture:
             begin, motion = robot.arm.joints(), motion_params(ratio)

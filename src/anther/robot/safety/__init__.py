@@ -13,13 +13,14 @@ from typing import Any
 import numpy as np
 
 from anther.core.checks import check_array
-from anther.core.errors import InputError, StageFailure
+from anther.core.errors import InputError, StageFailure, bad_input
 from anther.core.geometry import Array, Intrinsics
 from anther.robot.devices import (
     Arm,
     ArmRecord,
     ArmSample,
     Camera,
+    CartLimits,
     DeviceError,
     Frame,
     Gripper,
@@ -33,6 +34,7 @@ from anther.robot.devices import (
     Watch,
     wrap,
 )
+from anther.robot.safety._cart import CarriedArm, CarriedMotor, GuardedCart
 from anther.robot.safety._grip import IDLE, check_closing, check_idle, check_let_go, check_readable
 from anther.robot.safety._motion import (
     AT_REST,
@@ -53,6 +55,7 @@ __all__ = [
     "IDLE",
     "GuardedArm",
     "GuardedCamera",
+    "GuardedCart",
     "GuardedGripper",
     "GuardedMotor",
     "check_idle",
@@ -69,11 +72,14 @@ MOTOR_AT_REST = 0.1e-3
 """What a motor at rest may read [m]."""
 
 
-def guard(robot: Robot, limits: SafetyLimits) -> Robot:
+def guard(robot: Robot, limits: SafetyLimits, cart: CartLimits | None = None) -> Robot:
     """Return the same machines, each behind a guard with these limits.
 
     A guard with other limits that is there already stays, and a command has to pass both: limits are tightened, never
-    loosened.
+    loosened. Of a robot on a cart never do both move (`GuardedCart`).
+
+    Raises:
+        InputError: a cart without limits.
     """
 
     def behind_guard(kind: Any) -> Callable[[Any], Any]:
@@ -82,7 +88,7 @@ def guard(robot: Robot, limits: SafetyLimits) -> Robot:
     def watch_camera(camera: Camera) -> GuardedCamera:
         return camera if isinstance(camera, GuardedCamera) else GuardedCamera(camera)
 
-    return wrap(
+    guarded = wrap(
         robot,
         arm=behind_guard(GuardedArm),
         gripper=behind_guard(GuardedGripper),
@@ -90,6 +96,15 @@ def guard(robot: Robot, limits: SafetyLimits) -> Robot:
         side_camera=watch_camera,
         motor=behind_guard(GuardedMotor),
     )
+    if guarded.cart is None:
+        return guarded
+    if isinstance(guarded.cart, GuardedCart):  # who is carried by it already is, below its other guard
+        return guarded
+    if cart is None:
+        raise bad_input("guard", given="a cart", allowed="a cart with CartLimits", do="Say where its axes end.")
+    carrier = GuardedCart(guarded.cart, cart, guarded.arm, guarded.gripper)
+    carried = wrap(guarded, arm=lambda arm: CarriedArm(arm, carrier), motor=lambda m: CarriedMotor(m, carrier))
+    return replace(carried, cart=carrier)
 
 
 class GuardedArm:

@@ -1,0 +1,139 @@
+"""An arm on a cart before a simulated row: the plant that is asked for moves, the rest of the row stands still.
+
+The cart stands where the flowers of that plant are at the arm's best height; the arm's base is in the path. What the
+robot may know goes into `robot.Cell`: not which plant this is, nor where its hook hangs.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from anther.core.geometry import Array, Box, look_at
+from anther.core.runs import Advance
+from anther.perception.capture import Capture
+from anther.perception.cloud import Cloud
+from anther.robot.arm.model import ArmModel
+from anther.robot.arm.planner import Params as MotionParams
+from anther.robot.arm.planner import Planner
+from anther.robot.arm.sawyer import SAWYER
+from anther.robot.arm.views import Params as ViewParams
+from anther.robot.arm.views import plan_views
+from anther.robot.cell import Cell
+from anther.robot.devices import Tap, no_tap
+from anther.robot.safety import guard
+from anther.sim import cell as world
+from anther.sim.capture import camera_errors
+from anther.sim.robot import robot_of
+from anther.sim.row import Row, row_scene
+from anther.sim.row_house import Block
+from anther.sim.row_plants import held_by_string
+from anther.sim.simulated_cell import Layout, SimulatedCell, in_wind, photograph, safety_limits, usual_distance
+from anther.sim.true_plant import as_true
+from anther.sim.truth import NOMINAL, Truth
+
+FLOWERS_Z = 0.15
+"""Height of the flowers over the arm's base [m]: as in the cell of a plant in a pot."""
+ROW_VIEWS = ViewParams(count=6, widest=50.0)
+"""Views from one side of the row: 3 to 6 are what a visit has time for."""
+
+
+def before_arm(row: Row, arm: ArmModel = SAWYER) -> Row:
+    """Return the row in the frame of an arm whose cart stands before the plant that is asked for.
+
+    The base is as far from the stems as the pot of a cell is, as far as the path is wide enough for its 0.15 m.
+    """
+    m, plant = row.measures, row.worked
+    x = max(m.near - usual_distance(arm), -m.corridor / 2 + 0.15)
+    stem = plant.end[plant.stem_segments()]
+    beside = stem[np.argmin(np.abs(stem[:, 2] - row.flowers[2]))]
+    return row.at([-x, -beside[1], FLOWERS_Z - row.flowers[2]])
+
+
+def row_layout(row: Row, arm: ArmModel = SAWYER) -> Layout:
+    """Return where things are around an arm before a row (`before_arm`), all in its base frame.
+
+    The other side of the path is kept clear of, and so are posts, pipes and gutters within reach. The side camera is on
+    the cart.
+    """
+    stems = row.origin[0] + row.measures.near
+    other = row.origin[0] - row.measures.corridor / 2
+    far = Box(np.array([other - 1.0, -2.0, -1.5]), np.array([other, 2.0, 2.0]))
+    reach = arm.reach + arm.tool.tip
+    solids = [part.box for part in row.parts if isinstance(part, Block) and _gap(part.box, arm.shoulder) < reach]
+
+    def box(lower: tuple[float, float, float], upper: tuple[float, float, float]) -> Box:
+        return Box(np.array([stems, 0, 0]) + lower, np.array([stems, 0, 0]) + upper)
+
+    eye = np.array([stems - 0.45, -0.30, FLOWERS_Z + 0.05])
+    return Layout(
+        workspace=box((-0.30, -0.30, -0.35), (0.25, 0.30, 0.60)),
+        region=box((-0.12, -0.15, -0.25), (0.12, 0.15, 0.35)),
+        solids=(far, *solids[:-1]) if solids else (far,),
+        pot=solids[-1] if solids else far,
+        arm_space=Box(np.array([other, -0.8, -0.6]), np.array([stems + 0.1, 0.8, 1.2])),
+        T_world_side_camera=look_at(eye, np.array([stems, 0.0, FLOWERS_Z])),
+    )
+
+
+def _gap(box: Box, place: Array) -> float:
+    """Return how far a place (3,) is from a box [m]."""
+    return float(np.linalg.norm(np.clip(place, box.lower, box.upper) - place))
+
+
+def row_world(row: Row, truth: Truth = NOMINAL, arm: ArmModel = SAWYER, joints: Array | None = None) -> world.Cell:
+    """Return MuJoCo's world of an arm before a row: the plant that is asked for on its string, and what is in reach."""
+    plant = as_true(held_by_string(row.worked), truth)
+    reach = arm.reach + arm.tool.tip + 0.2
+    near = [part for part in row.obstacles() if _distance(part, arm.shoulder) < reach]
+    return world.Cell(plant, arm.waiting if joints is None else joints, world.Params(), truth, arm, obstacles=near)
+
+
+def _distance(part: object, place: Array) -> float:
+    if isinstance(part, Block):
+        return _gap(part.box, place)
+    start, end = part.start, part.end  # type: ignore[attr-defined]
+    along = end - start
+    share = np.clip((place - start) @ along / max(float(along @ along), 1e-12), 0, 1)
+    return float(np.linalg.norm(start + share * along - place))
+
+
+def build_row(
+    row: Row,
+    views: ViewParams = ROW_VIEWS,
+    *,
+    truth: Truth = NOMINAL,
+    visit: int = 0,
+    tap: Tap = no_tap,
+    arm: ArmModel = SAWYER,
+) -> SimulatedCell:
+    """Build the cell of an arm on a cart before the plant that is asked for; see `simulated_cell.build`.
+
+    Raises:
+        StageFailure: "unreachable" when the arm reaches fewer than three views.
+    """
+    row = before_arm(row, arm)
+    place = row_layout(row, arm)
+    planned = plan_views(place.region, place.solids, views, arm=arm)
+    mujoco = row_world(row, truth, arm, planned.joints[-1])
+    plant, scene = mujoco.plant, row_scene(row, mujoco.plant)
+    noise = np.random.default_rng([row.seed, 15 + 10 * visit])
+    limits, home = safety_limits(place, arm), tuple(planned.joints[-1].tolist())
+    robot = robot_of(
+        mujoco,
+        errors=camera_errors(truth),
+        T_world_side_camera=place.T_world_side_camera,
+        seed=int(noise.integers(1 << 31)),
+        scene=scene,
+    )
+
+    def take_views(advance: Advance) -> Capture:
+        sight = in_wind(plant, scene, planned, truth)
+        return photograph(sight, planned.joints, row.seed, 0.0, visit, progress=advance, truth=truth, arm=arm)[0]
+
+    def plan_around(cloud: Cloud) -> Planner:
+        # as in `simulated_cell.build`
+        params = MotionParams(velocity_share=0.9, acceleration_share=0.7, approach_speed=0.1, home=home)
+        return Planner(cloud.yielding, cloud.rigid, place.solids, space=place.arm_space, params=params, arm=arm)
+
+    robot = guard(tap(robot, limits, arm.tool.T_flange_cam, lambda: mujoco.time), limits)
+    return SimulatedCell(plant, mujoco, planned, Cell(take_views, plan_around, robot, place.workspace, limits))

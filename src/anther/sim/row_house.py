@@ -1,0 +1,217 @@
+"""What stands in a greenhouse row besides its plants: gutters, slabs, hooks on wires, rails, pipes and posts.
+
+Each part is a rod or a box, of which both the picture and the collisions are made. Row frame [m]: x from the middle of
+the path towards the row, y along it, z up from the floor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from anther.core.geometry import Array, Box
+from anther.sim.greenhouse import RGB, Painted
+from anther.sim.mesh import box, tube
+from anther.sim.plant import Organ
+from anther.sim.truth import uniform
+
+STEEL, WHITE, PIPE, SPOOL = (150, 154, 156), (232, 234, 232), (214, 216, 214), (226, 206, 70)
+PIPE_RADIUS = 0.0255
+"""Of rails and heating pipes [m] (facts: rows D, 51 mm, remembered)."""
+SLAB = (0.20, 1.0, 0.075)
+"""Of a slab of substrate: width, length, height [m], as rock wool is sold; remembered."""
+CUBE = (0.10, 0.065)
+"""Of the cube that a plant was raised in: side and height [m]; remembered."""
+
+
+@dataclass(frozen=True, slots=True)
+class Measures:
+    """The measures of a row [m].
+
+    Attributes:
+        wire: height of the wire that hooks hang on.
+        gutter: height of the gutter's upper side.
+        corridor: width of the path that leaves leave free.
+        foliage: from the leaves' edge to the stems.
+        pitch: of stems along one side of the path.
+        lines: from the near line of stems to the far one of the same row.
+        path: from the middle of a path to that of the next.
+        gauge: of the two rails, middle to middle.
+        rail: height of the rails' middle.
+        drift: along the row, from a stem's foot to its hook.
+        posts: from post to post.
+    """
+
+    wire: float
+    gutter: float
+    corridor: float
+    foliage: float
+    pitch: float
+    lines: float
+    path: float
+    gauge: float
+    rail: float
+    drift: float
+    posts: float
+
+    @property
+    def near(self) -> float:
+        """x of the near line of stems."""
+        return self.corridor / 2 + self.foliage
+
+
+RANGES = {
+    # >= 3 m (facts: rows D, NCSU), 3.5-4.5 m remembered
+    "wire": uniform(3.0, 4.5),
+    # facts: rows D, remembered
+    "gutter": uniform(0.4, 0.8),
+    "corridor": uniform(0.5, 0.8),
+    # a guess: leaves of 0.4 m droop, and those that reach further are broken by carts
+    "foliage": uniform(0.15, 0.25),
+    # 2.5-3.6 stems/m2 (facts: rows D, remembered) on paths 1.6 m apart are 2.0-2.9 on a metre of each side
+    "pitch": uniform(0.34, 0.50),
+    # a guess: strings of one row go to two wires
+    "lines": uniform(0.40, 0.60),
+    # facts: rows D, remembered 1.6
+    "path": uniform(1.5, 1.8),
+    # facts: rows D, remembered
+    "gauge": uniform(0.42, 0.60),
+    # a guess
+    "rail": uniform(0.06, 0.14),
+    # a week's or two weeks' lowering (facts: rows D, 0.2-0.25 m a week); either way, a guess
+    "drift": uniform(-0.3, 0.3),
+    # bays of greenhouses, a guess
+    "posts": uniform(4.0, 5.0),
+}
+"""What `Measures` are drawn from."""
+
+
+def draw_measures(rng: np.random.Generator) -> Measures:
+    """Return the measures of a row."""
+    return Measures(**{part.name: RANGES[part.name].draw(rng) for part in fields(Measures)})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rod:
+    """A round rod.
+
+    Attributes:
+        name: what it is.
+        start, end: (3,) of its axis [m].
+        radius: [m].
+        colour: sRGB.
+    """
+
+    name: str
+    start: Array
+    end: Array
+    radius: float
+    colour: RGB = STEEL
+
+    def moved(self, way: ArrayLike) -> Rod:
+        """Return the rod elsewhere, `way` (3,) from here [m]."""
+        return replace(self, start=self.start + np.asarray(way), end=self.end + np.asarray(way))
+
+    def painted(self) -> Painted:
+        """Return its mesh."""
+        line = np.linspace(self.start, self.end, max(int(np.linalg.norm(self.end - self.start) / 0.25), 1) + 1)
+        sides = 6 if self.radius < 0.004 else 16
+        return tube(line, np.full(len(line), self.radius), sides=sides), Organ.BENCH, np.array(self.colour)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Block:
+    """A box along the axes.
+
+    Attributes:
+        name: what it is.
+        box: where [m].
+        colour: sRGB.
+    """
+
+    name: str
+    box: Box
+    colour: RGB = WHITE
+
+    def moved(self, way: ArrayLike) -> Block:
+        """Return the box elsewhere, `way` (3,) from here [m]."""
+        way = np.asarray(way)
+        return replace(self, box=Box(self.box.lower + way, self.box.upper + way))
+
+    def painted(self) -> Painted:
+        """Return its mesh."""
+        return box(self.box.lower, self.box.upper), Organ.BENCH, np.array(self.colour)
+
+
+Part = Rod | Block
+
+
+def installation(m: Measures, hooks: Array, feet: Array, rng: np.random.Generator) -> list[Part]:
+    """Return what stands in the row and in its path.
+
+    Args:
+        m: of the row.
+        hooks: (P, 3) on the wires [m].
+        feet: (P, 3) where stems leave their holders [m].
+        rng: where slabs and posts begin.
+    """
+    low, high = float(min(hooks[:, 1].min(), feet[:, 1].min())) - 0.8, float(max(hooks[:, 1].max(), feet[:, 1].max()))
+    high += 0.8
+
+    def along(name: str, x: float, z: float, radius: float, colour: RGB = STEEL) -> Rod:
+        return Rod(name, np.array([x, low, z]), np.array([x, high, z]), radius, colour)
+
+    rails = [along("rail", sign * m.gauge / 2, m.rail, PIPE_RADIUS, PIPE) for sign in (-1, 1)]
+    middle = m.near + m.lines / 2
+    wires = [along("wire", x, m.wire + 0.012, 0.0015) for x in (m.near, m.near + m.lines)]
+    pipe = along("pipe", middle, m.gutter + rng.uniform(0.5, 1.2), PIPE_RADIUS, PIPE)
+    first = low + rng.uniform(0, m.posts)
+    posts = [
+        Block("post", Box(np.array([middle - 0.03, y, 0.0]), np.array([middle + 0.03, y + 0.06, m.wire + 0.3])), STEEL)
+        for y in np.arange(first, high, m.posts)
+    ]
+    return [*rails, *wires, pipe, *posts, *_gutters(m, low, high, rng), *_cubes(m, feet), *_hooks(hooks)]
+
+
+def _gutters(m: Measures, low: float, high: float, rng: np.random.Generator) -> list[Part]:
+    """Return the gutter of the row, which hangs on wires, and its slabs."""
+    x, (wide, long, tall) = m.near + m.lines / 2, SLAB
+    gutter = Block("gutter", Box(np.array([x - 0.13, low, m.gutter - 0.06]), np.array([x + 0.13, high, m.gutter])))
+    slabs: list[Part] = []
+    for y in np.arange(low + rng.uniform(0, 0.4), high - long, long + 0.05):
+        corner = np.array([x - wide / 2, y, m.gutter])
+        slabs.append(Block("slab", Box(corner, corner + np.array([wide, long, tall]))))
+    hangers: list[Part] = [
+        Rod("hanger", np.array([x + side, y, m.gutter]), np.array([x + side, y, m.wire + 0.3]), 0.002)
+        for y in np.arange(low + 0.5, high, 2.4)
+        for side in (-0.13, 0.13)
+    ]
+    return [gutter, *slabs, *hangers]
+
+
+def _cubes(m: Measures, feet: Array) -> list[Part]:
+    """Return the cubes of the plants, on the slabs."""
+    x, (side, tall), top = m.near + m.lines / 2, CUBE, m.gutter + SLAB[2]
+    found: list[Part] = []
+    for i, foot in enumerate(feet):
+        corner = np.array([x - side / 2 + (-1) ** i * 0.03, foot[1] - side / 2, top])
+        found.append(Block("cube", Box(corner, corner + np.array([side, side, tall])), (206, 200, 184)))
+    return found
+
+
+def _hooks(hooks: Array) -> list[Part]:
+    """Return the hooks, each with the spool of string that is unwound from week to week."""
+    found: list[Part] = []
+    _, y, z = np.eye(3)
+    for hook in hooks:
+        found.append(Rod("hook", hook + 0.02 * z, hook - 0.03 * z, 0.002, STEEL))
+        found.append(Rod("spool", hook + 0.012 * y, hook + 0.11 * y, 0.016, SPOOL))
+    return found
+
+
+def painted(parts: Sequence[Part]) -> list[Painted]:
+    """Return the meshes of parts."""
+    return [part.painted() for part in parts]
