@@ -35,7 +35,7 @@ from scipy.special import logsumexp, ndtr
 
 from anther.core import Array, StageFailure
 from anther.plant import Crop
-from anther.plant.limits import PEDICEL_STRAIN
+from anther.plant.limits import STALK_SPREAD, stalk_strain
 from anther.pollination import decision, foresee
 from anther.pollination.decision import believed
 from anther.pollination.escalation import watch_points
@@ -73,7 +73,7 @@ LEAFY = 1e-4
 LARGEST = ("base_strain", "stem_strain", "leaf_load")
 WORDS = {
     "flowers": "acceleration of a flower",
-    "pedicels": "strain of its pedicel",
+    "pedicels": "strain of its pedicel or peduncle",
     "base_strain": "strain of the branch, petiole or peduncle bent most",
     "stem_strain": "strain of stem and forks",
     "leaf_load": "load of the leaf loaded most",
@@ -165,7 +165,9 @@ def values_of(species: Crop, seed: int) -> Iterator[Value]:
                 for i, j in zip(it.i.tolist(), it.j.tolist(), strict=True):
                     if when == "before" or not after[k].seen[i]:
                         found.append(("flowers", true["flowers"][k, j], answer.flowers[:, i]))
-                        found.append(("pedicels", true["pedicels"][k, j], answer.flowers[:, i]))
+                        found.append(
+                            ("pedicels", max(true["pedicels"][k, j], true["peduncles"][k, j]), answer.flowers[:, i])
+                        )
                 for kind, truly, values in found:
                     if truly > 0 and values.min(initial=1.0) > 0:
                         yield [kind, when, tone, np.round(np.log([*values, truly]), 4).tolist()]
@@ -237,7 +239,7 @@ def transform(value: Value) -> float:
     kind, when, tone, (*members, truth) = value
     logs, spread = believed(kind.replace("pedicels", "flowers"), np.exp(members), tone, WHEN[when])
     if kind == "pedicels":
-        logs, spread = logs + np.log(PEDICEL_STRAIN.median), np.hypot(spread, PEDICEL_STRAIN.spread)
+        logs, spread = logs + np.log(stalk_strain(tone)), np.hypot(spread, STALK_SPREAD)
     return float(ndtr((truth - logs) / spread).mean())
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anther.core.checks import check_array
-from anther.plant.limits import PEDICEL_STRAIN
+from anther.plant.limits import STALK_SPREAD, stalk_strain
 from anther.pollination import ObservedShake, Refinement
 from anther.pollination.decision import COSTS, believed
 from anther.pollination.shake.observables import semi_major
@@ -124,7 +124,7 @@ def loads_at(learned: Refinement, points: Array, direction: Array, frequencies: 
         pedicels = kind == "joint_strain"
         logs, spread = believed("flowers" if pedicels else kind, values[..., 0], frequencies[:, None])
         logs, spread = (
-            (logs + np.log(PEDICEL_STRAIN.median), np.hypot(spread, PEDICEL_STRAIN.spread))
+            (logs + np.log(stalk_strain(frequencies))[:, None], np.hypot(spread, STALK_SPREAD))
             if pedicels
             else (logs, spread)
         )

@@ -26,6 +26,7 @@ from rich.table import Table
 from scipy.special import ndtri
 
 from anther.core import Array, StageFailure
+from anther.plant.limits import stalk_strain
 from anther.pollination import decision
 from anther.pollination.decision import Answer, worth
 from anther.pollination.shake import Params
@@ -140,7 +141,9 @@ def _limited(grip: Grip, tones: list[int], most: Array) -> tuple[int, float]:
         loads = {kind: float(decision.expected(kind, getattr(answer, kind), hertz, False)) for kind in _BORNE}
         flowers = np.array([decision.expected("flowers", f, hertz, False) for f in answer.flowers.T])
         borne = min(_BORNE[kind].low / max(load, 1e-12) for kind, load in loads.items())
-        amplitude = float(min(borne, decision.LOST_AT.low / max(flowers.max(), 1e-12), most[k]))
+        amplitude = float(
+            min(borne, decision.TOLERANCE["pedicel"].low / max(stalk_strain(hertz) * flowers.max(), 1e-12), most[k])
+        )
         best = max(best, (float(np.median(flowers)) * amplitude, k, amplitude))
     return best[1:]
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from anther.plant.limits import PEDICEL_STRAIN
+from anther.plant.limits import STALK_SPREAD, stalk_strain
 from anther.pollination.decision import believed
 from evaluation.prediction import belief  # pyright: ignore[reportMissingImports]
 
@@ -21,7 +21,7 @@ def drawn(kind: str, when: str, tone: float, *, wide: float = 1.0, shift: float 
     members = rng.normal(np.log((2 * np.pi * tone) ** 2), 1.0, (COUNT, 1)) + rng.normal(0.0, 0.2, (COUNT, 8))
     logs, spread = believed(kind.replace("pedicels", "flowers"), np.exp(members.T), tone, belief.WHEN[when])
     if kind == "pedicels":
-        logs, spread = logs + np.log(PEDICEL_STRAIN.median), np.hypot(spread, PEDICEL_STRAIN.spread)
+        logs, spread = logs + np.log(stalk_strain(tone)), np.hypot(spread, STALK_SPREAD)
     one = logs[rng.integers(8, size=COUNT), np.arange(COUNT)]
     truth = one + shift + wide * spread * rng.normal(size=COUNT)
     return [[kind, when, tone, [*row, true]] for row, true in zip(members.tolist(), truth.tolist(), strict=True)]

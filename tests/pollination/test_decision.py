@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from anther.core.geometry import Array
-from anther.plant.limits import DOSE_MEASURES, GUSTS, HALF_DOSE, LOST_AT, PEDICEL_STRAIN, SAME_DOSE, TOLERANCE
+from anther.plant.limits import DOSE_MEASURES, GUSTS, HALF_DOSE, SAME_DOSE, STALK_SPREAD, TOLERANCE, stalk_strain
 from anther.pollination import decision
 from anther.pollination.decision import (
     BANDS,
@@ -94,16 +94,25 @@ def test_the_dearer_a_flower_the_gentler_the_shake() -> None:
 
 
 @pytest.mark.parametrize("kind", UNIT)
-def test_each_load_binds_alone_and_the_earlier_the_larger_it_is(kind: str) -> None:
-    sizes = [best(made(5e2, **{kind: times * UNIT[kind]}), price=30.0) for times in (0.0, 0.5, 1.0, 2.0)]
+def test_each_load_binds_alone_and_the_earlier_the_larger_it_is(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(COSTS, kind, max(COSTS[kind], 1.0))
+    sizes = [best(made(5e2, **{kind: times * UNIT[kind]}), price=5.0) for times in (0.0, 1.0, 2.0, 4.0)]
     assert np.all(np.diff(sizes) < 0)
 
 
 def test_what_costs_nothing_has_no_end_and_a_flower_bears_no_more_than_its_pedicel() -> None:
     assert int(found(made(2e4), price=0.0).net.argmax()) == len(SIZES) - 1
-    median = LOST_AT.median / float(expected("flowers", np.array([2e4]), SLOW))
+    median = TOLERANCE["pedicel"].median / stalk_strain(SLOW) / float(expected("flowers", np.array([2e4]), SLOW))
     assert found(made(2e4), np.array([median])).lost == pytest.approx([0.5])
-    assert LOST_AT.median * PEDICEL_STRAIN.median == pytest.approx(TOLERANCE["pedicel"].median)
+
+
+def test_of_two_flowers_that_feel_the_same_the_faster_is_bent_less() -> None:
+    slow, middle, fast = (float(stalk_strain(hertz)) for hertz in (3.0, 17.0, 68.0))
+    assert slow == middle == pytest.approx(2 * fast)
+
+
+def test_a_leaf_and_a_slip_cost_less_than_one_of_six_flowers_and_a_stem_more_than_all() -> None:
+    assert max(COSTS["base_strain"], COSTS["leaf_load"], COSTS["grip_force"]) < 1 / 6 < 1 < COSTS["stem_strain"]
 
 
 def test_one_flower_that_swings_further_lowers_the_amplitude_but_less_than_if_all_did() -> None:
@@ -134,8 +143,8 @@ def widened(table: Mapping[str, Any], kind: str, times: float) -> dict[str, Any]
 def test_the_less_is_known_of_a_load_the_gentler_the_shake(
     table: str, kind: str, seen: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    little = 2e3 if kind == "leaf_load" else 2e2  # a leaf costs little: only an early gain stops short of its median
-    answer = made((2e3, 2e3)) if kind == "flowers" else made((little, little), **{kind: UNIT[kind]})
+    monkeypatch.setattr(decision, "COSTS", dict.fromkeys(COSTS, 1.0))  # dear enough to stop short of the median
+    answer = made((2e3, 2e3)) if kind == "flowers" else made((2e2, 2e2), **{kind: UNIT[kind]})
     known = best(answer, seen=seen)
     monkeypatch.setattr(decision, table, widened(getattr(decision, table), kind, 2.0))
     assert best(answer, seen=seen) < known
@@ -185,8 +194,9 @@ def test_the_closed_form_is_the_mean_over_members_errors_and_what_is_borne(hertz
         )
     assert told.gain == pytest.approx(sum(share * told.freed[measure] for measure, (_, share) in DOSE_MEASURES.items()))
     borne = {k: b.median * np.exp(b.spread * rng.normal(size=shape)) for k, b in BORNE.items()}
-    lost_at = LOST_AT.median * np.exp(LOST_AT.spread * rng.normal(size=shape))
-    assert told.lost == pytest.approx(np.mean(felt > lost_at), abs=0.01)
+    stalks = felt * stalk_strain(hertz) * np.exp(STALK_SPREAD * rng.normal(size=shape))
+    pedicel = TOLERANCE["pedicel"].median * np.exp(TOLERANCE["pedicel"].spread * rng.normal(size=shape))
+    assert told.lost == pytest.approx(np.mean(stalks > pedicel), abs=0.01)
     for kind in COSTS:
         load = true(getattr(answer, kind), kind, None if seen is None else True) / (HELD if kind == "grip_force" else 1)
         share = 0.0 if kind == "leaf_load" and hertz > GUSTS else np.mean(load > borne[kind][:, 0])

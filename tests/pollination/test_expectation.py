@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from sample_plants import branched
 
-from anther.plant.limits import PEAKS, PEDICEL_STRAIN
+from anther.plant.limits import PEAKS, STALK_SPREAD, stalk_strain
 from anther.plant.model import TOMATO, PlantModel, build_plant
 from anther.pollination import decision
 from anther.pollination.learning import GripMeasurement, ObservedShake, Params, Refinement, refine
@@ -157,9 +157,9 @@ def test_expected_loads_are_the_plants_own_and_as_uncertain_as_each_kind_is(
     for kind, found in told.items():
         logs, spread = decision.believed(kind.replace("joint_strain", "flowers"), loads[kind][..., 0], pitches[:, None])
         pedicels = kind == "joint_strain"
-        spread = np.hypot(spread, PEDICEL_STRAIN.spread) if pedicels else spread
+        spread = np.hypot(spread, STALK_SPREAD) if pedicels else spread
         low, middle, high = np.moveaxis(found, -1, 0)
-        once = PEDICEL_STRAIN.median if pedicels else 1.0
+        once = stalk_strain(pitches) if pedicels else 1.0
         assert middle == pytest.approx(once * np.exp(logs[0]).T, rel=1e-4)
         assert np.log(high / low) == pytest.approx(2 * NINETY * spread.T)
 

@@ -10,7 +10,7 @@ import pytest
 from made_foresight import ALONG, AXES, FLOWERS, KINDS, POINTS, TONES, World, lines_across, made_foresight
 from sample_plants import branched
 
-from anther.plant.limits import PEDICEL_STRAIN
+from anther.plant.limits import stalk_strain
 from anther.plant.model import TOMATO, build_plant
 from anther.pollination import decision
 from anther.pollination.decision import BANDS, OBSERVED_ERRORS, expected
@@ -405,7 +405,7 @@ def test_what_is_expected_is_the_median_with_the_errors_of_what_was_measured_and
     assert one.flowers[2] != pytest.approx(expected("flowers", one.answer.flowers[:, 2], tone, measured=True))
     for kind in decision.COSTS:
         assert one.loads[kind] == pytest.approx(expected(kind, getattr(one.answer, kind), tone, measured=False))
-    assert one.loads["joint_strain"] == pytest.approx(PEDICEL_STRAIN.median * one.flowers.max())
+    assert one.loads["joint_strain"] == pytest.approx(stalk_strain(tone) * one.flowers.max())
 
 
 def test_a_flower_that_is_followed_but_not_measured_moves_no_more_than_would_have_been_measured() -> None:

@@ -14,7 +14,7 @@ from anther.core.errors import InputError, StageFailure
 from anther.core.geometry import Array
 from anther.perception.flowers import Flowers
 from anther.plant.belief import EarlierShake
-from anther.plant.limits import DOSE_MEASURES, GUSTS, LOADED, PEAKS, PEDICEL_STRAIN
+from anther.plant.limits import DOSE_MEASURES, GUSTS, LOADED, PEAKS, stalk_strain
 from anther.plant.model import TOMATO, PlantModel, build_plant
 from anther.pollination import decision, shake
 from anther.pollination.decision import PRICES, believed, expected, worth
@@ -170,7 +170,7 @@ def test_the_bound_of_pedicels_is_that_of_the_flower_that_is_expected_to_feel_mo
     found, _ = weighed(grasps, flower, 0.02, joint_strain=np.array([0.7, 0.2]))
     one, delivered = found.bounds[PEAKS["joint_strain"]], arm_shaker().delivers(np.array(hertz))[0]
     felt = float(expected("flowers", (2 * np.pi * hertz) ** 2 * np.array([4.0, 9.0]), hertz) * np.exp(delivered))
-    assert one.value.item() == pytest.approx(PEDICEL_STRAIN.median * felt)
+    assert one.value.item() == pytest.approx(stalk_strain(hertz) * felt)
     assert one.limit.item() == LOADED["joint_strain"].low
 
 
@@ -418,7 +418,7 @@ def test_the_table_of_limits_says_what_is_expected_beside_what_nineteen_of_twent
         value, limit = rows[PEAKS[kind]]
         assert limit == LOADED[kind].low < LOADED[kind].median
         middle = expected(kind.replace("joint_strain", "flowers"), loads[kind].ravel(), plan.frequency)
-        middle *= PEDICEL_STRAIN.median if kind == "joint_strain" else 1.0
+        middle *= stalk_strain(plan.frequency) if kind == "joint_strain" else 1.0
         reached = plan.amplitude * float(middle) * np.exp(delivered)
         assert value == pytest.approx(reached, rel=1e-3)
 

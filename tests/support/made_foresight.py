@@ -11,7 +11,7 @@ from fake_robot import horizontal_grasp
 from numpy.typing import NDArray
 
 from anther.core.geometry import Array, Intrinsics, look_at
-from anther.plant.limits import PEAKS, PEDICEL_STRAIN
+from anther.plant.limits import PEAKS, stalk_strain
 from anther.pollination.escalation import Escalation, Params
 from anther.pollination.escalation._foresight import Foresight
 from anther.pollination.response.points import Swings
@@ -190,7 +190,7 @@ class World:
         """Return each kind's load in truth, per metre; of pedicels what the flower that feels most bends its own by."""
         truth = self.answer(tone, direction)[None]
         loads = {kind: float(self.foresight.load(kind, truth)[0]) for kind in KINDS}
-        return loads | {"joint_strain": PEDICEL_STRAIN.median * float(self.flowers(tone, direction).max())}
+        return loads | {"joint_strain": float(stalk_strain(TONES[tone]) * self.flowers(tone, direction).max())}
 
     def flowers(self, tone: int, direction: Array = ALONG) -> Array:
         """Return (F,) accelerations in truth, per metre [1/s2]."""

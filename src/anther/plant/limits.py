@@ -53,15 +53,8 @@ TOLERANCE = {
 """What organs bear of one short shake before they stay bent: bending strain [-] of stem, pedicels and the bases of
 branches, petioles and peduncles; of leaves the torque at the base that a shake of up to `GUSTS` adds, in units of what
 1 m/s2 gives [m/s2]. No elastic limit of a tomato or pepper organ was ever measured (facts: pollination 6)."""
-PEDICEL_STRAIN = Believed(1e-4, 0.8)
-"""Bending strain of a pedicel for each m/s2 that its flower feels [s2/m], whatever drives it up to the pedicel's second
-mode: 74 simulated plants of `evaluation.prediction.belief`, tomatoes and peppers alike; 0.7 of the spread is between
-plants. A flower that swings straight across its pedicel bends it by 1.9e-4 (facts: limits 2)."""
-LOST_AT = Believed(
-    TOLERANCE["pedicel"].median / PEDICEL_STRAIN.median,
-    float(np.hypot(TOLERANCE["pedicel"].spread, PEDICEL_STRAIN.spread)),
-)
-"""Peak acceleration of a flower at which its pedicel stays bent [m/s2]."""
+STALK_SPREAD = 0.8
+"""Standard deviation of ln of a flower's `stalk_strain`; 0.7 of it is between plants."""
 HALF_DOSE = Believed.between(4.0, 80.0)
 """Peak acceleration of a flower that frees half of its pollen [m/s2]; no dose-response was ever measured (facts:
 pollination 6)."""
@@ -86,6 +79,19 @@ BREEZE: dict[str, dict[Crop, Array]] = {
 bases in a gust. Middles of the ranges in facts: pollination 6, computed by us on simulated tomatoes 10-13 and
 peppers 10-12 (true rods, canopy drag of Sase 2012, turbulence 35 %, peak = mean + 3.5 rms, linear: above 2 m/s too
 much). The main stem and the bases of branches were not computed."""
+
+
+def stalk_strain(hertz: ArrayLike) -> Array:
+    """Return the median of what is believed of the bending strain of a flower's stalks, for each m/s2 it feels [s2/m].
+
+    Of pedicel and peduncle the one that is bent more. At 1-14, 14-20, 20-40 and 40-120 Hz the medians of 24 simulated
+    plants of `evaluation.prediction.belief --development` are 1.65, 1.56, 1.24 and 0.73e-4, of tomatoes and peppers
+    alike. A flower that swings straight across its pedicel bends it by 1.9e-4 (facts: limits 2).
+
+    Args:
+        hertz: frequencies of the shake, of the shape that is returned.
+    """
+    return 1.6e-4 * np.sqrt(np.minimum(1.0, 17.0 / np.asarray(hertz, dtype=np.float64)))
 
 
 def breeze(name: str, load: float, crop: Crop) -> float | None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from anther.core.geometry import Array
 from anther.core.oscillation import peak
-from anther.plant.limits import PEDICEL_STRAIN
+from anther.plant.limits import stalk_strain
 from anther.pollination import decision
 from anther.pollination.decision import COSTS, expected
 from anther.pollination.escalation._foresight import (
@@ -280,7 +280,7 @@ def predict(foresight: Foresight, hertz: float, one: Answer, delay: float) -> Pr
     flowers = np.array([expected("flowers", answer.flowers[:, f], hertz, at) for f, at in enumerate(measured)])
     at_all = False if one.observed else None
     loads = {kind: float(expected(kind, getattr(answer, kind), hertz, at_all)) for kind in COSTS}
-    loads["joint_strain"] = PEDICEL_STRAIN.median * float(flowers.max(initial=0.0))
+    loads["joint_strain"] = float(stalk_strain(hertz) * flowers.max(initial=0.0))
     return Prediction(flowers, seen, upper, loads, answer, np.exp(-1j * omega * delay) * parts, one.observed)
 
 

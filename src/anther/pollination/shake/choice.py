@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from anther.core.geometry import Array
 from anther.plant.belief import EarlierShake
-from anther.plant.limits import DOSE_MEASURES, GUSTS, LOADED, PEAKS, PEDICEL_STRAIN
+from anther.plant.limits import DOSE_MEASURES, GUSTS, LOADED, PEAKS, stalk_strain
 from anther.plant.model import PlantModel
 from anther.pollination.decision import Answer, WorthCurve, believed, expected, interval, weighed, worth
 from anther.pollination.grasp import Grasp
@@ -139,7 +139,7 @@ def search(
     for kind, name in PEAKS.items():
         limit = np.where((kind == "leaf_load") & (hertz > GUSTS), np.inf, LOADED[kind].low)
         if kind == "joint_strain":
-            bounds[name] = felt._replace(value=PEDICEL_STRAIN.median * felt.value)
+            bounds[name] = felt._replace(value=stalk_strain(hertz) * felt.value)
         else:
             bounds[name] = load(getattr(response, kind), limit, kind)
     reach = _reach(bounds)
