@@ -30,9 +30,10 @@ def settle(
     on = station >= 0
     own = plant.mass + plant.lump_mass
     centre = plant.mass[:, None] * (plant.start + plant.end) / 2 + plant.lump_mass[:, None] * plant.lump_centre
-    weight = GRAVITY * np.bincount(station[on], own[on], len(segments))
+    weight: Array = np.asarray(GRAVITY * np.bincount(station[on], own[on], len(segments)), dtype=np.float64)
     lever = centre - own[:, None] * plant.end[segments[np.maximum(station, 0)]]
-    moment = GRAVITY * np.stack([np.bincount(station[on], lever[on, i], len(segments)) for i in range(2)], axis=1)
+    sums = [np.bincount(station[on], lever[on, i], len(segments)) for i in range(2)]
+    moment: Array = np.asarray(GRAVITY * np.stack(sums, axis=1), dtype=np.float64)
     pull = float(weight.sum()) / (1 - lifted)
     ends, held = plant.end[segments], plant.end[segments[top]]
     foot = plant.start[segments[0]]

@@ -149,7 +149,7 @@ class Axis:
 
     def radius(self, arc: float | Array) -> Array:
         """Return the radii (...) there [m]."""
-        return np.interp(arc, self.ends, self.radii)
+        return np.asarray(np.interp(arc, self.ends, self.radii))
 
 
 def axis_of(points: Array) -> Axis:
