@@ -21,7 +21,7 @@ from ._trials import (
 )
 from .fruit_set import Count, FruitSet, fit
 from .row_map import read_stems, record_house, record_pass
-from .shift import begin_shift, read_shift, run_shift, stop_robot
+from .shift import begin_shift, find_unfinished_shift, read_shift, run_shift, stop_robot
 
 __all__ = [
     "SURE",
@@ -51,6 +51,7 @@ __all__ = [
     "export",
     "facts_prior",
     "find_plants",
+    "find_unfinished_shift",
     "find_visit",
     "fit",
     "hide_password",

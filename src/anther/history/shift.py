@@ -160,6 +160,14 @@ def read_shift(number: int, where: Path | str = DEFAULT) -> list[StemResult]:
         ]
 
 
+def find_unfinished_shift(house: str, where: Path | str = DEFAULT) -> int | None:
+    """Return the number of the last shift in a house that still has stems to visit, to go on with it; None: none."""
+    query = select(func.max(ShiftRow.id)).join(ShiftStem, ShiftStem.shift_id == ShiftRow.id)
+    query = query.where(ShiftRow.house == house, ShiftStem.state.in_(("waiting", "working")))
+    with open_reader(where) as session:
+        return None if session is None else session.scalar(query)
+
+
 def stop_robot(number: int, robot: str, reason: str, where: Path | str = DEFAULT) -> None:
     """Say that a robot takes no further part in a shift; its row is blocked for a while, its legs go to others.
 
