@@ -3,6 +3,7 @@
 from ._beliefs import Belief, earlier_shake, facts_prior, starting_material
 from ._database import hide_password, open_reader
 from ._export import export
+from ._merge import merge
 from ._records import Outcome
 from ._row_records import SURE, House, Recognition, Row, RowPass, Side, Stem
 from ._shift_records import Block, Climate, Order, Report, Robot, Shift, StemResult, Work
@@ -12,7 +13,6 @@ from ._trials import (
     each_trial,
     find_plants,
     find_visit,
-    merge,
     read_outcomes,
     read_trials,
     record_note,

@@ -24,7 +24,7 @@ from anther.history._database import DEFAULT, open_reader, open_writer
 from anther.history._row_match import WEEK, Hooks, align
 from anther.history._row_records import SIDES, House, Recognition, RowPass, Side, Stem, check_increasing
 from anther.history._tables import RowSide, StemRow, VisitRow, pollinated
-from anther.history._trials import _plant_of
+from anther.history._trials import plant_of
 from anther.plant.visit import check_labels
 
 GONE = 0.95
@@ -272,7 +272,7 @@ def _add_stem(session: Session, side: RowSide, time: datetime, **values: Any) ->
     side.labels += 1
     label = f"{side.house} {side.row} {side.side} {side.labels}"
     check_labels(side.species, label)
-    plant = _plant_of(session, side.species, label)
+    plant = plant_of(session, side.species, label)
     first = {"position": 0.0, "position_std": 0.0, "certainty": 1.0, "gone": 0.0}
     stem = StemRow(row_side_id=side.id, plant=plant, first_seen=time, last_seen=time, **{**first, **values})
     session.add(stem)
