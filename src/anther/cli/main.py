@@ -43,6 +43,7 @@ COMMANDS = {
     "doctor": "what is installed, what is missing and how to get it; small sample inputs to try the rest with",
 }
 ACTIONS = {
+    "import": {"share": "a copy of a capture to give away: no names, places or texts, faces masked, calibration kept"},
     "doctor": {"samples": "write small sample inputs for the other commands"},
     "history": {
         "outcome": "record how many flowers of a plant or visit set fruit",
@@ -51,8 +52,8 @@ ACTIONS = {
     },
 }
 """Command -> what else it does, each with options of its own: `anther history outcome ...`."""
-SHORT = {"samples": ["doctor", "samples"]}
-"""Word -> what it stands for: what is typed first of all may be short."""
+SHORT = {"samples": ["doctor", "samples"], "capture": ["import"]}
+"""Word -> what it stands for: `anther samples`, `anther capture share`."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -10,11 +10,11 @@ from anther.core.errors import StageFailure
 from anther.core.runs import Run
 from anther.history import Order, Report, earlier_shake, starting_material
 from anther.plant.visit import Visit
-from anther.pollination.pipeline import Params, pollinate
+from anther.pollination import Done, visit_row_stem
 from anther.show.results import SUMMARY
 from anther.show.summary import summarise
-from anther.sim import Row, build_row
-from anther.sim.judge import judge
+from anther.sim import Row, SimulatedCell, build_row, mapped_hook
+from anther.sim.judge import Verdict, judge
 
 ENTRY, TRAVEL = 120.0, 2.0
 """Time to enter a row, and from one stem to the next, 0.4 m at 0.3 m/s until the cart stands (guesses) [s]."""
@@ -25,21 +25,20 @@ BY_THE_SIMULATOR = ("cell", "capture", "execution", "judge")
 def visit_stem(row: Row, order: Order, history: str, folder: Path) -> Report:
     """Visit the plant of a row that is asked for, in its own run folder.
 
-    The robot is told no more than its cell holds: not which stem is asked for, but that it stands before the arm.
+    The robot knows what its cell holds, and the place of the stem's hook as a map has it.
     The report's time is the simulator's for motions and this computer's for what is computed.
     """
     belief = starting_material(order.species, order.plant, history)
     earlier = earlier_shake(order.species, order.plant, history)
-    common = {"robot": order.robot, "time": order.begin, "run": str(folder)}
-    visit = Visit(order.species, order.plant, held_unharmed=False, **common)
+    visit = Visit(order.species, order.plant, held_unharmed=False, run=str(folder), robot=order.robot, time=order.begin)
     cell, done, verdict, failure = None, None, None, None
     with Run(folder, quiet=True) as run:
         try:
             cell = run.timed("cell", lambda _: build_row(row, visit=int(order.begin.timestamp()) % 2**20))
-            done = pollinate(cell.robot_side, belief.material, run, Params(), earlier=earlier)
-            times = done.trial.shake_times
-            shaken = (times[0], times[-1]) if len(times) else None
-            verdict = run.timed("judge", lambda _: judge(cell.world, shaken, done.shake.frequency, done.trial.steady))
+            done = visit_row_stem(
+                cell.robot_side, row.crop, mapped_hook(row), run, material=belief.material, earlier=earlier
+            )
+            verdict = _judge(cell, done, run)
         except StageFailure as stopped:
             failure = stopped
     visit = replace(
@@ -51,3 +50,9 @@ def visit_stem(row: Row, order: Order, history: str, folder: Path) -> Report:
     moved = (visit.simulated_capture_seconds or 0.0) + (visit.simulated_execution_seconds or 0.0)
     travel = ENTRY if order.enters else TRAVEL
     return Report(visit, order.begin + timedelta(seconds=travel + moved + thought))
+
+
+def _judge(cell: SimulatedCell, done: Done, run: Run) -> Verdict:
+    times = done.trial.shake_times
+    shaken = (times[0], times[-1]) if len(times) else None
+    return run.timed("judge", lambda _: judge(cell.world, shaken, done.shake.frequency, done.trial.steady))

@@ -21,11 +21,10 @@ from anther.robot.cells.rows import SIDES, RowOfFile
 from anther.robot.cells.rows import Side as FileSide
 from anther.sim import Row, SimPlant, grow_row
 from anther.sim.row import FEWEST, MOST
+from anther.sim.row_cell import HOOK_ERROR
 
 LARGEST = -(-MOST * 3 // 5)
 """Plants that a side of a path can have: the near line of the largest row that is grown."""
-HOOK_ERROR = 0.01
-"""Of a hook's place beside its neighbours', as a pass measures it [m] (a guess)."""
 LOOKS_ERROR = 0.05
 """Of a number of a stem's looks, as a share of it (a guess)."""
 BEFORE = 0.4
