@@ -73,8 +73,8 @@ def run(args: Args) -> None:
 
 
 def find_faces(image: Any) -> list[tuple[int, int, int, int]]:
-    """Return x, y, width, height [px] of faces in an image (H, W, 3), widened: seen from the front, and from both sides.
     """Return x, y, width, height [px] of faces in an image (H, W, 3), widened: from the front, and from both sides.
+
     OpenCV's Haar cascades, which come with its package. They take leaves for faces now and then, which costs a box.
 
     Raises:
