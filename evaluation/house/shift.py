@@ -50,6 +50,8 @@ PITCH = 0.36
 STEMS_HA = 35_000
 WAITED = 400.0
 """A longer way from stem to stem is a wait or a charge: entering a row takes up to 180 s [s]."""
+WORKED, SPREAD = 12.0, 0.3
+"""Median time at a stem [s] and spread of its ln, drawn: what is asked for, not what was timed."""
 RATES = {"pollinated": 0.9, "no_grasp_found": 0.05, "slipped": 0.03}
 """Outcomes of a visit, until full trials in a row give theirs (a guess); the rest moves the flowers too little."""
 
@@ -88,7 +90,7 @@ def drawn_work(seed: int, stops: float, slow: float = 0.0) -> Work:
         key = [seed, int(order.begin.timestamp()), *order.plant.encode(), *order.robot.encode()]
         rng = np.random.default_rng(key)
         time.sleep(slow)
-        seconds = rng.lognormal(np.log(12.0), 0.3) + (rng.uniform(60, 180) if order.enters else 0.0)
+        seconds = rng.lognormal(np.log(WORKED), SPREAD) + (rng.uniform(60, 180) if order.enters else 0.0)
         ended = order.begin + timedelta(seconds=seconds)
         common = {"species": order.species, "plant": order.plant, "robot": order.robot, "time": order.begin}
         if rng.uniform() < stops:

@@ -114,15 +114,17 @@ def test_help_fits_two_screens_and_names_what_it_leaves_out(name, capsys, monkey
 
 
 def test_unknown_command(capfd) -> None:
-    assert "no command 'tral'; allowed: trial, sweep, cell, reconstruct" in refused(capfd, "tral")
+    assert "no command 'tral'; allowed: trial, row, sweep, cell" in refused(capfd, "tral")
 
 
 @pytest.mark.parametrize("name", ALL)
 def test_unknown_option(capfd, name) -> None:
     required = {
         "trial": [],
+        "row": [],
         "cell": ["check", "a"],
         "import": ["a", "b"],
+        "import share": ["a", "b"],
         "calibrate": [],
         "identify": [],
         "doctor": [],
@@ -146,7 +148,9 @@ HEAVY = ("numba", "scipy", "sqlalchemy", "rich", "matplotlib", "cv2", "mujoco", 
         ("reconstruct", "nowhere"),
         ("view", "nowhere"),
         ("import", "nowhere", "o"),
+        ("import", "share", "nowhere", "o"),
         ("sweep", "nowhere.csv"),
+        ("row", "--file", "nowhere.toml"),
         ("cell", "check", "nowhere.toml"),
         ("identify", "--trace", "nowhere.csv"),
     ],

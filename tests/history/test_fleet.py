@@ -117,7 +117,7 @@ def test_a_merge_that_was_cut_off_is_done_again(tmp_path: Path, monkeypatch: pyt
     offline, where = str(tmp_path / "robot.sqlite"), str(tmp_path / "fleet.sqlite")
     for minutes in range(7):
         record_trial(visit("a", "r", minutes), offline)
-    module, calls = sys.modules["anther.history._trials"], []
+    module, calls = sys.modules["anther.history._merge"], []
     monkeypatch.setattr(module, "BATCH", 2)
     add = module.add
 
@@ -156,7 +156,7 @@ def test_merge_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixtu
     offline, where = str(tmp_path / "robot.sqlite"), str(tmp_path / "fleet.sqlite")
     record_trial(visit("a", "r", 0), offline)
     assert main(["history", where, "--merge", offline]) == 0
-    assert "1 visits, counts and notes added, 0 were there already" in capsys.readouterr().out
+    assert "1 visits, counts, notes, sides and shifts added, 0 were there already" in capsys.readouterr().out
     assert main(["history", where, "--merge", str(tmp_path / "none.sqlite")]) == 2
     assert "which is not there" in capsys.readouterr().err
 

@@ -202,10 +202,12 @@ def test_a_robot_that_is_given_up_from_outside_gives_its_stem_back(where: str) -
     with pytest.raises(Gone) as gone:
         run_shift(number, dies, where, simulated=True)
     assert [s.state for s in read_shift(number, where)].count("working") == 1
-    stop_robot(number, str(gone.value), "fetched by hand", where)
+    known = at(11)  # long after it was heard of for the last time
+    stop_robot(number, str(gone.value), "stands still", where, time=known)
     assert [s.state for s in read_shift(number, where)].count("waiting") == 4
-    other = {"a": "b", "b": "a"}[str(gone.value)]
-    assert {s.state for s in run_shift(number, Robots(), where, robots=[other], simulated=True)} == {"visited"}
+    other, robots = {"a": "b", "b": "a"}[str(gone.value)], Robots()
+    assert {s.state for s in run_shift(number, robots, where, robots=[other], simulated=True)} == {"visited"}
+    assert min(order.begin for order in robots.orders) >= known + timedelta(minutes=30), "it stands in the row"
 
 
 def test_bad_input_is_refused(where: str) -> None:

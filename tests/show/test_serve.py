@@ -24,7 +24,20 @@ pytest.importorskip("fastapi", reason="FastAPI is not installed: pip install 'an
 from fastapi.testclient import TestClient
 
 from anther.cli.main import main
-from anther.history import Outcome, overview, record_outcome, record_trial
+from anther.history import (
+    House,
+    Outcome,
+    Robot,
+    Row,
+    Shift,
+    Side,
+    begin_shift,
+    overview,
+    read_stems,
+    record_house,
+    record_outcome,
+    record_trial,
+)
 from anther.history._jobs import Job, State, add_jobs, note_jobs
 from anther.plant import GraspRecord, ShakeRecord, Visit
 from anther.plant.model import TOMATO
@@ -131,6 +144,40 @@ def test_a_plant_and_its_visits(history: str, tmp_path: Path) -> None:
     said = text_of(pages.get("/visits/1").text)
     for part in ("1.25 mm", "31 cm", "main stem", "1.50 mm", "not measured", "6.00 m/s²", "arm 1"):
         assert part in said, part
+
+
+def house_of(where: str, rows: int = 2, hooks: int = 4) -> list[str]:
+    """A house some of whose stems a shift of today visited; return its plants."""
+    side = Side({}, tuple(0.4 * (k + 1) for k in range(hooks)))
+    record_house(House(f"north {EVIL}", "tomato", tuple(Row(f"{k + 1}", side, side) for k in range(rows))), where)
+    plants = [stem.plant for stem in read_stems(f"north {EVIL}", where)]
+    for k, (failure, moved) in enumerate([(None, True), (None, False), ("slipped", None)]):
+        record_trial(visit(plants[k], failure=failure, flowers_moved=moved), where)
+    record_trial(visit(plants[3], 24, flowers_moved=True), where)
+    begin = NOW.replace(hour=0, minute=0, second=0)
+    begin_shift(Shift(f"north {EVIL}", begin, begin + timedelta(hours=23), (Robot("a"),)), where)
+    return plants
+
+
+def test_the_house_by_rows_and_hooks(where: str, tmp_path: Path) -> None:
+    pages = client(where, tmp_path)
+    assert "No house has a map" in text_of(pages.get("/house").text)
+    plants = house_of(where)
+    page = pages.get("/house").text
+    assert EVIL not in page, "names are text"
+    cells = re.findall(r'<a href="/plants/(\d+)" class="(\w+)" title', page)
+    assert [state for _, state in cells] == ["pollinated", "held", "failed", "left", *["waiting"] * 4]
+    assert len({number for number, _ in cells}) == 8, "the stems of the first row"
+    said = text_of(page)
+    for part in ("1 pollinated", "1 of 8, 1 ✗", "0 of 8", "failed: slipped", "held, flowers hardly moved",
+                 f"dosed on {(NOW - timedelta(hours=24)).date()}", "12 waiting"):  # fmt: skip
+        assert part in said, part
+    other = pages.get("/house?row=2").text
+    assert re.findall(r'class="(\w+)" title', other) == ["waiting"] * 8
+    yesterday = pages.get(f"/house?day={(NOW - timedelta(hours=24)).date()}").text
+    assert re.findall(r'class="(\w+)" title', yesterday) == ["none"] * 3 + ["pollinated"] + ["none"] * 4
+    assert pages.get("/house?row=7").status_code == 404
+    assert plants[2] in page.replace("&lt;", "<").replace("&gt;", ">").replace("&#39;", "'")
 
 
 def test_older_visits_come_page_by_page(where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,6 +15,7 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shuti
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium: apt install chromium")
 PAGES = (
     "/",
+    "/house",
     "/?result=failed",
     "/trends",
     "/robots",

@@ -54,7 +54,8 @@ def _add(args: Args) -> None:
         print(f"{folder}: " + ("is in the history already" if number is None else f"visit {number}"))
     for source in args.merge:
         merged = merge(source, args.history)
-        print(f"{source}: {merged.new} visits, counts and notes added, {merged.known} were there already")
+        what = "visits, counts, notes, sides and shifts"
+        print(f"{source}: {merged.new} {what} added, {merged.known} were there already")
 
 
 def _list(args: Args, which: dict[str, Any], outcomes: Sequence[Outcome]) -> None:

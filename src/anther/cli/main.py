@@ -28,6 +28,7 @@ CONTROL = re.compile(r"(\x1b\[[0-9;]*m)|[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 
 COMMANDS = {
     "trial": "see, grasp and shake one plant, in the simulated cell or a real one, measure it, write a report",
+    "row": "along a simulated greenhouse row: map it, visit its stems in a shift; goes on after any stop",
     "sweep": "many trials or reconstructions from a table, on all cores or a cluster; goes on after any stop",
     "cell": "a real robot's cell: check its parts, enable them, jog a joint",
     "reconstruct": "RGB-D views of a plant -> cloud, skeleton, main stem, flowers, grasp",
@@ -39,17 +40,20 @@ COMMANDS = {
     "history": "list the trials, filter and export them; record and learn fruit set; show all on pages",
     "view": "open a run or a skeleton in the 3-D viewer, write it for other programs, or show a trial as it happens",
     "import": "Kinect frames, COLMAP, RealSense or ROS bags, MCAP -> a capture folder; fused PLY -> a cloud",
-    "samples": "write small sample inputs for the commands above",
-    "doctor": "what is installed, what is missing and how to get it",
+    "doctor": "what is installed, what is missing and how to get it; small sample inputs to try the rest with",
 }
 ACTIONS = {
+    "import": {"share": "a copy of a capture to give away: no names, places or texts, faces masked, calibration kept"},
+    "doctor": {"samples": "write small sample inputs for the other commands"},
     "history": {
         "outcome": "record how many flowers of a plant or visit set fruit",
         "fruit-set": "what the counts of fruit set teach of the dose-response, and what they do not",
         "serve": "pages for a browser or a phone: today, failures, trends, robots, plants; read-only",
-    }
+    },
 }
 """Command -> what else it does, each with options of its own: `anther history outcome ...`."""
+SHORT = {"samples": ["doctor", "samples"], "capture": ["import"]}
+"""Word -> what it stands for: `anther samples`, `anther capture share`."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -69,6 +73,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
         print(f"anther {__version__}")
         return 0
+    words = [*SHORT.get(words[0], words[:1]), *words[1:]]
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # many small matrices: threads only get in each other's way
     if words[0] not in COMMANDS:
         print(f"anther: no command '{words[0]}'; allowed: {', '.join(COMMANDS)}. See: anther --help", file=sys.stderr)

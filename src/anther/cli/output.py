@@ -1,12 +1,16 @@
-"""Where a command writes: what an earlier start left there stays, unless --overwrite was given."""
+"""Where a command writes: what an earlier start left there stays, unless --overwrite was given; and what it says."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 from anther.core.errors import bad_input
+
+LOG = "log.txt"
 
 
 def room_for(args: Any, names: Iterable[str]) -> Path | None:
@@ -26,3 +30,14 @@ def free(*places: Path, overwrite: bool) -> None:
     if there and not overwrite:
         given = f"{there[0]}, which exists" + (f", and {len(there) - 1} more" if len(there) > 1 else "")
         raise bad_input("output", given=given, allowed="a new place", do="Choose another, or add --overwrite.")
+
+
+@contextmanager
+def kept_log(folder: Path) -> Iterator[None]:
+    """Keep what a command says in a file: many speak at once."""
+    said = StringIO()
+    try:
+        with redirect_stdout(said), redirect_stderr(said):
+            yield
+    finally:
+        (folder / LOG).write_text(said.getvalue(), encoding="utf-8")

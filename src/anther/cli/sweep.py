@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import shlex
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from collections.abc import Mapping, Sequence
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import fields, is_dataclass, replace
 from functools import cache
 from io import StringIO
@@ -20,11 +20,11 @@ from anther.cli.args import reconstruct as reconstruct_args
 from anther.cli.args import trial as trial_args
 from anther.cli.args.shared import tuned
 from anther.cli.args.sweep import Args
+from anther.cli.output import kept_log
 from anther.core.errors import InputError, StageFailure, bad_input
 from anther.plant.visit import Visit
 from anther.show.results import SUMMARY, read_run
 
-LOG = "log.txt"
 Kind = Literal["trial", "reconstruct"]
 _SET_BY_SWEEP = ("out", "history", "restart_from", "overwrite")
 
@@ -69,7 +69,7 @@ def trial(row: dict[str, Any], folder: Path) -> dict[str, Any]:
     A trial that fails is a result as well: exit_code, failure and success say how it ended.
     """
     args = _arguments(tuned(trial_args.Args)(out=folder, history=str(folder / "history.sqlite")), row)
-    with _kept_log(folder):
+    with kept_log(folder):
         code = trial_command.run(args)
     summary = Visit.load(folder / SUMMARY).flat()
     return {"exit_code": code} | {k: v for k, v in summary.items() if not isinstance(v, dict | list)}
@@ -89,7 +89,7 @@ def reconstruct(row: dict[str, Any], folder: Path) -> dict[str, Any]:
             files.get(f"{root.rstrip('/')}/", fetched, recursive=True)
             row = {**row, "capture": fetched}
         try:
-            with _kept_log(folder):
+            with kept_log(folder):
                 reconstruct_command.run(_arguments(tuned(reconstruct_args.Args)(capture=Path(), out=folder), row))
         except StageFailure as failure:
             return {"failure": failure.kind, "message": str(failure)}
@@ -171,14 +171,3 @@ def _arguments(args: Any, row: Mapping[str, Any]) -> Any:
 def _replace_at(what: Any, path: Sequence[str], value: Any) -> Any:
     inner = value if len(path) == 1 else _replace_at(getattr(what, path[0]), path[1:], value)
     return replace(what, **{path[0]: inner})
-
-
-@contextmanager
-def _kept_log(folder: Path) -> Iterator[None]:
-    """Keep what a command says in a file: many speak at once."""
-    said = StringIO()
-    try:
-        with redirect_stdout(said), redirect_stderr(said):
-            yield
-    finally:
-        (folder / LOG).write_text(said.getvalue(), encoding="utf-8")

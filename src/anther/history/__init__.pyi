@@ -3,6 +3,7 @@
 from ._beliefs import Belief, earlier_shake, facts_prior, starting_material
 from ._database import hide_password, open_reader
 from ._export import export
+from ._merge import merge
 from ._records import Outcome
 from ._row_records import SURE, House, Recognition, Row, RowPass, Side, Stem
 from ._shift_records import Block, Climate, Order, Report, Robot, Shift, StemResult, Work
@@ -12,7 +13,6 @@ from ._trials import (
     each_trial,
     find_plants,
     find_visit,
-    merge,
     read_outcomes,
     read_trials,
     record_note,
@@ -21,7 +21,7 @@ from ._trials import (
 )
 from .fruit_set import Count, FruitSet, fit
 from .row_map import read_stems, record_house, record_pass
-from .shift import begin_shift, read_shift, run_shift, stop_robot
+from .shift import begin_shift, find_unfinished_shift, read_shift, run_shift, stop_robot
 
 __all__ = [
     "SURE",
@@ -51,6 +51,7 @@ __all__ = [
     "export",
     "facts_prior",
     "find_plants",
+    "find_unfinished_shift",
     "find_visit",
     "fit",
     "hide_password",

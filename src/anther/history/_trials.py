@@ -1,9 +1,4 @@
-"""Writing and reading: trials, outcomes and notes, each in one transaction; and one history into another.
-
-What a robot kept while it was offline goes into the fleet's history once, whatever its clock says: a visit is named by
-its plant, its robot and the time by that robot's own clock; times of different robots are never compared. So a merge
-that was cut off is simply done again, and clocks that disagree neither double nor hide a visit.
-"""
+"""Writing and reading: trials, outcomes and notes, each in one transaction."""
 
 from __future__ import annotations
 
@@ -11,14 +6,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, fields
 from datetime import UTC, date, datetime, time, timedelta
 from pathlib import Path
-from typing import Any, NamedTuple, TypedDict, Unpack
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 from sqlalchemy import func, select, tuple_
 from sqlalchemy.orm import Session
 
 from anther.core.errors import bad_input
-from anther.history._database import DEFAULT, hide_password, insert, open_reader, open_writer
+from anther.history._database import DEFAULT, insert, open_reader, open_writer
 from anther.history._records import Outcome, material_of, numbers
 from anther.history._tables import FruitSetRow, GraspRow, Note, Plant, ResponseRow, ShakeRow, VisitRow, with_result
 from anther.plant.visit import MOTIONS, GraspRecord, ShakeRecord, Visit
@@ -51,8 +46,8 @@ def add_missing(record: Visit, where: Path | str = DEFAULT) -> int | None:
 
 def add(session: Session, record: Visit) -> tuple[int, bool]:
     """Add a trial within a transaction; return the number of its visit and whether it is new."""
-    plant = _plant_of(session, record.species, record.plant)
-    number = _number_of(session, plant.id, record.robot, record.time)
+    plant = plant_of(session, record.species, record.plant)
+    number = number_of(session, plant.id, record.robot, record.time)
     if number is not None:
         return number, False
     row = _row_of(record, plant.id)
@@ -61,7 +56,7 @@ def add(session: Session, record: Visit) -> tuple[int, bool]:
     return row.id, True
 
 
-def _number_of(session: Session, plant: int, robot: str, time: datetime) -> int | None:
+def number_of(session: Session, plant: int, robot: str, time: datetime) -> int | None:
     """Return the number of a robot's visit to a plant, or None."""
     return session.scalar(
         select(VisitRow.id).where(VisitRow.plant_id == plant, VisitRow.robot == robot, VisitRow.time == time)
@@ -94,7 +89,7 @@ def read_trials(where: Path | str = DEFAULT, *, last: int | None = None, **which
     """
     query = _filter_visits(select(VisitRow), which).order_by(VisitRow.time.desc(), VisitRow.id.desc()).limit(last)
     with open_reader(where) as session:
-        return [] if session is None else [_visit_of(visit) for visit in session.scalars(query)][::-1]
+        return [] if session is None else [visit_of(visit) for visit in session.scalars(query)][::-1]
 
 
 def each_trial(where: Path | str = DEFAULT, **which: Unpack[Which]) -> Iterator[Visit]:
@@ -106,7 +101,7 @@ def each_trial(where: Path | str = DEFAULT, **which: Unpack[Which]) -> Iterator[
     while True:
         further = query if place is None else query.where(tuple_(VisitRow.time, VisitRow.id) > place)
         with open_reader(where) as session:
-            batch = [] if session is None else [_visit_of(visit) for visit in session.scalars(further)]
+            batch = [] if session is None else [visit_of(visit) for visit in session.scalars(further)]
         yield from batch
         if len(batch) < BATCH:
             return
@@ -141,13 +136,13 @@ def record_outcome(outcome: Outcome, where: Path | str = DEFAULT) -> int:
         InputError: the visit is not one of this plant; or see `record_trial`.
     """
     with open_writer(where) as session:
-        plant = _plant_of(session, outcome.species, outcome.plant).id
+        plant = plant_of(session, outcome.species, outcome.plant).id
         if outcome.visit is not None:
             visit = session.get(VisitRow, outcome.visit)
             if visit is None or visit.plant_id != plant:
                 allowed, do = f"a visit to {outcome.species} '{outcome.plant}'", "`anther history` lists them."
                 raise bad_input("visit", given=f"{outcome.visit}", allowed=allowed, do=do)
-        counted = FruitSetRow(plant_id=plant, visit_id=outcome.visit, **_values(outcome, _COUNTED))
+        counted = FruitSetRow(plant_id=plant, visit_id=outcome.visit, **values_of(outcome, COUNTED))
         session.add(counted)
         session.flush()
         return counted.id
@@ -181,7 +176,7 @@ def read_outcomes(
         rows = [] if session is None else list(session.scalars(query))
         last = {(row.plant_id, row.visit_id, row.date): row for row in rows}
         return [
-            Outcome(species=r.plant.species, plant=r.plant.label, visit=r.visit_id, **_values(r, ("id", *_COUNTED)))
+            Outcome(species=r.plant.species, plant=r.plant.label, visit=r.visit_id, **values_of(r, ("id", *COUNTED)))
             for r in last.values()
         ]
 
@@ -197,7 +192,7 @@ def find_visit(number: int, where: Path | str = DEFAULT) -> Visit | None:
     """Return one visit, or None."""
     with open_reader(where) as session:
         visit = None if session is None else session.get(VisitRow, number)
-        return None if visit is None else _visit_of(visit)
+        return None if visit is None else visit_of(visit)
 
 
 def _of_plant(query: Any, species: str | None, plant: str | None) -> Any:
@@ -205,7 +200,7 @@ def _of_plant(query: Any, species: str | None, plant: str | None) -> Any:
     return query if plant is None else query.where(Plant.label == plant)
 
 
-def _plant_of(session: Session, species: str, label: str) -> Plant:
+def plant_of(session: Session, species: str, label: str) -> Plant:
     """Return the plant, locked for this transaction; it is added if it is new, also when two add it at once."""
     query = select(Plant).where(Plant.species == species, Plant.label == label).with_for_update()
     query = query.execution_options(populate_existing=True)
@@ -218,11 +213,11 @@ def _plant_of(session: Session, species: str, label: str) -> Plant:
 
 
 _OF_VISIT = ("robot", "time", "held_unharmed", "flowers_moved", "failure", "run")
-_COUNTED = ("date", "flowers", "fruit", "note", "recorded")
+COUNTED = ("date", "flowers", "fruit", "note", "recorded")
 """What records and rows of visits, and of counts, both have."""
 
 
-def _values(thing: Any, names: Sequence[str]) -> dict[str, Any]:
+def values_of(thing: Any, names: Sequence[str]) -> dict[str, Any]:
     return {name: getattr(thing, name) for name in names}
 
 
@@ -240,96 +235,19 @@ def _row_of(visit: Visit, plant: int) -> VisitRow:
             ResponseRow(flower=k, **{name: float(v[k]) if np.isfinite(v[k]) else None for name, v in motions.items()})
             for k in range(visit.flowers)
         ],
-        **_values(visit, _OF_VISIT),
+        **values_of(visit, _OF_VISIT),
     )
 
 
-def _visit_of(row: VisitRow) -> Visit:
+def visit_of(row: VisitRow) -> Visit:
     grasp, shake = row.grasp, row.shake
     return Visit(
         species=row.plant.species,
         plant=row.plant.label,
-        grasp=grasp and GraspRecord(**_values(grasp, [f.name for f in fields(GraspRecord)])),
-        shake=shake and ShakeRecord(**_values(shake, [f.name for f in fields(ShakeRecord)])),
+        grasp=grasp and GraspRecord(**values_of(grasp, [f.name for f in fields(GraspRecord)])),
+        shake=shake and ShakeRecord(**values_of(shake, [f.name for f in fields(ShakeRecord)])),
         believed=material_of(row.believed),
         material=material_of(row.material),
         **{name: numbers([getattr(r, name) for r in row.responses]) for name in MOTIONS},
-        **_values(row, ("id", *_OF_VISIT)),
+        **values_of(row, ("id", *_OF_VISIT)),
     )
-
-
-class Merged(NamedTuple):
-    """How many visits, counts and notes were new, and how many were there already."""
-
-    new: int
-    known: int
-
-
-def merge(source: Path | str, where: Path | str = DEFAULT) -> Merged:
-    """Take the visits, counts of fruit set and notes of another history into this one.
-
-    Args:
-        source: the history to take from; nothing of it changes but for its schema's version.
-        where: the history to add to.
-
-    Raises:
-        InputError: one of them is no history, cannot be read, or cannot be written. What was taken until then stays.
-    """
-    with open_reader(source) as session:
-        if session is None:
-            given = f"{hide_password(source)}, which is not there"
-            raise bad_input("history to merge", given=given, allowed="a history", do="Check the path.")
-    new = total = 0
-    for batch in _batches(source):
-        with open_writer(where) as session:
-            # in the order of plants, so that two merges at once lock them in the same order
-            ordered = sorted(batch, key=lambda record: (record.species, record.plant, record.time))
-            new += sum(add(session, record)[1] for record in ordered)
-        total += len(batch)
-    with open_reader(source) as here, open_writer(where) as there:
-        assert here is not None
-        for added in (*_counts(here, there), *_notes(here, there)):
-            new, total = new + added, total + 1
-    return Merged(new, total - new)
-
-
-def _batches(source: Path | str) -> Iterator[Sequence[Visit]]:
-    last = 0
-    while True:
-        with open_reader(source) as session:
-            rows = session.scalars(select(VisitRow).where(VisitRow.id > last).order_by(VisitRow.id).limit(BATCH)).all()  # type: ignore[union-attr]
-            batch = [_visit_of(row) for row in rows]
-        if not batch:
-            return
-        yield batch
-        last = rows[-1].id
-
-
-def _counts(here: Session, there: Session) -> Iterator[bool]:
-    """Add each count that is not there; yield whether it was new."""
-    query = select(FruitSetRow).join(FruitSetRow.plant).order_by(Plant.species, Plant.label, FruitSetRow.id)
-    for count in here.scalars(query):
-        plant = _plant_of(there, count.plant.species, count.plant.label).id
-        same = select(FruitSetRow.id).where(FruitSetRow.plant_id == plant, FruitSetRow.recorded == count.recorded)
-        new = there.scalar(same) is None
-        if new:
-            visit = None if count.visit_id is None else _number(here, there, count.visit_id)
-            there.add(FruitSetRow(plant_id=plant, visit_id=visit, **_values(count, _COUNTED)))
-        yield new
-
-
-def _notes(here: Session, there: Session) -> Iterator[bool]:
-    for note in here.scalars(select(Note).order_by(Note.id)):
-        visit = _number(here, there, note.visit_id)
-        same = select(Note.id).where(Note.visit_id == visit, Note.recorded == note.recorded)
-        new = there.scalar(same) is None
-        if new:
-            there.add(Note(visit_id=visit, recorded=note.recorded, text=note.text))
-        yield new
-
-
-def _number(here: Session, there: Session, visit_id: int) -> int | None:
-    """Return the number that a visit has in the other history."""
-    visit = here.get_one(VisitRow, visit_id)
-    plant = there.scalar(select(Plant.id).where(Plant.species == visit.plant.species, Plant.label == visit.plant.label))
-    return None if plant is None else _number_of(there, plant, visit.robot, visit.time)

@@ -13,18 +13,25 @@ from typing import Any, NamedTuple
 from sqlalchemy import Integer, cast, func, select, tuple_
 from sqlalchemy.orm import Session
 
+from anther.core.records import decode
+from anther.history._row_records import SURE
+from anther.history._shift_records import Shift
 from anther.history._tables import (
     FruitSetRow,
     Note,
     Plant,
+    RowSide,
     ShakeRow,
+    ShiftRow,
+    ShiftStem,
+    StemRow,
     Sweep,
     SweepJob,
     VisitRow,
     pollinated,
     with_result,
 )
-from anther.plant.visit import Result
+from anther.plant.visit import Result, result_of, result_words
 
 PAGE = 50
 """Visits of a page."""
@@ -58,6 +65,28 @@ class SweepTally:
     function: str
     began: datetime
     jobs: dict[str, int]
+
+
+class StemDay(NamedTuple):
+    """What became of a stem of a house on a day.
+
+    Attributes:
+        plant, label: number and label of its plant.
+        row, side, hook: where it hangs; hooks count from 0.
+        unsure: whether it may be another stem than before.
+        state: "pollinated", "held", "failed" by its last visit of the day; else as the shift of that day has it,
+            "waiting", "working" or "left"; else "none".
+        why: the result in words, or why it was left; "" for none.
+    """
+
+    plant: int
+    label: str
+    row: str
+    side: str
+    hook: int
+    unsure: bool
+    state: str
+    why: str
 
 
 _TALLY = (
@@ -168,6 +197,45 @@ def counts(session: Session, number: int) -> Sequence[FruitSetRow]:
     """Return the counts of fruit set of a plant, the last one first."""
     newest = FruitSetRow.date.desc(), FruitSetRow.recorded.desc()
     return session.scalars(select(FruitSetRow).where(FruitSetRow.plant_id == number).order_by(*newest)).all()
+
+
+def houses(session: Session) -> Sequence[str]:
+    """Return the names of the houses that have a map."""
+    return session.scalars(select(RowSide.house).distinct().order_by(RowSide.house)).all()
+
+
+def house_day(session: Session, house: str, day: date) -> list[StemDay]:
+    """Return what became of every stem of a house on a day, in the order of rows, sides and hooks."""
+    of_house = RowSide.house == house, StemRow.removed.is_(None)
+    query = select(StemRow, RowSide.row, RowSide.side).join(RowSide, RowSide.id == StemRow.row_side_id)
+    stems = session.execute(query.where(*of_house).order_by(RowSide.id, StemRow.order)).all()
+    columns = VisitRow.plant_id, VisitRow.held_unharmed, VisitRow.flowers_moved, VisitRow.failure
+    visited = select(*columns).join(StemRow, StemRow.plant_id == VisitRow.plant_id)
+    visited = visited.join(RowSide, RowSide.id == StemRow.row_side_id).where(*of_house)
+    last = {v.plant_id: tuple(v)[1:] for v in session.execute(_filter_dates(visited, day, day).order_by(VisitRow.time))}
+    shift = _shift_stems(session, house, day)
+    found = []
+    for stem, row, side in stems:
+        state, why = shift.get(stem.id, ("none", None))
+        if (visit := last.get(stem.plant_id)) is not None:
+            state, why = result_of(*visit[:2]), result_words(*visit)
+        unsure = stem.certainty < SURE
+        found.append(StemDay(stem.plant_id, stem.plant.label, row, side, stem.order, unsure, state, why or ""))
+    return found
+
+
+def _shift_stems(session: Session, house: str, day: date) -> dict[int, tuple[str, str | None]]:
+    """Return stem -> state and reason in the last shift of a house, if that was on this day."""
+    shift = session.scalar(select(ShiftRow).where(ShiftRow.house == house).order_by(ShiftRow.id.desc()).limit(1))
+    if shift is None:
+        return {}
+    asked = decode(shift.asked, Shift)
+    if not asked.begin.astimezone(UTC).date() <= day <= asked.end.astimezone(UTC).date():
+        return {}
+    rows = session.execute(
+        select(ShiftStem.stem_id, ShiftStem.state, ShiftStem.reason).where(ShiftStem.shift_id == shift.id)
+    )
+    return {stem: ("none" if state == "visited" else state, reason) for stem, state, reason in rows}
 
 
 def last_run(session: Session, number: int) -> Any:

@@ -9,6 +9,7 @@ hangs.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ from anther.history._database import DEFAULT, open_reader, open_writer
 from anther.history._row_match import WEEK, Hooks, align
 from anther.history._row_records import SIDES, House, Recognition, RowPass, Side, Stem, check_increasing
 from anther.history._tables import RowSide, StemRow, VisitRow, pollinated
-from anther.history._trials import _plant_of
+from anther.history._trials import plant_of
 from anther.plant.visit import check_labels
 
 GONE = 0.95
@@ -37,13 +38,25 @@ OTHER_ROW = 1e-3
 WEEKS = timedelta(weeks=1)
 
 
-def record_house(house: House, where: Path | str = DEFAULT) -> None:
+def record_house(
+    house: House, where: Path | str = DEFAULT, *, passes: Sequence[RowPass] = ()
+) -> tuple[Recognition, ...]:
     """Take in a house. Sides that are known keep their stems and get the posts as they are now.
 
+    Args:
+        house: as it is now; it may have grown by rows.
+        where: the history.
+        passes: along its sides, taken in as by `record_pass` in the same transaction: all or nothing.
+
+    Returns:
+        Who is who in each pass.
+
     Raises:
-        InputError: the history cannot be written.
+        InputError: the history has sides that this house has not, another species, or none of its posts on a side: it
+            is another house; what `record_pass` raises; or the history cannot be written. Nothing is changed then.
     """
     with open_writer(where) as session:
+        _check_same_house(session, house)
         for row, name in ((row, name) for row in house.rows for name in SIDES):
             built: Side | None = getattr(row, name)
             if built is None:
@@ -60,6 +73,28 @@ def record_house(house: House, where: Path | str = DEFAULT) -> None:
                 if built.hooks:
                     side.begin, side.end = built.hooks[0] - 0.1, built.hooks[-1] + 0.1
             side.posts = built.posts
+        session.flush()
+        return tuple(_recognise(session, seen) for seen in passes)
+
+
+def _check_same_house(session: Session, house: House) -> None:
+    """Raise InputError where the history has another house of this name."""
+    built = {(row.name, name): side for row in house.rows for name in SIDES if (side := getattr(row, name))}
+    for side in session.scalars(select(RowSide).where(RowSide.house == house.name).order_by(RowSide.id)):
+        do = "Give this house a name of its own; nothing was changed."
+        if (side.row, side.side) not in built:
+            given, allowed = f"no row '{side.row}', {side.side}", "all sides that its map has, or a new house"
+            raise bad_input(f"house '{house.name}'", given=given, allowed=allowed, do=do)
+        if side.species != house.species:
+            allowed = f"{side.species}, as its map has"
+            raise bad_input(f"house '{house.name}'", given=house.species, allowed=allowed, do=do)
+        posts = built[side.row, side.side].posts
+        if posts and side.posts and not posts.keys() & side.posts.keys():
+            given, allowed = (
+                f"no post that row '{side.row}', {side.side}, had",
+                f"one or more of {', '.join(side.posts)}",
+            )
+            raise bad_input(f"house '{house.name}'", given=given, allowed=allowed, do=do)
 
 
 def read_stems(
@@ -97,31 +132,35 @@ def record_pass(seen: RowPass, where: Path | str = DEFAULT) -> Recognition:
             than the last one; or stems that are not this side's. Nothing is changed then.
     """
     with open_writer(where) as session:
-        side = _find_side(session, seen.house, seen.row, seen.side)
-        if side is None:
-            do = "Check the names, or record the house first."
-            raise bad_input("pass", given=_name(seen), allowed="a side of a recorded house", do=do)
-        if side.passed is not None and seen.time <= side.passed:
-            allowed = f"a time after the last pass, {side.passed:%Y-%m-%d %H:%M:%S} UTC"
-            raise bad_input(
-                "pass", given=f"{seen.time:%Y-%m-%d %H:%M:%S %Z}", allowed=allowed, do="Was it recorded before?"
-            )
-        now = _hooks_of_pass(seen, side.posts)
-        stems = list(side.stems)
-        weeks = max((seen.time - (side.passed or seen.time)) / WEEKS, 0.02)
-        shares = np.zeros((len(now.position), 0))
-        if stems:
-            before = _hooks_of_map(side, stems, seen, now)
-            shares, evidence = align(before, now, weeks)
-            if evidence < np.log(OTHER_ROW):
-                given = f"stems that explain the pass e^{-evidence:.0f} times worse than strangers"
-                do = "Check which row was driven; nothing was changed."
-                raise bad_input("pass", given=given, allowed=f"the stems of {_name(seen)}", do=do)
-        result = _update_map(session, side, stems, seen, now, shares)
-        side.begin = now.begin if side.begin is None else min(side.begin, now.begin)
-        side.end = now.end if side.end is None else max(side.end, now.end)
-        side.passed = seen.time
-        return result
+        return _recognise(session, seen)
+
+
+def _recognise(session: Session, seen: RowPass) -> Recognition:
+    """Do what `record_pass` does, within a transaction."""
+    side = _find_side(session, seen.house, seen.row, seen.side)
+    if side is None:
+        do = "Check the names, or record the house first."
+        raise bad_input("pass", given=_name(seen), allowed="a side of a recorded house", do=do)
+    if side.passed is not None and seen.time <= side.passed:
+        allowed = f"a time after the last pass, {side.passed:%Y-%m-%d %H:%M:%S} UTC"
+        given = f"{seen.time:%Y-%m-%d %H:%M:%S %Z}"
+        raise bad_input("pass", given=given, allowed=allowed, do="Was it recorded before?")
+    now = _hooks_of_pass(seen, side.posts)
+    stems = list(side.stems)
+    weeks = max((seen.time - (side.passed or seen.time)) / WEEKS, 0.02)
+    shares = np.zeros((len(now.position), 0))
+    if stems:
+        before = _hooks_of_map(side, stems, seen, now)
+        shares, evidence = align(before, now, weeks)
+        if evidence < np.log(OTHER_ROW):
+            given = f"stems that explain the pass e^{-evidence:.0f} times worse than strangers"
+            do = "Check which row was driven; nothing was changed."
+            raise bad_input("pass", given=given, allowed=f"the stems of {_name(seen)}", do=do)
+    result = _update_map(session, side, stems, seen, now, shares)
+    side.begin = now.begin if side.begin is None else min(side.begin, now.begin)
+    side.end = now.end if side.end is None else max(side.end, now.end)
+    side.passed = seen.time
+    return result
 
 
 def _find_side(session: Session, house: str, row: str, side: str) -> RowSide | None:
@@ -233,7 +272,7 @@ def _add_stem(session: Session, side: RowSide, time: datetime, **values: Any) ->
     side.labels += 1
     label = f"{side.house} {side.row} {side.side} {side.labels}"
     check_labels(side.species, label)
-    plant = _plant_of(session, side.species, label)
+    plant = plant_of(session, side.species, label)
     first = {"position": 0.0, "position_std": 0.0, "certainty": 1.0, "gone": 0.0}
     stem = StemRow(row_side_id=side.id, plant=plant, first_seen=time, last_seen=time, **{**first, **values})
     session.add(stem)

@@ -160,8 +160,26 @@ def read_shift(number: int, where: Path | str = DEFAULT) -> list[StemResult]:
         ]
 
 
-def stop_robot(number: int, robot: str, reason: str, where: Path | str = DEFAULT) -> None:
+def find_unfinished_shift(house: str, where: Path | str = DEFAULT) -> int | None:
+    """Return the number of the last shift in a house that still has stems to visit, to go on with it; None: none."""
+    query = select(func.max(ShiftRow.id)).join(ShiftStem, ShiftStem.shift_id == ShiftRow.id)
+    query = query.where(ShiftRow.house == house, ShiftStem.state.in_(("waiting", "working")))
+    with open_reader(where) as session:
+        return None if session is None else session.scalar(query)
+
+
+def stop_robot(
+    number: int, robot: str, reason: str, where: Path | str = DEFAULT, *, time: datetime | None = None
+) -> None:
     """Say that a robot takes no further part in a shift; its row is blocked for a while, its legs go to others.
+
+    Args:
+        number: of the shift.
+        robot: its name.
+        reason: why it stopped.
+        where: the history.
+        time: since when people know, who are to fetch it: its row is blocked until `TOW` later. By default now; of a
+            shift that is simulated, by its clock.
 
     Raises:
         InputError: no such shift or robot.
@@ -169,6 +187,7 @@ def stop_robot(number: int, robot: str, reason: str, where: Path | str = DEFAULT
     with open_writer(where) as session:
         _, _, robots = _state(session, number)
         _check_robots([robot], robots)
+        robots[robot].free = max(robots[robot].free, time or datetime.now(UTC))
         _stop(session, robots[robot], reason)
 
 
@@ -309,9 +328,10 @@ def _charge(shift: Shift, robot: ShiftRobot, robots: dict[str, ShiftRobot]) -> b
 
 
 def _closed(shift: Shift, robots: dict[str, ShiftRobot], row: str) -> list[tuple[datetime, datetime, str]]:
-    """Return when a row is closed, also by robots that stand in it."""
+    """Return when a row is closed, also by robots that stand in it: until they are fetched, whenever they stopped."""
     standing = [r for r in robots.values() if r.stopped and r.leg is not None and r.row == row]
-    return shift.closures(row) + [(r.free, r.free + TOW, f"robot {r.name} stands in it: {r.stopped}") for r in standing]
+    stopped = [(shift.begin, r.free + TOW, f"robot {r.name} stands in it: {r.stopped}") for r in standing]
+    return shift.closures(row) + stopped
 
 
 def _may_enter(shift: Shift, robot: ShiftRobot, robots: dict[str, ShiftRobot], row: str) -> bool:

@@ -5,6 +5,7 @@ from .bench import ClampedStem, MaterialTest, fit_free_vibration, identify, read
 from .imported import main_stem, read_source
 from .limits import Crop, moved
 from .model import PEPPER, TOMATO, Material, PlantModel, build_plant
+from .string import HeldString
 from .visit import GraspRecord, ShakeRecord, Visit
 
 __all__ = [
@@ -14,6 +15,7 @@ __all__ = [
     "Crop",
     "EarlierShake",
     "GraspRecord",
+    "HeldString",
     "Material",
     "MaterialTest",
     "PlantModel",

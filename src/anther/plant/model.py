@@ -22,7 +22,8 @@ from anther.perception.skeleton import Skeleton
 from anther.perception.stem import PEDICEL, Stem
 from anther.plant._material import LEARNED, PEPPER, TOMATO, Material
 from anther.plant._shape import branch_stiffening, edge_radii, hang_flowers, in_blade, leaf_mass, least_youngs
-from anther.rods import Clamp, Rods, standing, with_gravity_equilibrium
+from anther.plant.string import HeldString, topmost_hold
+from anther.rods import Clamp, Rods, Support, standing, with_gravity_equilibrium
 
 __all__ = [
     "LEARNED", "MARGIN", "PEPPER", "TOMATO", "Material", "Params", "PlantModel", "build_plant", "plant_with_flowers",
@@ -45,6 +46,7 @@ class Params(Record):
         pedicel_length, pedicel_radius: [m] (facts: 9-22 mm long, about 1 mm thick).
         pedicel_youngs: [Pa] (facts: 50-100 MPa gives the 23-33 Hz at which tomato flowers answer stem shaking best).
         stiffen: raise Young's modulus to `MARGIN`, with a note, since the plant evidently stands; False refuses.
+        string: that holds its main stem up; None: it stands alone.
     """
 
     areal_density: Annotated[float, Range(0, 5, "kg/m2")] = 0.25
@@ -53,6 +55,7 @@ class Params(Record):
     pedicel_radius: Annotated[float, Range(1e-5, 0.02, "m")] = 0.5e-3
     pedicel_youngs: Annotated[float, Range(1e5, 1e11, "Pa")] = 70e6
     stiffen: bool = True
+    string: HeldString | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,6 +72,7 @@ class PlantModel(Stored):
         material: what the rods were made of.
         pedicel_spread: spread of the pedicels' stiffness, standard deviation of ln [-].
         least_youngs: Young's modulus at which the plant buckles under its own weight [Pa].
+        string: that holds the main stem up, the only support of the rods; None: it stands alone.
         notes: what the stage wants the user to know.
     """
 
@@ -82,6 +86,7 @@ class PlantModel(Stored):
     material: Material
     pedicel_spread: float
     least_youngs: Annotated[float, Range(unit="Pa")]
+    string: HeldString | None = None
     notes: tuple[str, ...] = ()
 
     def _check(self) -> None:
@@ -110,12 +115,15 @@ class PlantModel(Stored):
         check_range("frequency", frequency, 1e-3, 1e4, "Hz")
         return replace(self.rods, viscous_time=self.material.damping_ratio / (np.pi * frequency))
 
-    def with_material(self, material: Material, *, pedicel_factor: float = 1.0) -> PlantModel:
+    def with_material(
+        self, material: Material, *, pedicel_factor: float = 1.0, tension_factor: float = 1.0
+    ) -> PlantModel:
         """Return the same plant of another material, again at rest in the scanned shape.
 
         Args:
             material: its youngs and radius scale replace those of stem and branches.
             pedicel_factor: multiplies Young's modulus of the pedicels [-].
+            tension_factor: multiplies the tension of the string [-].
 
         Raises:
             StageFailure: kind "no_convergence": the plant would buckle.
@@ -130,6 +138,7 @@ class PlantModel(Stored):
             density=np.asarray(self.rods.density) * heavier,
             bend_over_twist=material.bend_over_twist,
             natural=None,
+            supports=self._pulled(tension_factor),
         )
         at_rest = standing(rods, self.clamp)
         if at_rest is None:
@@ -140,6 +149,13 @@ class PlantModel(Stored):
             material=material,
             least_youngs=self.least_youngs / thicker**4,
         )
+
+    def _pulled(self, factor: float) -> tuple[Support, ...]:
+        """Return the rods' supports with the string `factor` times as tense."""
+        if self.string is None:
+            return self.rods.supports
+        (held,) = self.rods.supports
+        return (self.string.support(held.node, self.rods.nodes[held.node], factor),)
 
 
 def build_plant(
@@ -190,6 +206,7 @@ def build_plant(
         material=chosen,
         pedicel_spread=float(np.log(2) / np.sqrt(12)),  # log-uniform over the facts' range of pedicel_youngs
         least_youngs=least,
+        string=params.string,
         notes=(_mass_note(rods, leaves, cloud), *note),
     )
 
@@ -230,6 +247,10 @@ def _rods(
     mass[stalks.tips] += params.flower_mass
     inertia[stalks.tips] = 0.4 * params.flower_mass * FLOWER_RADIUS**2
     is_pedicel = np.concatenate([np.zeros(len(radius), dtype=bool), stalks.is_pedicel])
+    pulls = ()
+    if params.string is not None:
+        held = int(stem.node_ids[topmost_hold(skeleton.nodes[stem.node_ids], skeleton.radius[stem.node_ids], cloud)])
+        pulls = (params.string.support(held, skeleton.nodes[held]),)
     rods = Rods(
         nodes=np.concatenate([skeleton.nodes, stalks.nodes]),
         parent=np.concatenate([skeleton.parent, stalks.parent]),
@@ -239,6 +260,7 @@ def _rods(
         bend_over_twist=material.bend_over_twist,
         lumped_mass=mass,
         lumped_inertia=inertia,
+        supports=pulls,
     )
     return rods, is_pedicel, stalks.tips, leaves
 

@@ -142,15 +142,46 @@ def perceive(
             lambda advance: find_supports(cloud.fuse(capture, labels, workspace, params.cloud, progress=advance)),
         )
         middle = None if workspace is None else (workspace.lower + workspace.upper) / 2
-        tree = run.stage("skeleton", Skeleton.load, lambda _: skeleton.skeletonize(fused, params.skeleton, middle))
+        known = _rooted(fused, params)
+        tree = run.stage("skeleton", Skeleton.load, lambda _: skeleton.skeletonize(fused, known, middle))
         centres = flowers.flower_centres(fused)
         main = run.stage("stem", Stem.load, lambda _: _main_stem(fused, tree, centres, params))
     found = run.stage("flowers", Flowers.load, lambda _: flowers.find_flowers(fused, tree, main, centres=centres))
     return Seen(labels, fused, tree, main, found)
 
 
+FOOT = 0.03
+"""Over which a hanging stem's lowest seen points are its own [m]: a few diameters."""
+
+
+def _rooted(fused: Cloud, params: Params) -> skeleton.Params:
+    """Return where the asked stem comes into view: below the hook of its string, if that is known.
+
+    Raises:
+        StageFailure: nothing hangs there.
+    """
+    string, own = params.plant.string, params.skeleton
+    if string is None or own.root is not None or own.plant is not None:
+        return own
+    column = fused.points[string.beside(fused.points)]
+    if not len(column):
+        x, y, _ = string.hook
+        raise StageFailure("no_stem_found", f"no stem hangs below the hook at {x:.2f}, {y:.2f} m. Is the map right?")
+    foot = np.median(column[column[:, 2] < column[:, 2].min() + FOOT], axis=0)
+    return replace(own, root=tuple(foot.tolist()))
+
+
+def _tipped(tree: Skeleton, params: Params) -> stem.Params:
+    """Return where the asked stem leaves the view: as high as anything of it is below the hook of its string."""
+    string, own = params.plant.string, params.stem
+    if string is None or own.tip is not None or not (beside := string.beside(tree.nodes)).any():
+        return own
+    tip = tree.nodes[beside][np.argmax(tree.nodes[beside, 2])]
+    return replace(own, tip=tuple(tip.tolist()))
+
+
 def _main_stem(fused: Cloud, tree: Skeleton, flowers_at: Array, params: Params) -> Stem:
-    main = stem.find_stem(tree, params.stem, flowers_at=flowers_at)
+    main = stem.find_stem(tree, _tipped(tree, params), flowers_at=flowers_at)
     return replace(main, notes=(*main.notes, *notes_beside(fused, tree, main)))
 
 

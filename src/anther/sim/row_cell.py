@@ -6,6 +6,8 @@ robot may know goes into `robot.Cell`: not which plant this is, nor where its ho
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from anther.core.geometry import Array, Box, look_at
@@ -33,6 +35,9 @@ from anther.sim.truth import NOMINAL, Truth
 
 FLOWERS_Z = 0.15
 """Height of the flowers over the arm's base [m]: as in the cell of a plant in a pot."""
+FINE_BELOW = 0.55
+"""How far under the flowers the plant is cut finely [m]: an arm holds it within 0.4 m of them, and bending dies out within
+3 to 9 cm of a grip (facts: rows 0)."""
 ROW_VIEWS = ViewParams(count=6, widest=50.0)
 """Views from one side of the row: 3 to 6 are what a visit has time for."""
 
@@ -47,6 +52,16 @@ def before_arm(row: Row, arm: ArmModel = SAWYER) -> Row:
     stem = plant.end[plant.stem_segments()]
     beside = stem[np.argmin(np.abs(stem[:, 2] - row.flowers[2]))]
     return row.at([-x, -beside[1], FLOWERS_Z - row.flowers[2]])
+
+
+HOOK_ERROR = 0.02
+"""Of a hook's place along and across the row in a map, standard deviation [m]: a guess."""
+
+
+def mapped_hook(row: Row, arm: ArmModel = SAWYER) -> Array:
+    """Return where the map says that the string of the asked stem hangs (3,), in the arm's frame (`before_arm`) [m]."""
+    error = np.random.default_rng([row.seed, 16]).normal(0, HOOK_ERROR, 2)
+    return before_arm(row, arm).hooks[row.asked] + np.append(error, 0.0)
 
 
 def row_layout(row: Row, arm: ArmModel = SAWYER) -> Layout:
@@ -85,7 +100,9 @@ def row_world(row: Row, truth: Truth = NOMINAL, arm: ArmModel = SAWYER, joints: 
     plant = as_true(held_by_string(row.worked), truth)
     reach = arm.reach + arm.tool.tip + 0.2
     near = [part for part in row.obstacles() if _distance(part, arm.shoulder) < reach]
-    return world.Cell(plant, arm.waiting if joints is None else joints, world.Params(), truth, arm, obstacles=near)
+    cut = replace(world.Params().plant, fine_above=float(row.flowers[2]) - FINE_BELOW)
+    start = arm.waiting if joints is None else joints
+    return world.Cell(plant, start, world.Params(plant=cut), truth, arm, obstacles=near)
 
 
 def _distance(part: object, place: Array) -> float:

@@ -81,28 +81,32 @@ def scenarios(
 
 
 def draw_deviates(plant: PlantModel, count: int, seed: int = 0) -> Array:
-    """Return (count, 8 + B) standard normal deviates for `draw_version`, B branches."""
+    """Return (count, 8 + B) standard normal deviates for `draw_version`, B branches; one more where a string pulls."""
     generator = np.random.default_rng(seed)
     engine = scipy.stats.qmc.MultivariateNormalQMC(
         np.zeros(8), engine=scipy.stats.qmc.Halton(8, rng=generator), rng=generator
     )
     shared = engine.random(count)
-    return np.concatenate([shared, generator.normal(size=(count, len(plant.branch_bases)))], axis=1)
+    own = len(plant.branch_bases) + (plant.string is not None)
+    return np.concatenate([shared, generator.normal(size=(count, own))], axis=1)
 
 
 def draw_version(plant: PlantModel, pads: Pads, z: Array, branch_spread: float) -> Version | None:
     """Return plant and pads at deviates z (8 + B,), see `draw_deviates`; None if the plant cannot stand.
 
-    They are of `draw_material` (6,), the pads (2,), and ln of each branch's stiffness (B,).
+    They are of `draw_material` (6,), the pads (2,), ln of each branch's stiffness (B,), and ln of the string's tension.
     """
     own, material = plant, draw_material(plant.material, z[:6], plant.least_youngs)
+    branches = z[8 : 8 + len(plant.branch_bases)]
+    tension = 1.0 if plant.string is None else float(np.exp(plant.string.tension_spread * z[8 + len(branches)]))
     if branch_spread:
-        factor = np.where(plant.is_pedicel, 1.0, np.exp(np.append(branch_spread * z[8:], 0.0))[branch_of(plant)])
+        factor = np.where(plant.is_pedicel, 1.0, np.exp(np.append(branch_spread * branches, 0.0))[branch_of(plant)])
         own = replace(plant, rods=replace(plant.rods, youngs=np.asarray(plant.rods.youngs) * factor))
     for stiffer in 1.25 ** np.arange(8):
         tried = replace(material, youngs=material.youngs * float(stiffer))
         try:
-            stands = own.with_material(tried, pedicel_factor=float(np.exp(plant.pedicel_spread * z[3])))
+            pedicels = float(np.exp(plant.pedicel_spread * z[3]))
+            stands = own.with_material(tried, pedicel_factor=pedicels, tension_factor=tension)
         except StageFailure:
             continue
         return Version(stands, pads.drawn(z[6:8]))

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import secrets
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Sequence
 from datetime import UTC, date, datetime, timedelta
 from functools import partial
@@ -156,6 +157,7 @@ LONGEST = 366
 DAYS: Any = {"ge": date(1970, 1, 2), "le": date(9000, 1, 1)}
 Bounded = Query(**DAYS)
 Day = Annotated[date | None, Bounded]
+Name = Annotated[str | None, Query(max_length=200)]
 Number = Annotated[int, Path_(ge=1, le=2**31 - 1)]
 Before = Annotated[int | None, Query(ge=1, le=2**31 - 1)]
 """Of the last visit of the page before."""
@@ -181,7 +183,9 @@ def make_app(history: str, runs: Path, token: str | None = None, *, local: bool 
     app = FastAPI(title="Anther", docs_url=None, redoc_url=None, openapi_url=None)
     house = House(history, runs.resolve(), token)
     templates = Jinja2Templates(HERE / "templates")
-    templates.env.globals.update(result_of=result_of, result_words=result_words, quantity=quantity, results=RESULTS)
+    templates.env.globals.update(
+        result_of=result_of, result_words=result_words, quantity=quantity, results=RESULTS, states=STATES
+    )
     templates.env.globals.update(
         {"today": lambda: datetime.now(UTC).date(), "place": hide_password(history), "writes": token is not None}
     )
@@ -234,7 +238,7 @@ def make_app(history: str, runs: Path, token: str | None = None, *, local: bool 
     return app
 
 
-def _overviews(app: FastAPI, house: House, page: Callable[..., HTMLResponse]) -> None:
+def _overviews(app: FastAPI, shown: House, page: Callable[..., HTMLResponse]) -> None:
     """Add the pages about many visits."""
 
     @app.get("/")
@@ -257,8 +261,17 @@ def _overviews(app: FastAPI, house: House, page: Callable[..., HTMLResponse]) ->
                 "last_day": overview.last_day(session, shown_day),
             }
 
-        values = _read(house, ask, {"failures": [], "visits": [], "tally": None, "charts": [], "last_day": None})
+        values = _read(shown, ask, {"failures": [], "visits": [], "tally": None, "charts": [], "last_day": None})
         return page(request, "day.html", day=shown_day, result=result, step=timedelta(days=1), **values)
+
+    @app.get("/house")
+    def a_house(request: Request, house: Name = None, row: Name = None, day: Day = None) -> HTMLResponse:
+        shown_day = day or datetime.now(UTC).date()
+        ask = partial(_house_day, house=house, row=row, day=shown_day)
+        found = _read(shown, ask, {"houses": [], "house": None, "rows": {}, "row": None, "stems": []})
+        if (house or row) and not found["stems"]:
+            raise HTTPException(404, f"There is no row '{row or ''}' of a house '{house or ''}' in this history.")
+        return page(request, "house.html", day=shown_day, step=timedelta(days=1), **found)
 
     @app.get("/trends")
     def trends(
@@ -271,7 +284,7 @@ def _overviews(app: FastAPI, house: House, page: Callable[..., HTMLResponse]) ->
         since = until - timedelta(days=days - 1)
 
         ask = partial(_trends, span=(since, until), result=result, before=before)
-        found = _read(house, ask, {"charts": [], "counts": {}, "failures": [], "visits": []})
+        found = _read(shown, ask, {"charts": [], "counts": {}, "failures": [], "visits": []})
         return page(request, "trends.html", days=days, result=result, **found)
 
     @app.get("/robots")
@@ -279,18 +292,43 @@ def _overviews(app: FastAPI, house: House, page: Callable[..., HTMLResponse]) ->
         now = datetime.now(UTC)
         # a clock that is fast writes visits of tomorrow
         span = now.date() - timedelta(days=29), now.date() + timedelta(days=2)
-        found = _read(house, lambda session: {"robots": overview.robots(session, *span)}, {"robots": []})
+        found = _read(shown, lambda session: {"robots": overview.robots(session, *span)}, {"robots": []})
         return page(request, "robots.html", now=now + timedelta(minutes=1), **found)
 
     @app.get("/plants")
     def plants(request: Request, q: Annotated[str, Query(max_length=200)] = "") -> HTMLResponse:
-        found = _read(house, lambda session: {"plants": overview.plants(session, q)}, {"plants": []})
+        found = _read(shown, lambda session: {"plants": overview.plants(session, q)}, {"plants": []})
         return page(request, "plants.html", q=q, **found)
 
     @app.get("/sweeps")
     def sweeps(request: Request) -> HTMLResponse:
-        found = _read(house, lambda session: {"sweeps": overview.sweeps(session)}, {"sweeps": []})
+        found = _read(shown, lambda session: {"sweeps": overview.sweeps(session)}, {"sweeps": []})
         return page(request, "sweeps.html", **found)
+
+
+STATES = {
+    "pollinated": ("✓", "pollinated"),
+    "held": ("~", "held, flowers hardly moved or not measured"),
+    "failed": ("✗", "failed"),
+    "left": ("–", "left"),
+    "working": ("…", "under way"),
+    "waiting": ("·", "waiting"),
+    "none": ("", "not in a shift"),
+}
+"""State of a stem -> its sign and what it means."""
+
+
+def _house_day(session: Session, house: str | None, row: str | None, day: date) -> dict[str, Any]:
+    """Return what the page of a house shows: how many stems of each row came to what, and the stems of one row."""
+    names = overview.houses(session)
+    house = house or next(iter(names), None)
+    stems = [] if house is None else overview.house_day(session, house, day)
+    rows: dict[str, Counter[str]] = {}
+    for stem in stems:
+        rows.setdefault(stem.row, Counter())[stem.state] += 1
+    row = row or next(iter(rows), None)
+    of_row = [stem for stem in stems if stem.row == row]
+    return {"houses": names, "house": house, "rows": rows, "row": row, "stems": of_row}
 
 
 def _trends(session: Session, span: tuple[date, date], result: Result | None, before: int | None) -> dict[str, Any]:

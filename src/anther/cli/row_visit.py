@@ -1,0 +1,58 @@
+"""One order of a shift in a simulated row: see the stem, grasp and shake it, judge it, report."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import timedelta
+from pathlib import Path
+
+from anther.core.errors import StageFailure
+from anther.core.runs import Run
+from anther.history import Order, Report, earlier_shake, starting_material
+from anther.plant.visit import Visit
+from anther.pollination import Done, visit_row_stem
+from anther.show.results import SUMMARY
+from anther.show.summary import summarise
+from anther.sim import Row, SimulatedCell, build_row, mapped_hook
+from anther.sim.judge import Verdict, judge
+
+ENTRY, TRAVEL = 120.0, 2.0
+"""Time to enter a row, and from one stem to the next, 0.4 m at 0.3 m/s until the cart stands (guesses) [s]."""
+BY_THE_SIMULATOR = ("cell", "capture", "execution", "judge")
+"""Stages whose time is the simulator's, not this computer's."""
+
+
+def visit_stem(row: Row, order: Order, history: str, folder: Path) -> Report:
+    """Visit the plant of a row that is asked for, in its own run folder.
+
+    The robot knows what its cell holds, and the place of the stem's hook as a map has it.
+    The report's time is the simulator's for motions and this computer's for what is computed.
+    """
+    belief = starting_material(order.species, order.plant, history)
+    earlier = earlier_shake(order.species, order.plant, history)
+    visit = Visit(order.species, order.plant, held_unharmed=False, run=str(folder), robot=order.robot, time=order.begin)
+    cell, done, verdict, failure = None, None, None, None
+    with Run(folder, quiet=True) as run:
+        try:
+            cell = run.timed("cell", lambda _: build_row(row, visit=int(order.begin.timestamp()) % 2**20))
+            done = visit_row_stem(
+                cell.robot_side, row.crop, mapped_hook(row), run, material=belief.material, earlier=earlier
+            )
+            verdict = _judge(cell, done, run)
+        except StageFailure as stopped:
+            failure = stopped
+    visit = replace(
+        summarise(visit, cell, done, verdict, failure),
+        material_source=belief.source, material_reason=belief.reason, seconds=dict(run.seconds),
+    )  # fmt: skip
+    visit.save(folder / SUMMARY)
+    thought = sum(seconds for stage, seconds in run.seconds.items() if stage not in BY_THE_SIMULATOR)
+    moved = (visit.simulated_capture_seconds or 0.0) + (visit.simulated_execution_seconds or 0.0)
+    travel = ENTRY if order.enters else TRAVEL
+    return Report(visit, order.begin + timedelta(seconds=travel + moved + thought))
+
+
+def _judge(cell: SimulatedCell, done: Done, run: Run) -> Verdict:
+    times = done.trial.shake_times
+    shaken = (times[0], times[-1]) if len(times) else None
+    return run.timed("judge", lambda _: judge(cell.world, shaken, done.shake.frequency, done.trial.steady))

@@ -1,0 +1,46 @@
+"""A visit of one stem of a row: it is known by the hook that its string hangs on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from numpy.typing import ArrayLike
+
+from anther.core.choices import Crop
+from anther.core.runs import Run
+from anther.plant.belief import EarlierShake
+from anther.plant.model import PEPPER, TOMATO, Material
+from anther.plant.string import HeldString
+from anther.pollination.pipeline import Done, FindMasks, Params, pollinate
+from anther.robot.cell import Cell
+
+
+def visit_row_stem(
+    cell: Cell,
+    crop: Crop,
+    hook: ArrayLike,
+    run: Run,
+    params: Params | None = None,
+    *,
+    material: Material | None = None,
+    find_masks: FindMasks | None = None,
+    earlier: EarlierShake | None = None,
+) -> Done:
+    """See, grasp and shake the stem that hangs on a hook, and measure how its flowers answer.
+
+    Args:
+        cell: the robot, its cart before the stem.
+        crop: whose material and tension are believed.
+        hook: (3,) where the stem's string hangs, by the map of the row, in the frame of the cell [m].
+        run: keeps what each stage makes.
+        params: of the stages.
+        material: what is believed of this plant, if it was visited before.
+        find_masks, earlier: see `pollinate`.
+
+    Raises:
+        StageFailure: a stage before the execution cannot go on; its kind says why.
+    """
+    params = params or Params()
+    hung = replace(params, plant=replace(params.plant, string=HeldString.of(crop, hook)))
+    believed = material or (PEPPER if crop == "pepper" else TOMATO)
+    return pollinate(cell, believed, run, hung, find_masks, earlier)
