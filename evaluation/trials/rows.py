@@ -13,7 +13,7 @@ cycle_s          median of the visits that shook [s]: the sum of its parts, view
                  retreat_s; the first visit of a process, which compiles, is left out of thought
 
 held_row_tomato and so on are of one crop; _low and _high are 95 % intervals. Rows of the second generator
-(held_row_helios) have no mechanics yet, so that there are none. Stems that are recognised again: `evaluation.house.row_map`.
+(held_row_helios) have no mechanics yet, so that there are none. Stems recognised again: `evaluation.house.row_map`.
 """
 
 from __future__ import annotations
