@@ -73,7 +73,8 @@ def test_the_manuals_example_is_a_cell_file(tmp_path: Path) -> None:
     (tmp_path / "my_carts.py").write_text("from fake_cart import FakeCart as Cart")
     cell = read_cell(tmp_path / "cell.toml")
     assert cell.limits.speed_ratio == 0.1
-    assert cell.shaker is not None and cell.cart is not None
+    assert cell.shaker is not None
+    assert cell.cart is not None
 
 
 WRONG = [
