@@ -28,7 +28,7 @@ def test_a_string_pulls_the_top_of_a_stem_along_it_wherever_the_map_has_its_hook
 
 def test_a_stem_that_would_fall_hangs_on_its_string() -> None:
     """The string stretches the second, which needs no stiffer tissue than is believed."""
-    soft = replace(TOMATO, youngs=1e6)
+    soft = replace(TOMATO, youngs=1e7)
     with pytest.raises(StageFailure, match="buckles"):
         build_plant(*branched(), material=soft, params=Params(stiffen=False))
     hung = build_plant(*branched(), material=soft, params=replace(HUNG, stiffen=False))
