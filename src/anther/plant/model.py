@@ -22,7 +22,7 @@ from anther.perception.skeleton import Skeleton
 from anther.perception.stem import PEDICEL, Stem
 from anther.plant._material import LEARNED, PEPPER, TOMATO, Material
 from anther.plant._shape import branch_stiffening, edge_radii, hang_flowers, in_blade, leaf_mass, least_youngs
-from anther.plant.string import HeldString, topmost_hold
+from anther.plant.string import HeldString, straightened, topmost_hold
 from anther.rods import Clamp, Rods, Support, standing, with_gravity_equilibrium
 
 __all__ = [
@@ -155,7 +155,7 @@ class PlantModel(Stored):
         if self.string is None:
             return self.rods.supports
         (held,) = self.rods.supports
-        return (self.string.support(held.node, self.rods.nodes[held.node], factor),)
+        return (self.string.support(held.node, self.rods.nodes, factor),)
 
 
 def build_plant(
@@ -182,7 +182,13 @@ def build_plant(
         StageFailure: kind "no_convergence": it cannot stand (see `Params.stiffen`).
     """
     _check(skeleton, stem, flowers)
+    hold = len(stem.node_ids) - 1
+    if params.string is not None:
+        hold = topmost_hold(skeleton.nodes[stem.node_ids], skeleton.radius[stem.node_ids], cloud)
+        skeleton, flowers = straightened(skeleton, stem, flowers, hold)
     rods, is_pedicel, tips, leaves = _rods(skeleton, stem, flowers, cloud, material, params=params)
+    if params.string is not None:
+        rods = replace(rods, supports=(params.string.support(int(stem.node_ids[hold]), rods.nodes),))
     edge = np.arange(len(rods.nodes))
     on_stem, blade = (np.isin(edge, ids) for ids in (stem.node_ids, np.flatnonzero(in_blade(skeleton, stem))))
     rib = 10.0  # stiffness of a folded blade over that of its rib alone, an estimate: 10 to 70
@@ -248,10 +254,6 @@ def _rods(
     mass[stalks.tips] += params.flower_mass
     inertia[stalks.tips] = 0.4 * params.flower_mass * FLOWER_RADIUS**2
     is_pedicel = np.concatenate([np.zeros(len(radius), dtype=bool), stalks.is_pedicel])
-    pulls = ()
-    if params.string is not None:
-        held = int(stem.node_ids[topmost_hold(skeleton.nodes[stem.node_ids], skeleton.radius[stem.node_ids], cloud)])
-        pulls = (params.string.support(held, skeleton.nodes[held]),)
     rods = Rods(
         nodes=np.concatenate([skeleton.nodes, stalks.nodes]),
         parent=np.concatenate([skeleton.parent, stalks.parent]),
@@ -261,7 +263,6 @@ def _rods(
         bend_over_twist=material.bend_over_twist,
         lumped_mass=mass,
         lumped_inertia=inertia,
-        supports=pulls,
     )
     return rods, is_pedicel, stalks.tips, leaves
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Self
 
 import numpy as np
@@ -14,11 +14,16 @@ from anther.core.choices import Crop
 from anther.core.geometry import Array
 from anther.core.records import Range, Record, Spread
 from anther.perception.cloud import Cloud
+from anther.perception.flowers import Flowers
+from anther.perception.skeleton import Skeleton
+from anther.perception.stem import Stem
 from anther.plant.limits import Believed
 from anther.rods import Support
 
 TENSION = {"tomato": Believed.between(40.0, 60.0), "pepper": Believed.between(8.0, 25.0)}
 """Pull of a string at its hook [N] (facts: rows 0 and D, 4 to 6 kg hang on a tomato's); of a pepper's stem a guess."""
+NEAREST = 0.05
+"""A hook is at least so far above what its string holds [m], whatever the map says."""
 BESIDE = 0.01
 """A string so near a stem's surface is held by it [m]: a clip is as wide."""
 
@@ -46,11 +51,31 @@ class HeldString(Record):
         x, y, z = (float(value) for value in np.asarray(hook, dtype=np.float64))
         return cls((x, y, z), TENSION[crop].median, TENSION[crop].spread)
 
-    def support(self, node: int, place: Array, factor: float = 1.0) -> Support:
-        """Return the pull on a node that is at `place` (3,) [m], `factor` times as hard."""
-        way = np.array(self.hook) - place
-        way[2] = max(way[2], 0.05)  # the seen stem may end beyond the mapped hook
-        return Support.string(node, way, factor * self.tension, self.stretching)
+    def support(self, node: int, nodes: Array, factor: float = 1.0) -> Support:
+        """Return the pull on one of a stem's nodes (N, 3) [m], whose foot is the first, `factor` times as hard.
+
+        It pulls along the stem, since nothing bends what hangs: a hook that the map has 2 cm off would bend it.
+        """
+        length = max(self.hook[2] - nodes[node, 2], NEAREST)
+        along = nodes[node] - nodes[0]
+        return Support.string(node, length / np.linalg.norm(along) * along, factor * self.tension, self.stretching)
+
+
+def straightened(skeleton: Skeleton, stem: Stem, flowers: Flowers, hold: int) -> tuple[Skeleton, Flowers]:
+    """Return the plant with its stem straight from the foot to the position `hold` along it; limbs go along.
+
+    Nothing bends what hangs, so it is straight but for what hangs beside it, which a scan does not weigh. Taken as it
+    is scanned, a few mm to and fro, a pull of 50 N would twist a model of the stem away.
+    """
+    line = skeleton.nodes[stem.node_ids[: hold + 1]]
+    along = (line[-1] - line[0]) / np.linalg.norm(line[-1] - line[0])
+    shift = np.zeros_like(skeleton.nodes)
+    shift[stem.node_ids[: hold + 1]] = np.outer((line - line[0]) @ along, along) + line[0] - line
+    on_stem = np.isin(np.arange(len(shift)), stem.node_ids)
+    for j in np.flatnonzero(~on_stem):
+        shift[j] = shift[skeleton.parent[j]]
+    positions = flowers.positions + shift[flowers.attachment]
+    return replace(skeleton, nodes=skeleton.nodes + shift), replace(flowers, positions=positions)
 
 
 def topmost_hold(nodes: Array, radius: Array, cloud: Cloud | None) -> int:
