@@ -225,3 +225,13 @@ def test_an_arm_before_a_row_has_the_asked_plant_at_hand_and_touches_nothing() -
     assert len(cell.log().contact_other) == 0
     assert np.abs(cell.segment_poses() - np.eye(4)).max() < 1e-4, "the plant rests"
     assert cell.model.ntendon >= len(before.worked.twines)
+
+
+def test_far_below_the_flowers_a_stem_is_cut_coarsely_and_swings_alike() -> None:
+    stem = pulled(2.8, 0.006, 1e8, 1.5, 50.0, pieces=140)
+    fine, coarse = alone(stem, Params()), alone(stem, Params(fine_above=1.8))
+    assert len(coarse.bodies) < 0.6 * len(fine.bodies)
+    np.testing.assert_allclose(coarse.frequencies[:6], fine.frequencies[:6], rtol=0.02)
+    rests = mujoco.MjData(coarse.model)
+    mujoco.mj_forward(coarse.model, rests)
+    assert np.abs(rests.qacc).max() < 1e-3

@@ -273,7 +273,12 @@ def least_youngs(rods: Rods, clamp: Clamp, fixed: NDArray[np.bool_], stiffening:
 
 
 def branch_stiffening(
-    rods: Rods, stem: NDArray[np.bool_], pedicel: NDArray[np.bool_], blade: NDArray[np.bool_], least: float
+    rods: Rods,
+    stem: NDArray[np.bool_],
+    pedicel: NDArray[np.bool_],
+    blade: NDArray[np.bool_],
+    least: float,
+    needs: float | None = None,
 ) -> Array:
     """Return (N,) factors on Young's modulus with which no leaf and no branch buckles before the main stem does.
 
@@ -284,9 +289,11 @@ def branch_stiffening(
         rods: tissue, leaves and flowers, of one Young's modulus but for the pedicels.
         stem, pedicel, blade: (N,) which edges are main stem, pedicel, and branch in a leaf blade.
         least: factor of every edge in a blade [-].
+        needs: Young's modulus of the main stem with which its limbs are to stand [Pa]; None: the least with which it
+            stands itself, which says nothing where a string holds it.
     """
     factor, rigid = np.where(blade, least, 1.0), 1e3  # takes a part out of the question whether the rest stands
-    stem_needs = least_youngs(rods, Clamp.root(rods), pedicel, np.where(stem, 1.0, rigid))
+    stem_needs = needs or least_youngs(rods, Clamp.root(rods), pedicel, np.where(stem, 1.0, rigid))
     if stem_needs is None:
         return factor
     youngs = np.where(pedicel, rigid * np.asarray(rods.youngs), stem_needs)

@@ -186,7 +186,8 @@ def build_plant(
     edge = np.arange(len(rods.nodes))
     on_stem, blade = (np.isin(edge, ids) for ids in (stem.node_ids, np.flatnonzero(in_blade(skeleton, stem))))
     rib = 10.0  # stiffness of a folded blade over that of its rib alone, an estimate: 10 to 70
-    stiffening = branch_stiffening(rods, on_stem, is_pedicel, blade, rib)
+    softest = None if params.string is None else material.youngs * float(np.exp(-2 * material.youngs_spread))
+    stiffening = branch_stiffening(rods, on_stem, is_pedicel, blade, rib, softest)
     least = least_youngs(rods, Clamp.root(rods), is_pedicel, stiffening)
     if least is None:
         raise StageFailure(

@@ -19,8 +19,6 @@ from anther.rods import Support
 
 TENSION = {"tomato": Believed.between(40.0, 60.0), "pepper": Believed.between(8.0, 25.0)}
 """Pull of a string at its hook [N] (facts: rows 0 and D, 4 to 6 kg hang on a tomato's); of a pepper's stem a guess."""
-STRAY = 0.05
-"""How far the axis of a hanging stem is from the plumb line of its hook [m]: the map errs by 0.02, stems lean; a guess."""
 BESIDE = 0.01
 """A string so near a stem's surface is held by it [m]: a clip is as wide."""
 
@@ -47,10 +45,6 @@ class HeldString(Record):
         """Return what is believed of the string of a crop's stem that hangs on a hook (3,) [m]."""
         x, y, z = (float(value) for value in np.asarray(hook, dtype=np.float64))
         return cls((x, y, z), TENSION[crop].median, TENSION[crop].spread)
-
-    def beside(self, points: Array) -> np.ndarray:
-        """Return (N,) which of the points (N, 3) [m] are as near the plumb line of the hook as its stem is."""
-        return np.linalg.norm(points[:, :2] - np.array(self.hook[:2]), axis=1) < STRAY
 
     def support(self, node: int, place: Array, factor: float = 1.0) -> Support:
         """Return the pull on a node that is at `place` (3,) [m], `factor` times as hard."""

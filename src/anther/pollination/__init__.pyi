@@ -5,8 +5,8 @@ from .execution import Step, Trial, execute
 from .grasp import Grasp, load_grasps, plan_grasps, save_grasps
 from .learning import ObservedShake, Refinement, measure_grip, refine
 from .pipeline import Done, Params, Seen, model_plant, perceive, pollinate
-from .row import visit_row_stem
 from .response import Response, measure_response
+from .row import visit_row_stem
 from .shake import Actuator, Pads, ShakePlan, arm_shaker, plan_shake
 
 __all__ = [
@@ -35,6 +35,6 @@ __all__ = [
     "plan_shake",
     "pollinate",
     "refine",
-    "visit_row_stem",
     "save_grasps",
+    "visit_row_stem",
 ]

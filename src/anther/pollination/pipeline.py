@@ -18,6 +18,7 @@ from anther.perception import cloud, flowers, masks, skeleton, stem
 from anther.perception.capture import Capture
 from anther.perception.cloud import Cloud, likely_cause
 from anther.perception.flowers import Flowers
+from anther.perception.hanging import find_hanging_stem
 from anther.perception.masks import Masks, by_words, without_ground
 from anther.perception.skeleton import Plants, Skeleton
 from anther.perception.stem import Stem
@@ -142,46 +143,30 @@ def perceive(
             lambda advance: find_supports(cloud.fuse(capture, labels, workspace, params.cloud, progress=advance)),
         )
         middle = None if workspace is None else (workspace.lower + workspace.upper) / 2
-        known = _rooted(fused, params)
-        tree = run.stage("skeleton", Skeleton.load, lambda _: skeleton.skeletonize(fused, known, middle))
+        shown, named = _hung(fused, params)
+        tree = run.stage("skeleton", Skeleton.load, lambda _: skeleton.skeletonize(shown, named.skeleton, middle))
         centres = flowers.flower_centres(fused)
-        main = run.stage("stem", Stem.load, lambda _: _main_stem(fused, tree, centres, params))
+        main = run.stage("stem", Stem.load, lambda _: _main_stem(fused, tree, centres, named))
     found = run.stage("flowers", Flowers.load, lambda _: flowers.find_flowers(fused, tree, main, centres=centres))
     return Seen(labels, fused, tree, main, found)
 
 
-FOOT = 0.03
-"""Over which a hanging stem's lowest seen points are its own [m]: a few diameters."""
-
-
-def _rooted(fused: Cloud, params: Params) -> skeleton.Params:
-    """Return where the asked stem comes into view: below the hook of its string, if that is known.
+def _hung(fused: Cloud, params: Params) -> tuple[Cloud, Params]:
+    """Return cloud and parameters with which the stem on a string becomes a skeleton, if its hook is known.
 
     Raises:
-        StageFailure: nothing hangs there.
+        StageFailure: no stem hangs there.
     """
-    string, own = params.plant.string, params.skeleton
-    if string is None or own.root is not None or own.plant is not None:
-        return own
-    column = fused.points[string.beside(fused.points)]
-    if not len(column):
-        x, y, _ = string.hook
-        raise StageFailure("no_stem_found", f"no stem hangs below the hook at {x:.2f}, {y:.2f} m. Is the map right?")
-    foot = np.median(column[column[:, 2] < column[:, 2].min() + FOOT], axis=0)
-    return replace(own, root=tuple(foot.tolist()))
-
-
-def _tipped(tree: Skeleton, params: Params) -> stem.Params:
-    """Return where the asked stem leaves the view: as high as anything of it is below the hook of its string."""
-    string, own = params.plant.string, params.stem
-    if string is None or own.tip is not None or not (beside := string.beside(tree.nodes)).any():
-        return own
-    tip = tree.nodes[beside][np.argmax(tree.nodes[beside, 2])]
-    return replace(own, tip=tuple(tip.tolist()))
+    if params.plant.string is None or params.skeleton.root is not None or params.skeleton.plant is not None:
+        return fused, params
+    hung = find_hanging_stem(fused, params.plant.string.hook)
+    root, tip = (tuple(hung.axis[end].tolist()) for end in (0, -1))
+    own = params.stem if params.stem.tip is not None else replace(params.stem, tip=tip)
+    return hung.completed(fused), replace(params, skeleton=replace(params.skeleton, root=root), stem=own)
 
 
 def _main_stem(fused: Cloud, tree: Skeleton, flowers_at: Array, params: Params) -> Stem:
-    main = stem.find_stem(tree, _tipped(tree, params), flowers_at=flowers_at)
+    main = stem.find_stem(tree, params.stem, flowers_at=flowers_at)
     return replace(main, notes=(*main.notes, *notes_beside(fused, tree, main)))
 
 

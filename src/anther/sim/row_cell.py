@@ -36,8 +36,8 @@ from anther.sim.truth import NOMINAL, Truth
 FLOWERS_Z = 0.15
 """Height of the flowers over the arm's base [m]: as in the cell of a plant in a pot."""
 FINE_BELOW = 0.55
-"""How far under the flowers the plant is cut finely [m]: an arm holds it within 0.4 m of them, and bending dies out within
-3 to 9 cm of a grip (facts: rows 0)."""
+"""How far under the flowers the plant is cut finely [m]: an arm holds it within 0.4 m of them, and bending dies out
+within 3 to 9 cm of a grip (facts: rows 0)."""
 ROW_VIEWS = ViewParams(count=6, widest=50.0)
 """Views from one side of the row: 3 to 6 are what a visit has time for."""
 

@@ -1,0 +1,226 @@
+"""One visit of one stem in each of many simulated rows: is it held, do its flowers move, what else is touched.
+
+    python -m evaluation.trials.rows --rows 20 --jobs 2
+
+Every row is drawn (`anther.sim.grow_row`), and its plants' truth is wide (`anther.sim.truth.WIDE`). The robot is told
+the hook by the map alone, a few centimetres off. The judge is `anther.sim.judge`; besides, the pull of the stem's
+string is followed. Every trial ends in one JSON in --out and is not run again. Keys of --json:
+
+held_row         share of rows: the asked stem was held through the shake, nothing else was held, pushed or touched
+moved_row        share of these whose median flower felt 5 m/s2 or more
+neighbour_harm   share of rows: a neighbour, a string, a post, pipe or gutter was touched, or the stem's string let go
+cycle_s          median of the visits that shook [s]: the sum of its parts, views_s, thought_s, approach_s, shake_s,
+                 retreat_s; the first visit of a process, which compiles, is left out of thought
+
+held_row_tomato and so on are of one crop; _low and _high are 95 % intervals. Rows of the second generator
+(held_row_helios) have no mechanics yet, so that there are none. Stems recognised again: `evaluation.house.row_map`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import RenderableType
+
+from anther.core import StageFailure
+from anther.plant import Crop
+from anther.plant.limits import MOVED
+from anther.pollination import visit_row_stem
+from anther.sim import SimulatedCell, build_row, grow_row, mapped_hook
+from anther.sim.cell import BENCH, NEIGHBOUR, POT
+from evaluation.harness import CROPS, by_turns, failed, finish, options, run_cases
+from evaluation.statistics import bootstrap, interval, median
+from evaluation.tables import markdown, percent
+from evaluation.trials.grasping_pictures import portrait
+from evaluation.trials.grasping_trial import COMPUTE, PICTURE, overlap, performed, truth_of
+from evaluation.trials.shaking import Brief
+
+FIRST, DEVELOPMENT = 6100, 3
+"""Rows from the first seed on are in no other table; on those from the second on the visit was made."""
+PARTS = ("views_s", "thought_s", "approach_s", "shake_s", "retreat_s")
+LETS_GO = 2.0
+"""A string that is pulled so many times as hard as it hangs slides through its clips or off its hook: a guess."""
+ACCELERATION = "true_flower_acceleration_median_ms2"
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One visit in one row, under one truth: "wide", "nominal", or a group of `sim.truth.WIDE` alone."""
+
+    species: Crop
+    seed: int
+    truth: str = "wide"
+
+
+_begun: list[Case] = []  # what this process has run: the first of it compiles
+
+
+def one(row: Row, folder: Path) -> Row:
+    """Return what became of a case, for a sweep; what the camera saw, with the grasp, is drawn into the folder."""
+    case = Case(**row)
+    _begun.append(case)
+    grown, run = grow_row(case.species, case.seed), Brief(folder)
+    try:
+        cell = build_row(grown, truth=truth_of(case.truth, case.seed))
+    except StageFailure as failure:
+        return {"success": False, "failure": failure.kind, "message": str(failure)}
+    hook = mapped_hook(grown, cell.world.arm)
+    found, done = performed(cell, lambda: visit_row_stem(cell.robot_side, case.species, hook, run))
+    found |= touched(cell) | {"string_pull": string_pull(cell), "plants": len(grown.plants)}
+    found |= {"views_s": cell.capture_seconds, "first": len(_begun) == 1, "notes": notes_of(run)}
+    if done is not None:
+        found |= asked_times(found, run)
+        found["flowers_seen"], found["flowers_there"] = (
+            len(run.results["flowers"].positions),
+            len(cell.plant.flower_segment),
+        )
+    if "capture" in run.results:
+        portrait(run.results["capture"], done.shake.grasp if done else None, folder / PICTURE)
+    return asdict(case) | found
+
+
+def notes_of(run: Brief) -> list[str]:
+    """Return what the stages warned of."""
+    return [note for name in ("cloud", "skeleton", "stem") for note in getattr(run.results.get(name), "notes", ())]
+
+
+def asked_times(row: Row, run: Brief) -> dict[str, float]:
+    """Return what thought and approach took [s].
+
+    Of wall and processor time the lesser counts as thought: other programs share the machine. What is thought while the
+    arm is on its way counts as approach alone.
+    """
+    thought = sum(min(run.total[name], run.cpu[name]) for name in COMPUTE if name in run.total)
+    return {
+        "thought_s": max(thought - overlap(row.get("phases_s", {}), run), 0.0),
+        "approach_s": row.get("reach_s", float("nan")),
+    }
+
+
+def touched(cell: SimulatedCell) -> dict[str, float]:
+    """Return the largest force of the robot on a neighbour or a string, and on a post, pipe or gutter [N]; 0: none."""
+    log = cell.world.log()
+
+    def most(*others: int) -> float:
+        return float(log.contact_force[np.isin(log.contact_other, others)].max(initial=0.0))
+
+    return {"neighbour_force": most(NEIGHBOUR), "part_force": most(POT, BENCH)}
+
+
+def string_pull(cell: SimulatedCell) -> float:
+    """Return the hardest pull of a string of the asked plant, as a share of what it hangs with [-]."""
+    log, most = cell.world.log(), 0.0
+    for pose in map(cell.world.segment_poses, log.qpos[::10]):  # every 20 ms: strings sway at 0.8 Hz
+        for twine in cell.plant.twines:
+            T, at = pose[twine.segment], cell.plant.end[twine.segment]
+            way = np.linalg.norm(twine.hook - (T[:3, :3] @ at + T[:3, 3])) - np.linalg.norm(twine.hook - at)
+            most = max(most, 1 + twine.stiffness * float(way) / twine.tension)
+    return most
+
+
+def harmful(row: Row) -> bool:
+    """Whether a visit touched or pulled what it must not."""
+    touches = max(row.get("neighbour_force") or 0.0, row.get("part_force") or 0.0) > 0
+    return touches or (row.get("string_pull") or 0.0) > LETS_GO
+
+
+def held(row: Row) -> bool:
+    """Whether the asked stem was held, nothing else held or pulled; a string beside it is no organ."""
+    return bool(row.get("held")) and not row.get("true_held_beside") and not harmful(row)
+
+
+def moved(row: Row) -> bool:
+    """Whether the median flower felt enough."""
+    return (row.get(ACCELERATION) or 0.0) >= MOVED
+
+
+def cycle(row: Row) -> float:
+    """Return how long a visit that shook took [s]; NaN of others."""
+    return float(sum(row.get(part) or np.nan for part in PARTS))
+
+
+def metrics(rows: Sequence[Row]) -> dict[str, float]:
+    """Return the table's numbers; see the module."""
+    table: dict[str, float] = {"rows": float(len(rows))}
+    for crop in (None, *CROPS):
+        mine = [row for row in rows if crop in (None, row["species"])]
+        end = "" if crop is None else f"_{crop}"
+        taken = [row for row in mine if held(row)]
+        counts = {
+            "held_row": (len(taken), len(mine)),
+            "moved_row": (sum(map(moved, taken)), len(taken)),
+            "neighbour_harm": (sum(map(harmful, mine)), len(mine)),
+        }
+        for name, (good, count) in counts.items():
+            low, high = interval(good, count) if count else (float("nan"), float("nan"))
+            share = good / count if count else float("nan")
+            table |= {f"{name}{end}": share, f"{name}{end}_low": low, f"{name}{end}_high": high}
+    warm = [row for row in rows if np.isfinite(cycle(row)) and not row.get("first")]
+    cycles = np.array([cycle(row) for row in warm])
+    low, high = bootstrap(cycles)
+    table |= {"cycle_s": median(cycles), "cycle_s_low": low, "cycle_s_high": high}
+    return table | {part: median(row[part] for row in warm) for part in PARTS}
+
+
+def report(rows: Sequence[Row], found: dict[str, float]) -> list[RenderableType]:
+    """Return tables of what was held, what the cycle took, and what became of each row."""
+    words = {"held_row": "stem held, nothing else", "moved_row": "of these median flower ≥ 5 m/s²",
+             "neighbour_harm": "something else touched, or string off"}  # fmt: skip
+    lines = [
+        (text, *(_share(found, key + end) for end in ("", *(f"_{crop}" for crop in CROPS))))
+        for key, text in words.items()
+    ]  # fmt: skip
+    parts = [(part[:-2], f"{found[part]:.1f}") for part in (*PARTS, "cycle_s")]
+    each = [
+        (f"{row['species']} {row['seed']}", "yes" if held(row) else "no", f"{row.get(ACCELERATION) or 0:.1f}",
+         f"{row.get('neighbour_force') or 0:.1f}", f"{row.get('part_force') or 0:.1f}",
+         f"{row.get('string_pull') or 0:.2f}", str(row.get("message") or row.get("failure") or ""))
+        for row in rows
+    ]  # fmt: skip
+    return [
+        markdown(("", f"{len(rows)} rows (95 % interval)", *CROPS), lines),
+        markdown(("part of a visit", "median [s]"), parts),
+        markdown(
+            (
+                "row",
+                "held",
+                "median flower [m/s²]",
+                "neighbours [N]",
+                "parts [N]",
+                "string's pull [-]",
+                "what happened",
+            ),
+            each,
+        ),
+    ]
+
+
+def _share(found: dict[str, float], key: str) -> str:
+    """Return a share with its interval."""
+    share, low, high = (percent(found[f"{key}{end}"]) for end in ("", "_low", "_high"))
+    return f"{share} ({low} to {high})"
+
+
+def main() -> None:
+    """Run what is missing and print the tables."""
+    own = {
+        "--rows": (20, "half tomatoes, half peppers"),
+        "--truth": ("wide", "or nominal, or one group alone"),
+        "--development": (False, "the rows on which the visit was made"),
+    }
+    args = options(__doc__, quick="two rows", seed=(0, "added to all seeds"), jobs="trials", out="runs/rows", own=own)
+    first = (DEVELOPMENT if args.development else FIRST) + args.seed
+    cases = [asdict(Case(*row, args.truth)) for row in by_turns(2 if args.quick else args.rows, first)]
+    rows = run_cases(one, cases, args.out, args.jobs, failed)
+    found = metrics(rows)
+    finish(args, found, *report(rows, found))
+
+
+if __name__ == "__main__":
+    main()

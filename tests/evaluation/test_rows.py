@@ -1,0 +1,55 @@
+"""What a campaign of rows counts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from evaluation.tables import say
+from evaluation.trials.rows import ACCELERATION, LETS_GO, harmful, held, metrics, report
+
+TIMES = {"views_s": 10.0, "thought_s": 5.0, "approach_s": 8.0, "shake_s": 4.0, "retreat_s": 3.0}
+
+
+def row(**values: Any) -> dict[str, Any]:
+    usual = {"species": "tomato", "seed": 1, "held": True, "true_held_beside": "", ACCELERATION: 9.0, **TIMES}
+    return usual | {"neighbour_force": 0.0, "part_force": 0.0, "string_pull": 1.1} | values
+
+
+@pytest.mark.parametrize(
+    ("change", "is_held", "is_harmful"),
+    [
+        ({}, True, False),
+        ({"held": False}, False, False),
+        ({"true_held_beside": "petiole"}, False, False),
+        ({"neighbour_force": 0.1}, False, True),
+        ({"part_force": 3.0}, False, True),
+        ({"string_pull": 1.01 * LETS_GO}, False, True),
+    ],
+)
+def test_a_stem_is_held_when_nothing_else_is_held_touched_or_pulled(
+    change: dict[str, Any], is_held: bool, is_harmful: bool
+) -> None:
+    assert (held(row(**change)), harmful(row(**change))) == (is_held, is_harmful)
+
+
+def test_shares_and_times_are_of_the_rows_that_they_are_of() -> None:
+    crashed = {"species": "pepper", "seed": 1, "success": False, "failure": "crashed", "message": "why"}
+    rows = [row(), row(**{ACCELERATION: 1.0}), row(held=False, thought_s=7.0), row(first=True, thought_s=90.0), crashed]
+    found = metrics(rows)
+    assert found["rows"] == 5
+    assert found["held_row"] == pytest.approx(3 / 5)
+    assert found["held_row_tomato"] == pytest.approx(3 / 4)
+    assert found["held_row_pepper"] == 0
+    assert found["moved_row"] == pytest.approx(2 / 3)
+    assert found["neighbour_harm"] == 0
+    assert found["cycle_s"] == pytest.approx(30.0), "the first visit compiles; one that crashed took no time"
+    assert found["thought_s"] == pytest.approx(5.0)
+    say(report(rows, found))
+
+
+def test_no_visit_at_all_is_no_share() -> None:
+    found = metrics([row(species="tomato", held=False)])
+    assert found["held_row"] == 0
+    assert found["moved_row"] != found["moved_row"], "NaN: none was held"

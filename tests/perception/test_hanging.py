@@ -1,0 +1,93 @@
+"""The axis of a stem on a string: which stem, how far off, and straight on behind a leaf."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from anther.core.errors import StageFailure
+from anther.core.geometry import Array
+from anther.perception.cloud import Cloud
+from anther.perception.hanging import find_hanging_stem
+from anther.perception.skeleton import skeletonize
+from anther.plant.string import HeldString
+from anther.pollination.pipeline import Params, _hung
+
+RADIUS = 0.005
+
+
+def leaning(z: Array) -> Array:
+    """(n, 3) the axis of a stem that leans by 1 cm and sways by 5 mm over half a metre."""
+    return np.stack([0.7 + 0.02 * z, 0.005 * np.sin(6 * z), z], axis=1)
+
+
+def stem_seen(low: float = 0.0, high: float = 0.5) -> tuple[Array, Array]:
+    """Points and normals of the side of that stem that a camera at the origin sees."""
+    z, turn = np.meshgrid(np.arange(low, high, 0.0015), np.linspace(0.5, 1.5, 11) * np.pi)
+    out = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=-1).reshape(-1, 3)
+    return leaning(z.ravel()) + RADIUS * out, out
+
+
+def blade(z: float) -> tuple[Array, Array]:
+    """Points and normals of a level leaf in front of the stem."""
+    x, y = np.meshgrid(np.arange(0.6, 0.7, 0.0015), np.arange(-0.05, 0.05, 0.0015))
+    return np.stack([x.ravel(), y.ravel(), np.full(x.size, z)], axis=1), np.tile([0, 0, 1.0], (x.size, 1))
+
+
+def cloud_of(*parts: tuple[Array, Array]) -> Cloud:
+    points, normals = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    return Cloud(points, normals=normals)
+
+
+def off(axis: Array) -> float:
+    """The largest distance of an axis from the true one at its height [m]."""
+    return float(np.linalg.norm(axis - leaning(axis[:, 2]), axis=1).max())
+
+
+@pytest.mark.parametrize("error", [(0.0, 0.0), (0.02, -0.02), (-0.02, 0.02)])
+def test_a_stem_is_followed_below_a_hook_that_the_map_has_off_by_centimetres(error: tuple[float, float]) -> None:
+    found = find_hanging_stem(cloud_of(stem_seen(), blade(0.2), blade(0.35)), (0.705 + error[0], error[1], 1.2))
+    assert found.seen.mean() > 0.9
+    assert off(found.axis) < RADIUS + 0.004, "one side is seen: the axis lies in the surface"
+    np.testing.assert_allclose(found.axis[[0, -1], 2], [0, 0.5], atol=0.02)
+
+
+def test_a_stem_goes_on_behind_a_leaf() -> None:
+    """Its skeleton is one stem and no way round through the leaf."""
+    hidden = cloud_of(stem_seen(0, 0.2), stem_seen(0.28), blade(0.2), blade(0.28))
+    found = find_hanging_stem(hidden, (0.71, 0.01, 1.2))
+    gap = found.axis[~found.seen, 2]
+    assert gap.min() == pytest.approx(0.2, abs=0.025)
+    assert gap.max() == pytest.approx(0.28, abs=0.025)
+    assert off(found.axis) < RADIUS + 0.004
+    tree = skeletonize(found.completed(hidden))
+    top = int(np.argmax(tree.nodes[:, 2]))
+    assert off(tree.nodes[tree.path_from_root(top)]) < 0.01
+    assert len(hidden.points) < len(found.completed(hidden).points)
+
+
+def test_of_two_stems_the_asked_one_is_that_below_the_hook() -> None:
+    own, (points, normals) = stem_seen(), stem_seen(-0.1)
+    both = cloud_of(own, (points + np.array([0, 0.12, 0]), normals))
+    assert abs(find_hanging_stem(both, (0.7, 0.02, 1.2)).axis[:, 1]).max() < 0.02
+    assert abs(find_hanging_stem(both, (0.7, 0.1, 1.2)).axis[:, 1] - 0.12).max() < 0.02
+
+
+def test_no_stem_below_the_hook_is_said() -> None:
+    with pytest.raises(StageFailure, match=r"hook at 0\.70, 0\.40") as failure:
+        find_hanging_stem(cloud_of(stem_seen()), (0.7, 0.4, 1.2))
+    assert failure.value.kind == "no_stem_found"
+
+
+def test_the_pipeline_takes_the_hook_unless_the_stem_is_named() -> None:
+    cloud, params = cloud_of(stem_seen()), Params()
+    assert _hung(cloud, params) == (cloud, params)
+    hung = replace(params, plant=replace(params.plant, string=HeldString.of("tomato", (0.7, 0.0, 1.2))))
+    _, named = _hung(cloud, hung)
+    assert named.skeleton.root is not None
+    assert named.stem.tip is not None
+    assert named.stem.tip[2] > named.skeleton.root[2] + 0.4
+    rooted = replace(hung, skeleton=replace(params.skeleton, root=(0.7, 0.0, 0.1)))
+    assert _hung(cloud, rooted) == (cloud, rooted)
