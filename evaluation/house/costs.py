@@ -179,7 +179,8 @@ def main() -> None:
     }
     metrics |= {"driving_s": driving, "record_bytes": record, "write_median_ms": fleet["write_median_ms"]}
     metrics |= {f"seconds_{_key(way.name)}": way.seconds for way in choices}
-    finish(args, metrics, seconds, "", *[part for table in tables for part in (table, "")], beside)
+    small, large = tables
+    finish(args, metrics, "A visit:", seconds, "One hectare:", small, "Ten hectares:", large, "Beside others:", beside)
 
 
 if __name__ == "__main__":
