@@ -28,7 +28,6 @@ POWER, CHARGING = 0.4, 0.85
 """An arm, its computer and its cart while they work [kW], and what of the socket's energy they get [-]: guesses."""
 VIEW_BYTES = 1280 * 720 * (3 + 2)
 """Colour and depth of a view, not compressed [bytes]."""
-VIEWS = 10
 STOPS, FETCH = 0.001, 0.5
 """How often a robot stops for good at a stem [-], and how long a person fetches it [h]: guesses of the shift's test."""
 WAND, WAND_YEAR = (1.0, 1.7), 25_000
@@ -40,9 +39,10 @@ BOXES = (5, 15)
 
 
 class Way(NamedTuple):
-    """A way to visit a stem: what it is, its seconds without driving, and whether these were timed."""
+    """A way to visit a stem: what it is, its views, its seconds without driving, and whether these were timed."""
 
     name: str
+    views: int
     seconds: float
     timed: bool
 
@@ -60,11 +60,11 @@ def ways(results: Path = RESULTS) -> tuple[list[Way], float]:
     watched = shaking["robot_s_arm"] - shaking["robot_s_plan"]
     driving = metrics_of("shift", results)["seconds_per_stem"] - WORKED * math.exp(SPREAD**2 / 2)
     return [
-        Way("30 views, watched", alone["30_views"] + watched, True),
-        Way("10 views, watched", alone["fast"] + watched, True),
-        Way("10 views, plan alone", alone["fast"], True),
-        Way("asked for", 12.0, False),
-        Way("stretch", 8.0, False),
+        Way("30 views, watched", 30, alone["30_views"] + watched, True),
+        Way("10 views, watched", 10, alone["fast"] + watched, True),
+        Way("10 views, plan alone", 10, alone["fast"], True),
+        Way("asked for", 6, 12.0, False),
+        Way("stretch", 6, 8.0, False),
     ], driving
 
 
@@ -76,6 +76,10 @@ def house(area: float, way: Way, driving: float) -> House:
         area=area, plants=STEMS_HA, hours=HOURS, days=DAYS, season=SEASON, seconds=way.seconds * charging,
         move=driving * charging,
     )  # fmt: skip
+
+
+PATH = 160.0
+"""Length of a path [m] (a company's; facts: rows D)."""
 
 
 def costs_of(area: float, way: Way, driving: float, record: float) -> dict[str, float]:
@@ -92,12 +96,13 @@ def costs_of(area: float, way: Way, driving: float, record: float) -> dict[str, 
     return {
         "robots": fleet.robots,
         "robots_per_ha": fleet.robots / area,
+        "robots_a_path": fleet.robots / (area * 10_000 / House().path / PATH),
         "visits_a_day": fleet.visits,
         "robot_hours_a_day": worked,
         "kwh_a_day": worked * POWER / CHARGING,
         "mwh_a_year": worked * POWER / CHARGING * SEASON / 1000,
         "history_gb_a_year": fleet.visits * SEASON * record / 1e9,
-        "images_gb_a_day": fleet.visits * VIEWS * VIEW_BYTES / 1e9,
+        "images_gb_a_day": fleet.visits * way.views * VIEW_BYTES / 1e9,
         "stops_a_day": fleet.visits * STOPS,
         "fetching_h_a_day": fleet.visits * STOPS * FETCH,
         "wand_h_a_day_low": fleet.visits * WAND[0] / 3600,
@@ -110,6 +115,7 @@ def costs_of(area: float, way: Way, driving: float, record: float) -> dict[str, 
 
 ROWS = {
     "robots": "robots",
+    "robots_a_path": "robots a path of 160 m",
     "robot_hours_a_day": "hours of work of all robots a day (h)",
     "kwh_a_day": "electricity a day (kWh)",
     "mwh_a_year": "electricity a year (MWh)",
@@ -173,7 +179,8 @@ def main() -> None:
     }
     metrics |= {"driving_s": driving, "record_bytes": record, "write_median_ms": fleet["write_median_ms"]}
     metrics |= {f"seconds_{_key(way.name)}": way.seconds for way in choices}
-    finish(args, metrics, seconds, "", *[part for table in tables for part in (table, "")], beside)
+    small, large = tables
+    finish(args, metrics, "A visit:", seconds, "One hectare:", small, "Ten hectares:", large, "Beside others:", beside)
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +11,13 @@ import pytest
 
 pytest.importorskip("ortools", reason="OR-Tools is not installed: pip install 'anther[row]'")
 from anther.cli import row as command
-from anther.cli import simulated_house
+from anther.cli import row_visit, simulated_house
 from anther.cli.main import main
+from anther.cli.row_visit import ENTRY, TRAVEL
+from anther.core.errors import StageFailure
 from anther.history import Order, Report, count_trials, read_shift, read_stems
 from anther.history._jobs import Job
+from anther.plant import Visit
 from evaluation.house.shift import drawn_work
 
 HOUSE = ("row", "--simulate", "tomato", "--plants", "4", "--seed", "3")
@@ -168,6 +172,22 @@ def test_bad_options_are_refused(call, capsys, words, message) -> None:
     assert call(*words) == 2
     assert message in capsys.readouterr().err
     assert not list(Path().iterdir())
+
+
+@pytest.mark.parametrize("enters", [True, False])
+def test_a_stem_that_cannot_be_reached_is_a_visit_with_its_reason(tmp_path, monkeypatch, enters) -> None:
+    def far(*_: Any, **__: Any) -> Any:
+        raise StageFailure("unreachable", "the arm reaches two views")
+
+    monkeypatch.setattr(row_visit, "build_row", far)
+    begin = datetime(2026, 6, 1, 10, tzinfo=UTC)
+    order = Order(1, "simulated 1", "tomato", "north 1 left 1", "north", "1", "left", 0, 0.4, begin, enters)
+    report = row_visit.visit_stem(None, order, str(tmp_path / "h.sqlite"), tmp_path / "run")  # type: ignore[arg-type]
+    visit = report.visit
+    assert (visit.failure, visit.plant, visit.robot, visit.time) == ("unreachable", order.plant, order.robot, begin)
+    assert report.stopped is None
+    assert (report.ended - begin).total_seconds() == pytest.approx(ENTRY if enters else TRAVEL, abs=0.5)
+    assert Visit.load(tmp_path / "run" / "trial.json").failure == "unreachable"
 
 
 def test_many_houses_run_on_dask_each_with_its_history(call, capsys, monkeypatch) -> None:

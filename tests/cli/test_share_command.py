@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import zipfile
 from pathlib import Path
 
@@ -23,8 +22,8 @@ SECRETS = ("Anna Grower", "Honselersdijk", "/home/anna", "51.99N")
 def capture(tmp_path: Path) -> Path:
     """A capture whose files tell names and places in every way that files can; a face is in view 1."""
     write_samples(tmp_path)
-    folder = tmp_path / "capture"
-    shutil.rmtree(folder / "notes", ignore_errors=True)
+    folder = tmp_path / "mine"
+    Capture.load(tmp_path / "capture").select([0, 1, 2]).save(folder)  # faces take half a second a view
     told = json.loads((folder / "transforms.json").read_text())
     for frame in told["frames"]:
         path = folder / frame["file_path"]
@@ -93,7 +92,7 @@ def test_boxes_by_hand_and_an_archive(capture: Path, tmp_path: Path) -> None:
     assert main(["capture", "share", str(capture), str(out)]) == 2, "nothing is overwritten"
 
 
-@pytest.mark.parametrize("box", ["9:0,0,1,1000000", "99:0,0,5,5", "0:0,0,0,5", "0:1,2,3", "x:0,0,5,5"])
+@pytest.mark.parametrize("box", ["0:0,0,1,1000000", "99:0,0,5,5", "0:0,0,0,5", "0:1,2,3", "x:0,0,5,5"])
 def test_a_box_that_is_none_is_refused(capture: Path, tmp_path: Path, capsys, box: str) -> None:
     assert main(["import", "share", str(capture), str(tmp_path / "o"), "--mask", box]) == 2
     assert "VIEW:X,Y,WIDTH,HEIGHT" in capsys.readouterr().err

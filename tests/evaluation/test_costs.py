@@ -38,13 +38,13 @@ def test_a_visit_is_the_sum_of_its_timed_parts(results: Path) -> None:
 
 
 def test_robots_work_every_visit_within_the_hours_and_charge() -> None:
-    costs = costs_of(1.0, Way("any", 12.0, False), 3.0, 1000.0)
+    costs = costs_of(1.0, Way("any", 6, 12.0, False), 3.0, 1000.0)
     robot = Robot("any")
     visits = STEMS_HA / DAYS
     assert costs["robot_hours_a_day"] == pytest.approx(visits * 15 / 3600)
     hours = visits * 15 / 3600 * (1 + robot.charge / robot.battery)
     assert costs["robots"] == math.ceil(hours / HOURS)
     assert costs["history_gb_a_year"] == pytest.approx(visits * 287 * 1000 / 1e9)
-    ten = costs_of(10.0, Way("any", 12.0, False), 3.0, 1000.0)
+    ten = costs_of(10.0, Way("any", 6, 12.0, False), 3.0, 1000.0)
     assert ten["kwh_a_day"] == pytest.approx(10 * costs["kwh_a_day"])
     assert 10 * (costs["robots"] - 1) < ten["robots"] <= 10 * costs["robots"]

@@ -18,7 +18,7 @@ from anther.sim.judge import Verdict, judge
 
 ENTRY, TRAVEL = 120.0, 2.0
 """Time to enter a row, and from one stem to the next, 0.4 m at 0.3 m/s until the cart stands (guesses) [s]."""
-BY_THE_SIMULATOR = ("cell", "capture", "execution", "judge")
+BY_THE_SIMULATOR = {"cell", "capture", "execution", "judge"}
 """Stages whose time is the simulator's, not this computer's."""
 
 
@@ -26,7 +26,8 @@ def visit_stem(row: Row, order: Order, history: str, folder: Path) -> Report:
     """Visit the plant of a row that is asked for, in its own run folder.
 
     The robot knows what its cell holds, and the place of the stem's hook as a map has it.
-    The report's time is the simulator's for motions and this computer's for what is computed.
+    The report's time is the simulator's for motions, and this computer's for what is computed: of wall and processor
+    time the lesser, as other programs share it.
     """
     belief = starting_material(order.species, order.plant, history)
     earlier = earlier_shake(order.species, order.plant, history)
@@ -46,7 +47,8 @@ def visit_stem(row: Row, order: Order, history: str, folder: Path) -> Report:
         material_source=belief.source, material_reason=belief.reason, seconds=dict(run.seconds),
     )  # fmt: skip
     visit.save(folder / SUMMARY)
-    thought = sum(seconds for stage, seconds in run.seconds.items() if stage not in BY_THE_SIMULATOR)
+    stages = run.seconds.keys() - BY_THE_SIMULATOR
+    thought = sum(min(run.seconds[stage], run.cpu_seconds[stage]) for stage in stages)
     moved = (visit.simulated_capture_seconds or 0.0) + (visit.simulated_execution_seconds or 0.0)
     travel = ENTRY if order.enters else TRAVEL
     return Report(visit, order.begin + timedelta(seconds=travel + moved + thought))
