@@ -36,7 +36,7 @@ from scipy.spatial import KDTree
 from anther.cli.skeletonize import best_grasps
 from anther.core import AntherError
 from anther.core.geometry import Array, transform_points
-from anther.perception import Skeleton, Stem, find_stem, flower_centres, skeletonize
+from anther.perception import Skeleton, Stem, find_stem, find_supports, flower_centres, skeletonize
 from anther.perception.skeleton import Params
 from anther.pollination import Grasp
 from anther.robot.pressing import Pressing
@@ -91,8 +91,9 @@ class Answer:
 
 def ask(scene: Scene, root: Array | None = None) -> Answer:
     """Ask perception for a main stem and a grasp in a scene, perhaps with the root named."""
-    cloud, begin = scene.cloud(), time.process_time()
+    begin = time.process_time()
     try:
+        cloud = find_supports(scene.cloud())
         x, y, z = (0.0, 0.0, 0.0) if root is None else map(float, root)
         skeleton = skeletonize(cloud, None if root is None else Params(root=(x, y, z)))
         stem = find_stem(skeleton, flowers_at=flower_centres(cloud))

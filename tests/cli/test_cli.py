@@ -188,6 +188,7 @@ def test_the_parameters_of_a_stage_are_taken_where_one_is_given(capfd, tmp_path)
         (["--views", 1], "3 <= views"),
         (["--distance", 600], "distance <= 3 m"),
         (["--viewpoint", "nan"], "viewpoint: got nan"),
+        (["--root", "here"], "x,y,z in metres"),
         (["--restart-from", "skelton"], "'skelton'; allowed: capture"),
         (["--restart-from", "response"], "restart from execution"),
     ],

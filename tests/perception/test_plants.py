@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from made_plants import simple_plant
+from made_plants import simple_plant, tube
 
 from anther.core.errors import InputError
 from anther.core.geometry import Array
@@ -42,6 +42,17 @@ def test_every_stem_is_found_and_every_organ_goes_to_its_own(scene: tuple[Array,
     plants = find_plants(points)
     assert np.linalg.norm(plants.roots - FEET, axis=1).max() < 0.02  # in order, along x
     assert np.mean(plants.owner == truth) > 0.95
+
+
+def test_stems_that_cross_go_straight_on() -> None:
+    rng = np.random.default_rng(0)
+    ends = [((-0.08, 0.0, 0.0), (0.12, 0.0, 0.5)), ((0.12, 0.008, 0.0), (-0.12, 0.008, 0.5))]  # they touch at 0.23 m
+    parts = [tube(foot, top, (0.005, 0.004), 0.0015, rng) for foot, top in ends]
+    points, truth = np.concatenate(parts), np.repeat([0, 1], [len(part) for part in parts])
+    plants = find_plants(points)
+    assert len(plants) == 2
+    apart = np.abs(points[:, 2] - 0.23) > 0.05  # where they touch either will do
+    assert np.mean(plants.owner[apart] == truth[apart]) > 0.95
 
 
 def test_the_order_of_the_points_does_not_matter(scene: tuple[Array, Array]) -> None:

@@ -147,6 +147,11 @@ def test_a_watched_shake_ends_within_what_the_cell_allows(
     assert lasts is not None or "shake_duration" in made
 
 
+def test_a_trial_asks_for_the_stem_that_is_named() -> None:
+    asked = _params(Args(stem=1), None).skeleton, _params(Args(root="0.7,0.1,-0.3"), None).skeleton
+    assert [(each.plant, each.root) for each in asked] == [(1, None), (None, (0.7, 0.1, -0.3))]
+
+
 @pytest.mark.parametrize(
     ("params", "camera", "flowers", "why"),
     [

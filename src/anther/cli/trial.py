@@ -16,6 +16,7 @@ from anther.core.checks import check_range
 from anther.core.errors import StageFailure, bad_input
 from anther.core.runs import WHERE_IT_STOPPED, stage_under_way
 from anther.history import Belief, earlier_shake, facts_prior, hide_password, starting_material
+from anther.plant.imported import with_known_places
 from anther.plant.visit import Visit
 from anther.pollination.pipeline import Done, Params, mask_finder, pollinate
 from anther.pollination.shake import with_preset
@@ -141,6 +142,7 @@ def _resolve(args: Args, file: CellFile | None) -> Args:
 def _params(args: Args, file: CellFile | None) -> Params:
     """Return the stages' parameters: those asked for, with what the cell file, preset and --no-watch change."""
     params = args.params or Params()
+    known, _ = with_known_places(args.root, None, params.skeleton, params.stem, args.stem)
     bounds = params.shake if args.shake is None else with_preset(args.shake, params.shake)
     watch, actuator = args.watch and params.escalate, args.actuator or params.actuator
     if actuator == "gripper" and not (watch and bounds.keeps_limits):
@@ -154,7 +156,7 @@ def _params(args: Args, file: CellFile | None) -> Params:
             raise bad_input("params.grasp.gripper", given="a gripper and a cell file", allowed=allowed, do=do)
         grasp = replace(grasp, gripper=GripperShape.of(file.model.tool))
     escalate = watch and bounds.keeps_limits
-    return replace(params, grasp=grasp, shake=bounds, escalate=escalate, actuator=actuator)
+    return replace(params, skeleton=known, grasp=grasp, shake=bounds, escalate=escalate, actuator=actuator)
 
 
 def _folder(args: Args) -> str:

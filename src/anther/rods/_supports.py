@@ -23,6 +23,8 @@ TOUCH = 1e-10
 class Support:
     """An elastic support: springs between the ground and one node. Supports of the same node add.
 
+    It is mechanics; the strings, stakes and poles that a cloud shows are `perception.find_supports`.
+
     The force on the node at x is `force` - `translation` (x - x0) with its scanned position x0; the moment opposes the
     rotation of the node from its scanned direction.
 

@@ -27,6 +27,11 @@ class Args(Overwrite):
     """Name of a real plant, for its history."""
     seed: int = 0
     """Which plant; all noise comes from it too."""
+    stem: int | None = None
+    """Which of several stems in view, from 0 on, along x (along y where they spread more along y). By default the one
+    in the middle of the workspace."""
+    root: str | None = None
+    """Where the stem leaves the soil, if you know better: x,y,z [m], in the arm's frame."""
     viewpoint: float = 0.0
     """Turn the plant about its pot's axis [degrees]."""
     arm: ArmName | None = None

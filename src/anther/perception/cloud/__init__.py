@@ -72,6 +72,8 @@ class Params(Record):
 class Support(Record):
     """A string, wire, stake or pole beside the plant: a rod that is not plant (`supports.find_supports`).
 
+    It is geometry, an obstacle; what holds rods in mechanics is `anther.rods.Support`.
+
     Attributes:
         kind: what it is, by how thick it is; a thin one by whether it is upright.
         axis: (K, 3) along its middle, from end to end [m].
