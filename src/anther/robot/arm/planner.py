@@ -26,12 +26,9 @@ from anther.robot.swing import Swing
 
 SHAKE_SHARE = 0.85  # of the local limit; the rest covers ramps and the bend of the joint path
 SHAKE_CAP = 0.02  # m, beyond which the local limit means little
-ROOMS = SHAKE_CAP / 2.0 ** np.arange(7)  # m, amplitudes tried for being free, the largest first
 SEARCH_TIME = 2.0  # s for a path around obstacles in each of them
 BLENDS = (0.3, 0.05)  # rad, how far a corner may be rounded, in order of preference
 SEARCH_STEP = 0.02  # rad between collision checks while searching; the result is checked at collision.FREE_STEP
-LINE_STEP = 0.003
-"""Spacing of the poses along a straight line [m]."""
 
 Place = tuple[Array, JointTrajectory | None]
 """Free joints (J,), and the way back to them from such as are not."""
@@ -67,6 +64,9 @@ class Planner:
         params: see `Params`.
         arm: its description.
     """
+
+    _line_step = 0.003
+    """Spacing of the poses along a straight line [m]."""
 
     def __init__(
         self,
@@ -138,7 +138,7 @@ class Planner:
         q = check_array("start joints", q_from, (self.arm.count,))
         target = check_transform("flange pose", T_world_to)
         here = self.arm.forward(q)
-        path = _kinematics.follow(self.arm, q[None], _kinematics.poses_between(here, target, LINE_STEP))[0]
+        path = _kinematics.follow(self.arm, q[None], _kinematics.poses_between(here, target, self._line_step))[0]
         if not np.isfinite(path).all():
             raise StageFailure("unreachable", f"the arm cannot follow a straight line to {target[:3, 3].round(3)} m.")
         with self.world.touching_plant():
@@ -152,7 +152,8 @@ class Planner:
         """Return the amplitudes (Q,) [m] that `swing` can do at joints (J,): see `shake_limit`, and what is free."""
         here, way = check_array("joints", q, (self.arm.count,)), shaking.unit(direction)
         rate = np.linalg.pinv(self.arm.jacobian(here))[:, :3] @ way
-        room = next((size for size in ROOMS if self._may_swing(here, here + np.outer([-size, size], rate))), 0.0)
+        rooms = SHAKE_CAP / 2.0 ** np.arange(7)  # m, amplitudes tried for being free, the largest first
+        room = next((size for size in rooms if self._may_swing(here, here + np.outer([-size, size], rate))), 0.0)
         return np.minimum(shake_limit(self.arm, here, way, frequencies), room)
 
     def swing(self, q: ArrayLike, direction: ArrayLike, pieces: Sequence[Swing], reach: float) -> JointTrajectory:
@@ -333,7 +334,7 @@ class Planner:
             return q, None
         here, free = self.arm.forward(q), list[int]()
         behind = here @ transform(np.eye(3), [0, 0, -0.3])  # [m]: out of leaves
-        poses = _kinematics.poses_between(here, behind, LINE_STEP)
+        poses = _kinematics.poses_between(here, behind, self._line_step)
         path = _kinematics.follow(self.arm, q[None], poses)[0]
         for i, joints in enumerate(path):
             with self.world.touching_plant():
@@ -344,7 +345,7 @@ class Planner:
             at = here[:3, 3].round(3)
             raise StageFailure("collision", f"the flange at {at} m is not free, nor straight behind it.")
         way = path[: free[-1] + 1]
-        return way[-1], _motions.along_line(self.arm, way, free[-1] * LINE_STEP, self.params.approach_speed)
+        return way[-1], _motions.along_line(self.arm, way, free[-1] * self._line_step, self.params.approach_speed)
 
 
 def shake_limit(arm: ArmModel, q: ArrayLike, direction: ArrayLike, frequencies: ArrayLike) -> Array:
