@@ -26,12 +26,12 @@ from anther.core.errors import InputError, MissingExtra
 from anther.history import (
     Outcome,
     add_missing,
-    read_plants,
     find_visit,
     hide_password,
     open_reader,
     overview,
     read_outcomes,
+    read_plants,
     read_trials,
     record_outcome,
     record_trial,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from anther.cli.args.outcome import Args
 from anther.core.errors import InputError, bad_input
-from anther.history import Outcome, read_plants, find_visit, read_trials, record_outcome
+from anther.history import Outcome, find_visit, read_plants, read_trials, record_outcome
 
 
 def run(args: Args) -> None:
