@@ -30,8 +30,8 @@ __all__ = [
     "GripperRig",
 ]
 
-WAY, SECONDS = 0.25, 0.9
-"""The checks move every joint so far [rad] in this time [s]: at most 0.52 rad/s and 1.8 rad/s^2."""
+WAY = 0.25
+"""The checks move every joint so far [rad] in 0.9 s: at most 0.52 rad/s and 1.8 rad/s^2."""
 PAUSE = 0.3
 """Longer than any time-out of a robot or driver, and the braking after it [s]."""
 
@@ -132,10 +132,11 @@ def _raises(kind: type[BaseException], what: str) -> Iterator[list[BaseException
 
 def _motion(start: Array, way: float = WAY) -> JointTrajectory:
     """Return a motion at rest at both ends, from joints (J,) by `way` [rad] each."""
-    s = np.linspace(0, 1, round(200 * SECONDS))[:, None]
+    seconds = 0.9
+    s = np.linspace(0, 1, round(200 * seconds))[:, None]
     along = way * np.ones(len(start))
-    shape, rate = s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2 / SECONDS
-    return JointTrajectory(SECONDS * s[:, 0], start + shape * along, rate * along)
+    shape, rate = s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2 / seconds
+    return JointTrajectory(seconds * s[:, 0], start + shape * along, rate * along)
 
 
 def _pieces(start: Array) -> tuple[JointTrajectory, JointTrajectory]:

@@ -170,9 +170,6 @@ STILL = 2e-3
 """A command that travels further than this [rad] must show in the readings: more than noise and friction hide."""
 SHOWS = 0.1
 """Share of the commanded travel that healthy readings show at least, however softly the arm follows; a guess."""
-SWINGS, TURNS = 1e-4, 4
-"""Fast swings, with `TURNS` zero crossings or more in the longer span, must show from this travel on [rad]: 16 bits do.
-Asked of joints that travel at least half as far as the one that travels furthest, or more than `STILL`."""
 
 
 class ForceCheck:
@@ -206,8 +203,8 @@ class ForceCheck:
 
 
 def _is_fast(swing: Array) -> NDArray[np.bool_]:
-    """Return (J,) which joints go to and fro `TURNS` times or more, by their path (T, J) without its line [rad]."""
-    return np.asarray(np.count_nonzero(np.diff(np.sign(swing), axis=0), axis=0) >= TURNS)
+    """Return (J,) which joints cross zero four times or more, by their path (T, J) without its line [rad]."""
+    return np.asarray(np.count_nonzero(np.diff(np.sign(swing), axis=0), axis=0) >= 4)
 
 
 def find_hidden_swings(times: Array, commanded: Array, measured: Array, travel: Array) -> NDArray[np.bool_]:
@@ -226,7 +223,8 @@ def find_hidden_swings(times: Array, commanded: Array, measured: Array, travel: 
     """
     swing, rate, found = (_detrend(times, x) for x in (commanded, np.gradient(commanded, times, axis=0), measured))
     size = np.minimum(np.ptp(swing, axis=0), travel)
-    swings = _is_fast(swing) & (size >= max(SWINGS, min(STILL, 0.5 * float(size.max()))))
+    # From 1e-4 rad on, which 16 bits show, and of joints that travel half as far as the furthest or more than `STILL`.
+    swings = _is_fast(swing) & (size >= max(1e-4, min(STILL, 0.5 * float(size.max()))))
     hidden = swings.copy()
     for j in np.flatnonzero(swings):
         basis = np.linalg.qr(np.stack([swing[:, j], rate[:, j]], axis=1))[0]
@@ -276,7 +274,7 @@ class Watchdog:
         With `stale_after` = 0.1 s: a joint that freezes, to the bit or with noise below `SHOWS` of its travel, is
         noticed within 0.2 s where its command goes faster than 0.04 rad/s all the while, else within 0.35 s where it
         travels 2 mrad in any 0.2 s of them: a swing of 3 mrad at 2 Hz, of 1.3 mrad at 4 Hz. From 10 Hz on a swing of
-        `SWINGS` is enough (`find_hidden_swings`); not where one joint of several freezes with noise and swings by less
+        0.1 mrad is enough (`find_hidden_swings`); not where one joint of several freezes with noise and swings by less
         than `STILL`. What lags by up to 0.15 s is not.
         """
         past, after = self._past, self._limits.stale_after
