@@ -26,8 +26,6 @@ BEHIND = {
     "evaluation/perception/hand_eye.py",
     "evaluation/perception/registration.py",
     "evaluation/prediction/belief.py",
-    "evaluation/robustness/capture_path.py",
-    "evaluation/robustness/path_judge.py",
     "evaluation/rods/objectivity.py",
     "evaluation/speed/count_operations.py",
     "evaluation/trials/arm_readings.py",

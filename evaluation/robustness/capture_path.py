@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from anther.core import Array, Box
 from anther.plant import Crop
 from anther.robot import JointTrajectory, Views
-from anther.robot.arm import _motions as motions
-from anther.robot.arm import sawyer
-from anther.robot.arm._motions import USABLE
+from anther.robot.arm import motions, sawyer
+from anther.robot.arm.motions import USABLE
 from anther.robot.arm.views import SEEN, Params, capture_time, cylinder_points, is_sharp
 from anther.sim import grow, layout, views_at
 from anther.sim.cell import Cell

@@ -16,8 +16,8 @@ from scipy.interpolate import CubicHermiteSpline
 
 from anther.core import Array, Box
 from anther.robot import ArmModel, JointTrajectory
-from anther.robot.arm._motions import torques
 from anther.robot.arm.model import CAMERA, FLANGE, GRIPPER
+from anther.robot.arm.motions import torques
 from anther.robot.arm.sawyer import SAWYER
 from anther.sim import arm_model
 

@@ -8,7 +8,7 @@ import pytest
 from anther.core.geometry import Box
 from anther.robot.arm import sawyer
 from anther.robot.arm._collision import CollisionWorld
-from anther.robot.arm._motions import USABLE
+from anther.robot.arm.motions import USABLE
 from anther.robot.arm.planner import Planner
 from anther.robot.arm.views import Params, Views, capture_time, plan_views
 from anther.sim.simulated_cell import USUAL_DISTANCE, layout

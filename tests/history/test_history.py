@@ -26,12 +26,12 @@ from anther.core.errors import InputError, MissingExtra
 from anther.history import (
     Outcome,
     add_missing,
-    find_plants,
     find_visit,
     hide_password,
     open_reader,
     overview,
     read_outcomes,
+    read_plants,
     read_trials,
     record_outcome,
     record_trial,
@@ -81,7 +81,7 @@ def test_little_is_needed(where: str) -> None:
     record_trial(Visit("pepper", "row 3, 14", True), where)
     (read,) = read_trials(where)
     assert (read.material, read.failure, read.grasp, read.shake, read.measured_amplitude) == (None,) * 4 + ((),)
-    assert find_plants("row 3, 14", where) == [("pepper", "row 3, 14")]
+    assert read_plants("row 3, 14", where) == [("pepper", "row 3, 14")]
 
 
 def test_oldest_first_and_filtered(where: str) -> None:

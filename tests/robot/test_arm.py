@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from anther.core.errors import InputError, StageFailure
 from anther.core.geometry import Box, transform
-from anther.robot.arm import _kinematics, sawyer, shaking
-from anther.robot.arm import _motions as motions
+from anther.robot.arm import _kinematics, motions, sawyer, shaking
 from anther.robot.arm._collision import CollisionWorld
 from anther.robot.arm._kinematics import newton_step
 from anther.robot.arm.planner import SEARCH_STEP, Planner

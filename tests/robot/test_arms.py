@@ -17,8 +17,7 @@ from scipy.interpolate import CubicHermiteSpline
 import anther
 from anther.core.errors import InputError
 from anther.core.geometry import Array, Box, transform
-from anther.robot.arm import _kinematics
-from anther.robot.arm import _motions as motions
+from anther.robot.arm import _kinematics, motions
 from anther.robot.arm._collision import CollisionWorld
 from anther.robot.arm.arms import find_arm, simulated_arm
 from anther.robot.arm.model import ArmModel

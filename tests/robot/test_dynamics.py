@@ -7,8 +7,7 @@ import pytest
 
 from anther.core.errors import StageFailure
 from anther.core.geometry import transform
-from anther.robot.arm import _kinematics, sawyer, shaking
-from anther.robot.arm import _motions as motions
+from anther.robot.arm import _kinematics, motions, sawyer, shaking
 from anther.robot.arm.planner import Planner
 from anther.robot.devices import JointTrajectory
 from anther.robot.swing import whole_shake

@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import CubicHermiteSpline
 
-from anther.robot.arm import _motions as motions
-from anther.robot.arm import sawyer
+from anther.robot.arm import motions, sawyer
 from anther.robot.devices import JointTrajectory
 
 JOINTS = st.integers(0, 10_000).map(

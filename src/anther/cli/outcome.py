@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from anther.cli.args.outcome import Args
 from anther.core.errors import InputError, bad_input
-from anther.history import Outcome, find_plants, find_visit, read_trials, record_outcome
+from anther.history import Outcome, find_visit, read_plants, read_trials, record_outcome
 
 
 def run(args: Args) -> None:
@@ -20,7 +20,7 @@ def run(args: Args) -> None:
 def _meant(args: Args) -> tuple[str, str, int | None]:
     """Return (species, plant, visit or None) that the words mean."""
     kind, _, name = args.of.partition(":") if args.of.startswith(("plant:", "visit:")) else ("", "", args.of)
-    plants = [] if kind == "visit" else find_plants(name, args.history, species=args.species)
+    plants = [] if kind == "visit" else read_plants(name, args.history, species=args.species)
     visit = find_visit(int(name), args.history) if kind != "plant" and name.isdecimal() and not args.control else None
     if args.control:
         if args.species is None:

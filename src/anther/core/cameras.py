@@ -17,10 +17,6 @@ _BROWN = {
 }  # fmt: skip
 _FISHEYE = {"equidistant", "fisheye", "kannala brandt4"}
 """OpenCV's fisheye: what is seen at an angle a lies at f (a + k1 a^3 + k2 a^5 + ...), also where k1 to k4 are 0."""
-_SIZES = (5, 8, 12, 14)
-"""How many coefficients OpenCV's polynomials have."""
-_NEAREST = 0.25
-"""A point that comes nearer to the colour camera than this share of its depth is not drawn larger for it."""
 
 Maps = tuple[NDArray[np.float32], NDArray[np.float32]]
 """(H, W) column and row of the distorted image for every pixel of the straight one."""
@@ -47,7 +43,8 @@ def straightening(
     """
     name, D, onto = model.strip().lower(), np.trim_zeros(D, "b"), straight or camera
     size = onto.width, onto.height
-    if name not in _BROWN | _FISHEYE or len(D) > (4 if name in _FISHEYE else _SIZES[-1]):
+    sizes = (5, 8, 12, 14)  # how many coefficients OpenCV's polynomials have
+    if name not in _BROWN | _FISHEYE or len(D) > (4 if name in _FISHEYE else sizes[-1]):
         raise bad_input(
             what,
             given=f"distortion model '{model}' with {len(D)} coefficients",
@@ -58,7 +55,7 @@ def straightening(
         D = np.r_[D, np.zeros(4 - len(D))]
         maps = cv2.fisheye.initUndistortRectifyMap(camera.matrix, D, np.eye(3), onto.matrix, size, cv2.CV_32FC1)
     elif len(D) or onto != camera:
-        D = np.r_[D, np.zeros(next(n for n in _SIZES if n >= len(D)) - len(D))]
+        D = np.r_[D, np.zeros(next(n for n in sizes if n >= len(D)) - len(D))]
         maps = cv2.initUndistortRectifyMap(camera.matrix, D, np.eye(3), onto.matrix, size, cv2.CV_32FC1)
     else:
         return None
@@ -102,6 +99,8 @@ def laid_over(depth: NDArray[np.float32], of: Intrinsics, onto: Intrinsics, T_on
 
 @numba.njit(cache=True, nogil=True)
 def _lay(depth: Any, of: Any, onto: Any, T: Any, half: Any, out: Any) -> None:
+    # A point that comes nearer to the colour camera than this share of its depth is not drawn larger for it
+    nearest = 0.25
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
             z = depth[v, u]
@@ -113,7 +112,7 @@ def _lay(depth: Any, of: Any, onto: Any, T: Any, half: Any, out: Any) -> None:
                 continue
             across = onto[0] * (T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]) / ahead + onto[2]
             down = onto[1] * (T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]) / ahead + onto[3]
-            larger = z / max(ahead, _NEAREST * z)
+            larger = z / max(ahead, nearest * z)
             dx, dy = half[0] * larger, half[1] * larger
             # half-open, so that neighbours share no pixel
             left, right = max(np.ceil(across - dx - 1e-6), 0), min(np.floor(across + dx - 1e-6), out.shape[1] - 1)

@@ -97,7 +97,7 @@ def check_room(what: str, size: float, do: str) -> None:
         raise bad_input(what, given=f"{size / 1e9:.1f} GB", allowed=f"at most {MOST_BYTES / 1e9:g} GB", do=do)
 
 
-_EYE, _LAST_ROW = np.eye(3), np.array([0.0, 0.0, 0.0, 1.0])
+_IDENTITY = np.eye(4)
 
 
 def check_transform(name: str, value: Any, count: int | None = None) -> NDArray[np.float64]:
@@ -110,8 +110,8 @@ def check_transform(name: str, value: Any, count: int | None = None) -> NDArray[
     T = check_array(name, value, (count, 4, 4) if stack else (4, 4))
     R = T[..., :3, :3]
     # np.allclose takes five times as long, and a plan asks hundreds of times
-    skewed, bottom = np.abs(np.swapaxes(R, -1, -2) @ R - _EYE), np.abs(T[..., 3, :] - _LAST_ROW)
-    rigid = np.all(skewed <= 1e-6 + 1e-5 * _EYE) and np.all(bottom <= 1e-9 + 1e-5 * _LAST_ROW)
+    skewed, bottom = np.abs(np.swapaxes(R, -1, -2) @ R - _IDENTITY[:3, :3]), np.abs(T[..., 3, :] - _IDENTITY[3])
+    rigid = np.all(skewed <= 1e-6 + 1e-5 * _IDENTITY[:3, :3]) and np.all(bottom <= 1e-9 + 1e-5 * _IDENTITY[3])
     rigid = rigid and np.all(np.linalg.det(R) > 0)
     if not rigid:
         raise bad_input(

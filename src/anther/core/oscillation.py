@@ -23,8 +23,6 @@ from anther.core.geometry import Array
 
 MUCH_ALIKE = 3.0
 """Overtones are fitted where no variance is more than so many times what it is with evenly spread phases."""
-WIDTH = 0.1
-"""A frequency is looked for within this share of where it should be."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,7 +147,7 @@ def swing_basis(times: Array, frequency: float, overtones: int = 0) -> Array:
 
 
 def find_frequency(times: Array, path: Array, hint: float) -> float:
-    """Return the frequency [Hz] within `hint` x (1 +- WIDTH) whose swing fits a path (T, D) over times (T,) best."""
+    """Return the frequency [Hz] within a tenth of `hint` whose swing fits a path (T, D) over times (T,) best."""
     seen = np.isfinite(path).all(axis=1)
     t, x = times[seen], path[seen]
     span, slow = (float(t[0]), float(t[-1])), _slow_terms(t, hint)
@@ -160,8 +158,9 @@ def find_frequency(times: Array, path: Array, hint: float) -> float:
         return -float(np.sum(along * np.linalg.solve(np.einsum("ti,tj->ij", basis, basis), along)))
 
     # the misfit's valley is about 1 / (record length) wide
-    step = min(0.25 / float(np.ptp(t)), WIDTH * hint / 2)
-    grid = np.arange(hint * (1 - WIDTH), hint * (1 + WIDTH), step)
+    width = 0.1  # a frequency is looked for within this share of where it should be
+    step = min(0.25 / float(np.ptp(t)), width * hint / 2)
+    grid = np.arange(hint * (1 - width), hint * (1 + width), step)
     best = grid[int(np.argmin([misfit(f) for f in grid]))]
     found: Any = minimize_scalar(misfit, bounds=(best - step, best + step), method="bounded")
     return float(found.x)

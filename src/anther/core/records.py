@@ -85,8 +85,6 @@ class Range:
 
 UNSAVED = "unsaved"
 """Mark of a field that no file keeps; it has a default."""
-Amount = Annotated[float, Range(0, 1e9)]
-"""A finite number that is not negative."""
 Share = Annotated[float, Range(0, 1)]
 """A share or a probability."""
 Spread = Annotated[float, Range(0, 3)]

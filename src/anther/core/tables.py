@@ -13,8 +13,6 @@ from anther.core.errors import MissingExtra, bad_input
 from anther.core.files import replacing
 
 INSTALL = "pip install 'anther[parquet]'"
-GROUP = 50_000
-"""Lines of a row group of Parquet: what of a table is in memory at a time."""
 
 
 def write_table(path: Path, columns: Mapping[str, type], lines: Iterable[Mapping[str, Any]]) -> None:
@@ -65,6 +63,7 @@ def _parquet(path: Path, columns: Mapping[str, type], lines: Iterable[Mapping[st
     }
     schema = pa.schema([(name, kinds[kind]) for name, kind in columns.items()])
     rest = iter(lines)
+    group_size = 50_000  # lines of a row group of Parquet: what of a table is in memory at a time
     with parquet.ParquetWriter(path, schema) as writer:
-        while group := list(itertools.islice(rest, GROUP)):
+        while group := list(itertools.islice(rest, group_size)):
             writer.write_table(pa.Table.from_pylist([dict(line) for line in group], schema=schema))

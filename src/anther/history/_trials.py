@@ -181,7 +181,7 @@ def read_outcomes(
         ]
 
 
-def find_plants(label: str, where: Path | str = DEFAULT, *, species: str | None = None) -> list[tuple[str, str]]:
+def read_plants(label: str, where: Path | str = DEFAULT, *, species: str | None = None) -> list[tuple[str, str]]:
     """Return (species, label) of every plant in the history with this label."""
     query = _of_plant(select(Plant), species, label).order_by(Plant.species)
     with open_reader(where) as session:

@@ -26,14 +26,12 @@ from anther.plant.string import HeldString, straightened, topmost_hold
 from anther.rods import Clamp, Rods, Support, standing, with_gravity_equilibrium
 
 __all__ = [
-    "LEARNED", "MARGIN", "PEPPER", "TOMATO", "Material", "Params", "PlantModel", "build_plant", "plant_with_flowers",
+    "LEARNED", "PEPPER", "TOMATO", "Material", "Params", "PlantModel", "build_plant", "plant_with_flowers",
 ]  # fmt: skip
 
 PEDICEL_PIECES = 3  # edges per pedicel
 FLOWER_RADIUS = 5e-3
 """Of a flower's mass, taken as a ball for its moment of inertia [m] (facts: pollination 2, corolla 10 mm)."""
-MARGIN = 1.5
-"""Least ratio of Young's modulus to the value at which the plant buckles [-]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +43,7 @@ class Params(Record):
         flower_mass: [kg] (facts: pollination 2 [R]: 0.05-0.15 g).
         pedicel_length, pedicel_radius: [m] (facts: 9-22 mm long, about 1 mm thick).
         pedicel_youngs: [Pa] (facts: 50-100 MPa gives the 23-33 Hz at which tomato flowers answer stem shaking best).
-        stiffen: raise Young's modulus to `MARGIN`, with a note, since the plant evidently stands; False refuses.
+        stiffen: raise Young's modulus, with a note, until the plant carries itself, as it must; False refuses.
         string: that holds its main stem up; None: it stands alone.
     """
 
@@ -273,11 +271,12 @@ def _youngs_that_holds(material: Material, least: float, params: Params) -> tupl
     Raises:
         StageFailure: it would not stand and may not be stiffened.
     """
-    if material.youngs >= MARGIN * least:
+    margin = 1.5  # least ratio of Young's modulus to the value at which the plant buckles [-]
+    if material.youngs >= margin * least:
         return material, ()
     if not params.stiffen:
         raise _buckles(material.youngs, least)
-    held = MARGIN * least
+    held = margin * least
     note = (
         f"Young's modulus raised from {material.youngs / 1e6:.3g} to {held / 1e6:.3g} MPa: below {least / 1e6:.3g} MPa "
         "the plant would buckle under its own weight, and it stands."

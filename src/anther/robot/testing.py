@@ -30,12 +30,10 @@ __all__ = [
     "GripperRig",
 ]
 
-WAY, SECONDS = 0.25, 0.9
-"""The checks move every joint so far [rad] in this time [s]: at most 0.52 rad/s and 1.8 rad/s^2."""
+WAY = 0.25
+"""The checks move every joint so far [rad] in 0.9 s: at most 0.52 rad/s and 1.8 rad/s^2."""
 PAUSE = 0.3
 """Longer than any time-out of a robot or driver, and the braking after it [s]."""
-JUMP = 2e-3
-"""An arm further than this from where its acceleration lets it go on has jumped [rad]."""
 
 ArmFault = Literal["silence", "not a number", "clock jump", "force lost", "stop"]
 """The machine tells no joints any more, or NaN; its clock goes back by a second; it tells no force any more; it stops
@@ -134,10 +132,11 @@ def _raises(kind: type[BaseException], what: str) -> Iterator[list[BaseException
 
 def _motion(start: Array, way: float = WAY) -> JointTrajectory:
     """Return a motion at rest at both ends, from joints (J,) by `way` [rad] each."""
-    s = np.linspace(0, 1, round(200 * SECONDS))[:, None]
+    seconds = 0.9
+    s = np.linspace(0, 1, round(200 * seconds))[:, None]
     along = way * np.ones(len(start))
-    shape, rate = s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2 / SECONDS
-    return JointTrajectory(SECONDS * s[:, 0], start + shape * along, rate * along)
+    shape, rate = s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2 / seconds
+    return JointTrajectory(seconds * s[:, 0], start + shape * along, rate * along)
 
 
 def _pieces(start: Array) -> tuple[JointTrajectory, JointTrajectory]:
@@ -168,7 +167,8 @@ def _check_smooth(rig: ArmRig) -> None:
     rate = np.diff(joints, axis=0) / seconds
     beyond = np.abs(np.diff(rate, axis=0)) - rig.acceleration * (seconds[1:] + seconds[:-1]) / 2
     jump = float((beyond * seconds[1:]).max())
-    _require(jump < JUMP, f"the arm jumped by {jump:.2g} rad; allowed: {JUMP:g}")
+    allowed = 2e-3  # an arm further than this from where its acceleration lets it go on has jumped [rad]
+    _require(jump < allowed, f"the arm jumped by {jump:.2g} rad; allowed: {allowed:g}")
     _require(np.diff(joints, axis=0).min() > -1e-3, "the arm went back")
     _require(np.ptp(joints[-10:], axis=0).max() < 1e-4, "the arm does not come to rest")
 

@@ -156,17 +156,15 @@ def _grasp(results: RunResults, most: int = 5) -> str:
     ]
     header = ["Rank", "Height along stem", "Stem diameter", "Clearance", "Confidence", "Flange pose", "Why"]
     text = "<p>Confidence is the probability that the main stem closes between the pads, whatever is beside it."
+    meaning = (
+        "Clearance is the least distance of the open gripper, on its way in, from anything. Where it is negative the "
+        "gripper pushes leaves, petioles or flowers aside, so deep at most; they give way, and the rank pays for them. "
+        f"From the stem it keeps {1e3 * STEM_CLEARANCE:.0f} mm, from pot and bench {1e3 * OBSTACLE_CLEARANCE:.0f} mm."
+    )
     if any(g.clearance < 0 for _, g in listed):
-        text += f" {CLEARANCE}"
+        text += f" {meaning}"
     text += f"</p>{_list(results.attempts)}"
     return f"{text}{_table(header, rows, chosen=None if held is None else min(held, most))}"
-
-
-CLEARANCE = (
-    "Clearance is the least distance of the open gripper, on its way in, from anything. Where it is negative the "
-    "gripper pushes leaves, petioles or flowers aside, so deep at most; they give way, and the rank pays for them. "
-    f"From the stem it keeps {1e3 * STEM_CLEARANCE:.0f} mm, from pot and bench {1e3 * OBSTACLE_CLEARANCE:.0f} mm."
-)
 
 
 def _shake(results: RunResults) -> str:
@@ -338,16 +336,6 @@ def _measured_rows(results: RunResults, felt: Array) -> Iterator[tuple[str, str]
             yield tuple(f"less than {x}" if np.isfinite(most) else x for x in at_most)  # type: ignore[misc]
 
 
-LEARNED_ROWS = (
-    ("Young's modulus of the stem", "youngs", 1e-6, "MPa"),
-    ("Damping ratio", "damping_ratio", 1.0, ""),
-    ("Bending over twisting stiffness", "bend_over_twist", 1.0, ""),
-    ("True over scanned radius", "radius_scale", 1.0, ""),
-    ("Flower motion over the model's, with all of the above", "response_gain", 1.0, ""),
-)
-"""Name, attribute of `plant.Material`, factor to the shown unit, unit."""
-
-
 def _learned(results: RunResults) -> str:
     """Return what was believed of the plant before and after the shake, each with nine in ten."""
     visit = results.visit
@@ -355,9 +343,17 @@ def _learned(results: RunResults) -> str:
         return ""
     if visit.material == visit.believed:
         return "<p>Nothing: no flower's motion could be measured, or the shake had no one frequency.</p>"
+    # Name, attribute of `plant.Material`, factor to the shown unit, unit
+    learned = (
+        ("Young's modulus of the stem", "youngs", 1e-6, "MPa"),
+        ("Damping ratio", "damping_ratio", 1.0, ""),
+        ("Bending over twisting stiffness", "bend_over_twist", 1.0, ""),
+        ("True over scanned radius", "radius_scale", 1.0, ""),
+        ("Flower motion over the model's, with all of the above", "response_gain", 1.0, ""),
+    )
     rows = [
         [name, *(_belief(m, attribute, factor, unit) for m in (visit.believed, visit.material))]
-        for name, attribute, factor, unit in LEARNED_ROWS
+        for name, attribute, factor, unit in learned
     ]
     why = visit.material_reason or ""
     text = f"<p>Believed before: {escape(why)}. The next shake of this plant begins with what is believed after.</p>"

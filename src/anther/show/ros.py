@@ -338,14 +338,10 @@ def _point(make: Callable[..., Any], place: Array) -> Any:
     return make("geometry_msgs/msg/Point", **dict(zip("xyz", map(float, place), strict=True)))
 
 
-KINDS = dict(enumerate(("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8"), start=1))
-"""sensor_msgs/PointField's datatype -> numpy's."""
-
-
 def cloud_message(make: Callable[..., Any], header: Any, points: Array) -> Any:
     """Return a sensor_msgs/PointCloud2 of points (N, 3) [m]."""
     fields = [
-        make("sensor_msgs/msg/PointField", name=name, offset=4 * i, datatype=7, count=1)  # of 4 bytes, KINDS[7]
+        make("sensor_msgs/msg/PointField", name=name, offset=4 * i, datatype=7, count=1)  # of 4 bytes
         for i, name in enumerate("xyz")
     ]
     data = array("B", np.ascontiguousarray(points, dtype="<f4").tobytes())
@@ -361,7 +357,9 @@ def read_points(message: Any) -> tuple[Array, NDArray[Any] | None]:
         InputError: it has no x, y, z, or is not as long as it says.
     """
     order = ">" if message.is_bigendian else "<"
-    fields = {f.name: (f.offset, order + KINDS.get(f.datatype, "f4")) for f in message.fields}
+    # sensor_msgs/PointField's datatype -> numpy's
+    kinds = dict(enumerate(("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8"), start=1))
+    fields = {f.name: (f.offset, order + kinds.get(f.datatype, "f4")) for f in message.fields}
     if not {"x", "y", "z"} <= set(fields):
         allowed = "x, y, z, and rgb or rgba if there is colour"
         raise bad_input("cloud", given=f"fields {', '.join(fields)}", allowed=allowed, do="Publish those.")

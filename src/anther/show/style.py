@@ -13,8 +13,6 @@ ROBOT_COLOR, GRIPPER_COLOR, POT_COLOR, VIEW_COLOR, CLOUD_COLOR = "#a5a8af", "#46
 NARROW = 640
 """Screens up to this width get the pictures and tables of a phone [px]."""
 NOT_MEASURED = "not measured"
-SHOWN_UNITS = {"m": (1e3, "mm"), "m/s": (1e3, "mm/s"), "m/s2": (1.0, "m/s²"), "-": (100.0, "%"), "Pa": (1e-6, "MPa")}
-"""SI unit of a value -> factor and unit in which people read it; others are shown as they are."""
 
 
 def rgb(colour: str) -> tuple[int, int, int]:
@@ -26,7 +24,15 @@ def quantity(value: float | None, unit: str) -> str:
     """Return a value of an SI unit as people read it, three digits: "1.18 mm", "0.98 %"; what is not known says so."""
     if value is None or not math.isfinite(value):
         return NOT_MEASURED
-    factor, shown = SHOWN_UNITS.get(unit, (1.0, unit))
+    # SI unit of a value -> factor and unit in which people read it; others are shown as they are
+    units = {
+        "m": (1e3, "mm"),
+        "m/s": (1e3, "mm/s"),
+        "m/s2": (1.0, "m/s²"),
+        "-": (100.0, "%"),
+        "Pa": (1e-6, "MPa"),
+    }
+    factor, shown = units.get(unit, (1.0, unit))
     value *= factor
     digits = max(0, 2 - math.floor(math.log10(abs(value)))) if value else 0
     return f"{value:.{min(digits, 3)}f} {shown}".strip()

@@ -36,14 +36,6 @@ Sight = SimPlant | Scene | Callable[[int], Scene]
 """What is looked at: a plant, its scene, or the scene as each view finds it."""
 
 
-FAR = 1000.0
-"""Stands for "no surface" while filtering [m]."""
-BASELINE = 0.095
-"""Between a D455's two imagers [m]."""
-CORRELATION = 1.5
-"""Standard deviation of the Gaussian that correlates the disparity's error between neighbours [px]."""
-MAX_DISPARITY = 126.0
-"""Largest disparity searched [px]; sets the minimum range."""
 EDGE = 2.0
 """Disparity step that makes an edge [px]."""
 
@@ -277,8 +269,10 @@ def noisy_depth(
     """
     params = params or DepthNoise()
     exact = check_array("exact depth", depth, (intrinsics.height, intrinsics.width), dtype=np.float32)
-    focal = np.float32(intrinsics.fx * BASELINE)
-    z = np.where(exact > 0, exact, np.float32(FAR))
+    baseline = 0.095  # between a D455's two imagers [m]
+    focal = np.float32(intrinsics.fx * baseline)
+    far = 1000.0  # stands for "no surface" while filtering [m]
+    z = np.where(exact > 0, exact, np.float32(far))
     patches = _field(exact.shape, 4.0, rng)
     z = _fattened(_without_twigs(z, patches, params), patches, params)
     disparity = focal / z
@@ -286,10 +280,13 @@ def noisy_depth(
     if params.stereo_shadow:
         seen &= ~_shadowed(disparity)
     disparity, dropped = _ragged_edges(disparity, rng, params)
-    disparity += np.float32(params.subpixel) * _field(exact.shape, CORRELATION, rng)
+    # standard deviation of the Gaussian that correlates the disparity's error between neighbours [px]
+    correlation = 1.5
+    disparity += np.float32(params.subpixel) * _field(exact.shape, correlation, rng)
     if params.quantum > 0:
         disparity = np.round(disparity / np.float32(params.quantum)) * np.float32(params.quantum)
-    seen &= ~dropped & (disparity >= focal / params.max_range) & (disparity <= MAX_DISPARITY)
+    most = 126.0  # largest disparity searched [px]; sets the minimum range
+    seen &= ~dropped & (disparity >= focal / params.max_range) & (disparity <= most)
     return np.where(seen, focal / np.maximum(disparity, np.float32(1e-3)), np.float32(0))
 
 

@@ -21,7 +21,7 @@ Painted = tuple[Mesh, Organ, NDArray[Any]]
 """A mesh, the `Organ` of its faces, and its sRGB colour (3,) or those of its vertices (n, 3)."""
 Matrix = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
 
-FLOOR_Z, WALL_DISTANCE, WALL_TOP = -1.25, 3.5, 2.2
+FLOOR_Z, WALL_DISTANCE = -1.25, 3.5
 """Where floor and walls are [m]; z in the world."""
 
 
@@ -73,7 +73,7 @@ def joined(parts: Sequence[Painted]) -> tuple[Array, NDArray[Any], NDArray[np.ui
     return vertices, faces, organ, np.clip(np.vstack(colours), 0, 255).astype(np.uint8)
 
 
-def shell(middle: Array, rng: np.random.Generator, height: float = WALL_TOP - FLOOR_Z) -> list[Painted]:
+def shell(middle: Array, rng: np.random.Generator, height: float = 3.45) -> list[Painted]:
     """Return the floor and the hazy walls around a point (3,) on the floor, up to `height` [m] above it."""
     x, y, z = middle
     floor, walls = _floor(x, y, z), _walls(x, y, z, height)

@@ -24,12 +24,6 @@ from anther.sim.plant import GRAVITY, Organ, SimPlant, Twine
 
 mujoco: Any = mujoco_module  # its names come from C++ at run time; type checkers do not see them
 
-_BLADE_TIME = 0.2
-"""Time constant of a blade's contact [s]. A blade is a membrane that bends away: a strip of it 40 mm long and wide,
-0.25 mm thick, of 75 MPa, is a spring of 0.2 N/m at its end, its midrib (0.7 mm) one of 0.7 N/m (3 E I / L^3). With this
-constant fingers that go through three grown plants press into blades with 0.5-2 N/m in the median (measured; with
-0.03 s 8-16 N/m). What presses harder passes through, as between the pads. There is no friction: a leaf slides off."""
-
 
 def add_plant(spec: Any, plant: SimPlant, params: Params, *, contype: int = 0) -> Pieces:
     """Add the plant's bodies `plant_<b>`, hinges, and what touches: capsules `segment_<k>`, boxes `blade_<i>_<k>`.
@@ -95,7 +89,13 @@ def leaf_boxes(plant: SimPlant) -> list[tuple[int, Array, Array, Array]]:
 
 
 def _add_blades(spec: Any, plant: SimPlant, pieces: Pieces, contype: int) -> None:
-    """Add the blades as boxes `blade_<i>_<segment>`: soft (`_BLADE_TIME`), and without mass: the segments have it."""
+    """Add the blades as boxes `blade_<i>_<segment>`: soft, and without mass: the segments have it."""
+    # time constant of a blade's contact [s]. A blade is a membrane that bends away: a strip of it 40 mm long and
+    # wide, 0.25 mm thick, of 75 MPa, is a spring of 0.2 N/m at its end, its midrib (0.7 mm) one of 0.7 N/m (3 E I /
+    # L^3). With this constant fingers that go through three grown plants press into blades with 0.5-2 N/m in the
+    # median (measured; with 0.03 s 8-16 N/m). What presses harder passes through, as between the pads. There is no
+    # friction: a leaf slides off
+    blade_time = 0.2
     for i, (k, centre, axes, half) in enumerate(leaf_boxes(plant)):
         b = pieces.body[k]
         spec.body(f"plant_{b}").add_geom(
@@ -109,7 +109,7 @@ def _add_blades(spec: Any, plant: SimPlant, pieces: Pieces, contype: int) -> Non
             conaffinity=0,
             condim=1,
             priority=2,
-            solref=[_BLADE_TIME, 1.0],
+            solref=[blade_time, 1.0],
             solimp=[0.5, 0.9, 0.005, 0.5, 2],
             group=2,
         )

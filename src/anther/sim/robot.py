@@ -31,8 +31,6 @@ from anther.sim.capture import CameraErrors, sensed
 from anther.sim.cell import FINE, Cell, CellLog
 from anther.sim.render import Scene, Still, d455
 
-LEAST_REACH = 6.0
-"""Around the plant in a still [px], rendered again in each frame of a film."""
 SIDE = Intrinsics(480, 480, 424.0, 424.0, 239.5, 239.5)
 """Of the side camera: the middle 480 x 480 pixels of a D455's 848 x 480: 0.62 x 0.62 m at 0.55 m, quick to render."""
 
@@ -135,6 +133,9 @@ RATES = (15.0, 30.0, 60.0, 90.0)  # 1/s; a D455 at 848 x 480 px
 class SimCamera:
     """An RGB-D camera in the cell. Frames of a recording are rendered, from the log, when it is stopped."""
 
+    _least_reach = 6.0
+    """Around the plant in a still [px], rendered again in each frame of a film."""
+
     def __init__(
         self,
         cell: Cell,
@@ -231,7 +232,7 @@ class SimCamera:
         reach = max(float(self._pixels(shape - base, base).max()) for shape in shapes)
         reach += max((float(self._pixels(way, base).max()) for way in ways if way is not None), default=0.0)
         if self._still is None or reach > self._still[2]:
-            reach = max(2 * reach, LEAST_REACH)
+            reach = max(2 * reach, self._least_reach)
             self._still = (pose, base, reach, self.scene.moved(base).still(self.intrinsics, pose, reach))
         return self._still[3]
 
@@ -249,7 +250,7 @@ class SimCamera:
         mask = np.zeros((self.intrinsics.height, self.intrinsics.width), dtype=np.uint8)
         inside = (row >= 0) & (row < mask.shape[0]) & (column >= 0) & (column < mask.shape[1])
         mask[row[inside], column[inside]] = 1
-        reach = round(LEAST_REACH + float(moved.max()))
+        reach = round(self._least_reach + float(moved.max()))
         return np.asarray(cv2.dilate(mask, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0)
 
     def _vertices(self, qpos: Array | None) -> Array:

@@ -16,9 +16,6 @@ from anther.core.errors import bad_input
 HEAD = "0007"
 """The newest version. It is written here so that Alembic is loaded only where there is something to do."""
 
-_LOCK = 0x616E7468
-"""Key of PostgreSQL's advisory lock: "anth"."""
-
 
 def version(connection: Connection) -> str | None:
     """Return the version of a database; None for an empty one."""
@@ -37,8 +34,9 @@ def migrate(connection: Connection) -> None:
     from alembic.config import Config  # noqa: PLC0415
     from alembic.script import ScriptDirectory  # noqa: PLC0415
 
+    lock = 0x616E7468  # PostgreSQL's advisory lock: "anth" in ASCII
     if connection.dialect.name == "postgresql":
-        connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": _LOCK})
+        connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": lock})
     config = Config(attributes={"connection": connection})
     config.set_main_option("script_location", str(Path(__file__).parent).replace("%", "%%"))
     found = version(connection)

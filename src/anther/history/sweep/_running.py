@@ -59,11 +59,6 @@ def counted(jobs: Iterable[Job], *, quiet: bool) -> Iterator[Callable[[list[Job]
         yield ended
 
 
-AHEAD, MOST = 0.5, 200
-"""Tasks handed over besides those under way: for so long [s], and how many at most. A worker keeps what it was handed,
-so that of long tasks none is handed over before somebody has time for it."""
-
-
 class _SchedulerLost(Exception):
     """The connection is gone; tasks under way may still be finished by their workers."""
 
@@ -87,7 +82,7 @@ def carry_out(jobs: Sequence[Job], order: Order, *, workers: int | None, schedul
                 raise InputError(
                     f"the sweep's own scheduler has ended{why}. Start the sweep again to go on."
                 ) from error
-            patience = RETURN
+            patience = 600.0  # [s]: it may come back
 
 
 def _handed_over(client: Client, jobs: Sequence[Job], order: Order) -> Iterator[list[Job]]:
@@ -116,7 +111,9 @@ def _room(client: Client, seconds: float) -> int:
     """Return how many tasks of so many seconds are to be in the cluster's hands."""
     threads: Any = client.nthreads()  # by worker, which has one; a coroutine only of clients that are asynchronous
     workers = max(len(threads), 1)
-    return workers + min(int(workers * AHEAD / max(seconds, 1e-6)), MOST)
+    # Besides those under way, for 0.5 s: a worker keeps what it was handed, so that of long tasks none is handed over
+    # before somebody has time for it.
+    return workers + min(int(workers * 0.5 / max(seconds, 1e-6)), 200)
 
 
 def _outcome(result: Any, job: Job, lost: Counter[str], order: Order) -> Job:
@@ -141,8 +138,8 @@ def _outcome(result: Any, job: Job, lost: Counter[str], order: Order) -> Job:
     return replace(job, state="poison", reason="its workers died before it began")
 
 
-PATIENCE, RETURN = 30.0, 600.0
-"""How long a scheduler may take to answer at first, and to come back after it went away [s]."""
+PATIENCE = 30.0
+"""How long a scheduler may take to answer at first [s]."""
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 """Environment of a worker. MuJoCo steps in the thread that calls it, unless given a pool, which Anther never does."""

@@ -7,33 +7,21 @@ In the flange frame, z along the approach: a coupling of length `offset`, the pa
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from anther.core.checks import check_range
 from anther.core.geometry import Array, inverse
+from anther.core.records import Range, Record
 from anther.robot.arm.model import Solid, Tool
 from anther.robot.arm.sawyer import TOOL
 
-_RANGES = {
-    "opening": (0.01, 0.3, "m"),
-    "finger_length": (0.02, 0.3, "m"),
-    "finger_width": (0.004, 0.1, "m"),
-    "finger_thickness": (0.001, 0.1, "m"),
-    "pad_length": (0.01, 0.3, "m"),
-    "pad_thickness": (0.0005, 0.05, "m"),
-    "offset": (0.0, 0.3, "m"),
-    "mass": (0.1, 10.0, "kg"),
-    "speed": (0.005, 1.0, "m/s"),
-}
-"""What the measures of a gripper that an arm carries can be: wide, they catch millimetres and slips."""
-
 
 @dataclass(frozen=True, slots=True)
-class GripperSize:
-    """What a person measures on a parallel gripper.
+class GripperSize(Record):
+    """What a person measures on a parallel gripper. The bounds are wide: they catch millimetres and slips.
 
     Attributes:
         opening: largest between the pads [m].
@@ -48,20 +36,18 @@ class GripperSize:
         speed: of the pads towards each other [m/s].
     """
 
-    opening: float
+    opening: Annotated[float, Range(0.01, 0.3, "m")]
     palm: tuple[float, float, float]
-    finger_length: float
-    finger_width: float
-    finger_thickness: float
-    pad_length: float
-    pad_thickness: float
-    mass: float
-    offset: float = 0.0
-    speed: float = TOOL.speed
+    finger_length: Annotated[float, Range(0.02, 0.3, "m")]
+    finger_width: Annotated[float, Range(0.004, 0.1, "m")]
+    finger_thickness: Annotated[float, Range(0.001, 0.1, "m")]
+    pad_length: Annotated[float, Range(0.01, 0.3, "m")]
+    pad_thickness: Annotated[float, Range(0.0005, 0.05, "m")]
+    mass: Annotated[float, Range(0.1, 10, "kg")]
+    offset: Annotated[float, Range(0, 0.3, "m")] = 0.0
+    speed: Annotated[float, Range(0.005, 1, "m/s")] = TOOL.speed
 
-    def __post_init__(self) -> None:
-        for name, bounds in _RANGES.items():
-            check_range(name, getattr(self, name), *bounds)
+    def _check(self) -> None:
         for side, axis in zip(self.palm, "xyz", strict=True):
             check_range(f"palm along {axis}", side, 0.01, 0.4, "m")
         check_range("pad_length", self.pad_length, 0.0, self.finger_length, "m: no longer than the finger")

@@ -16,7 +16,7 @@ from anther.core.checks import check_array, check_transform
 from anther.core.errors import StageFailure
 from anther.core.geometry import Array, Box, transform
 from anther.core.records import Range, Record
-from anther.robot.arm import _kinematics, _motions, shaking
+from anther.robot.arm import _kinematics, motions, shaking
 from anther.robot.arm._collision import FREE_STEP, GROUP, CollisionWorld, cube_centres
 from anther.robot.arm._tours import DETOUR, least_times
 from anther.robot.arm.model import ARM_MARGIN, ArmModel, outline
@@ -26,12 +26,9 @@ from anther.robot.swing import Swing
 
 SHAKE_SHARE = 0.85  # of the local limit; the rest covers ramps and the bend of the joint path
 SHAKE_CAP = 0.02  # m, beyond which the local limit means little
-ROOMS = SHAKE_CAP / 2.0 ** np.arange(7)  # m, amplitudes tried for being free, the largest first
 SEARCH_TIME = 2.0  # s for a path around obstacles in each of them
 BLENDS = (0.3, 0.05)  # rad, how far a corner may be rounded, in order of preference
 SEARCH_STEP = 0.02  # rad between collision checks while searching; the result is checked at collision.FREE_STEP
-LINE_STEP = 0.003
-"""Spacing of the poses along a straight line [m]."""
 
 Place = tuple[Array, JointTrajectory | None]
 """Free joints (J,), and the way back to them from such as are not."""
@@ -67,6 +64,9 @@ class Planner:
         params: see `Params`.
         arm: its description.
     """
+
+    _line_step = 0.003
+    """Spacing of the poses along a straight line [m]."""
 
     def __init__(
         self,
@@ -138,21 +138,22 @@ class Planner:
         q = check_array("start joints", q_from, (self.arm.count,))
         target = check_transform("flange pose", T_world_to)
         here = self.arm.forward(q)
-        path = _kinematics.follow(self.arm, q[None], _kinematics.poses_between(here, target, LINE_STEP))[0]
+        path = _kinematics.follow(self.arm, q[None], _kinematics.poses_between(here, target, self._line_step))[0]
         if not np.isfinite(path).all():
             raise StageFailure("unreachable", f"the arm cannot follow a straight line to {target[:3, 3].round(3)} m.")
         with self.world.touching_plant():
             if not self.world.path_free(path):
                 raise StageFailure("collision", f"the straight line to {target[:3, 3].round(3)} m is not free.")
         length = np.linalg.norm(target[:3, 3] - here[:3, 3]) + 0.1 * _kinematics.angle(here, target)
-        motion = _motions.along_line(self.arm, path, max(float(length), 1e-4), speed or self.params.approach_speed)
-        return _motions.check_effort(self.arm, _motions.limit_speed(self.arm, motion))
+        motion = motions.along_line(self.arm, path, max(float(length), 1e-4), speed or self.params.approach_speed)
+        return motions.check_effort(self.arm, motions.limit_speed(self.arm, motion))
 
     def shake_limit(self, q: ArrayLike, direction: ArrayLike, frequencies: ArrayLike) -> Array:
         """Return the amplitudes (Q,) [m] that `swing` can do at joints (J,): see `shake_limit`, and what is free."""
         here, way = check_array("joints", q, (self.arm.count,)), shaking.unit(direction)
         rate = np.linalg.pinv(self.arm.jacobian(here))[:, :3] @ way
-        room = next((size for size in ROOMS if self._may_swing(here, here + np.outer([-size, size], rate))), 0.0)
+        rooms = SHAKE_CAP / 2.0 ** np.arange(7)  # m, amplitudes tried for being free, the largest first
+        room = next((size for size in rooms if self._may_swing(here, here + np.outer([-size, size], rate))), 0.0)
         return np.minimum(shake_limit(self.arm, here, way, frequencies), room)
 
     def swing(self, q: ArrayLike, direction: ArrayLike, pieces: Sequence[Swing], reach: float) -> JointTrajectory:
@@ -168,7 +169,7 @@ class Planner:
         if not self._may_swing(q, shake.positions[[along.argmin(), along.argmax()]]):
             size = 1e3 * max(piece.reach for piece in pieces)
             raise StageFailure("collision", f"a shake of {size:.1f} mm hits something. Shake less.")
-        return _motions.check_effort(self.arm, shake)
+        return motions.check_effort(self.arm, shake)
 
     def _wrist_in_plant(self, T_world_flange: Array, length: float) -> bool:
         """Return whether plant is where `ArmModel.wrist` is at the end of a straight way of `length` [m].
@@ -232,14 +233,14 @@ class Planner:
         parts = [] if leave is None else [leave]
         if np.abs(end - begin).max() > 1e-9 or (leave is None and enter is None):
             parts.append(self._free_motion(begin, end))
-        motion = _motions.join(parts if enter is None else [*parts, enter.backwards()])
-        return _motions.check_effort(self.arm, _motions.limit_speed(self.arm, motion))
+        motion = motions.join(parts if enter is None else [*parts, enter.backwards()])
+        return motions.check_effort(self.arm, motions.limit_speed(self.arm, motion))
 
     def _free_motion(self, start: Array, goal: Array) -> JointTrajectory:
         """Return the straight joint line if it is free, else the quickest way around that was found."""
         p, line = self.params, np.stack([start, goal])
-        motion = _motions.straight(self.arm, start, goal, p.velocity_share, p.acceleration_share, p.flange_speed)
-        return _motions.limit_effort(
+        motion = motions.straight(self.arm, start, goal, p.velocity_share, p.acceleration_share, p.flange_speed)
+        return motions.limit_effort(
             self.arm, motion if self._is_free(line, motion.positions, FREE_STEP) else self._find_detour(start, goal)
         )
 
@@ -280,16 +281,16 @@ class Planner:
             return None
         for blend in blends:
             try:
-                rounded = _motions.fastest(
+                rounded = motions.fastest(
                     self.arm, self.world.scene, path, p.velocity_share, p.acceleration_share, blend
                 )
             except RuntimeError:  # TOPP-RA's linear programs fail on some paths
                 continue
-            kept = _motions.limit_share(self.arm, rounded) <= 1.05 * max(p.velocity_share, p.acceleration_share)
-            motion = _motions.slow_down(self.arm, rounded, p.flange_speed)
+            kept = motions.limit_share(self.arm, rounded) <= 1.05 * max(p.velocity_share, p.acceleration_share)
+            motion = motions.slow_down(self.arm, rounded, p.flange_speed)
             if kept and motion.duration < within and self._is_free(motion.positions[::4], motion.positions, step):
                 return motion, path
-        motion = _motions.stopping(self.arm, path, p.velocity_share, p.acceleration_share, p.flange_speed)
+        motion = motions.stopping(self.arm, path, p.velocity_share, p.acceleration_share, p.flange_speed)
         return (motion, path) if motion.duration < within and self._is_free(path, motion.positions, step) else None
 
     def _is_free(self, path: Array, passed: Array, step: float) -> bool:
@@ -333,7 +334,7 @@ class Planner:
             return q, None
         here, free = self.arm.forward(q), list[int]()
         behind = here @ transform(np.eye(3), [0, 0, -0.3])  # [m]: out of leaves
-        poses = _kinematics.poses_between(here, behind, LINE_STEP)
+        poses = _kinematics.poses_between(here, behind, self._line_step)
         path = _kinematics.follow(self.arm, q[None], poses)[0]
         for i, joints in enumerate(path):
             with self.world.touching_plant():
@@ -344,7 +345,7 @@ class Planner:
             at = here[:3, 3].round(3)
             raise StageFailure("collision", f"the flange at {at} m is not free, nor straight behind it.")
         way = path[: free[-1] + 1]
-        return way[-1], _motions.along_line(self.arm, way, free[-1] * LINE_STEP, self.params.approach_speed)
+        return way[-1], motions.along_line(self.arm, way, free[-1] * self._line_step, self.params.approach_speed)
 
 
 def shake_limit(arm: ArmModel, q: ArrayLike, direction: ArrayLike, frequencies: ArrayLike) -> Array:
@@ -354,7 +355,7 @@ def shake_limit(arm: ArmModel, q: ArrayLike, direction: ArrayLike, frequencies: 
     """
     q = check_array("joints", q, (arm.count,))
     quick = shaking.amplitude_limit(arm, q, direction, frequencies)
-    strong = _motions.shake_amplitude(arm, q, shaking.joint_rates(arm, q, direction, frequencies), frequencies)
+    strong = motions.shake_amplitude(arm, q, shaking.joint_rates(arm, q, direction, frequencies), frequencies)
     return np.minimum(SHAKE_SHARE * np.minimum(quick, strong), SHAKE_CAP)
 
 

@@ -16,9 +16,6 @@ from anther.robot.arm.model import FEWEST, ArmModel
 from anther.robot.devices import JointTrajectory
 from anther.robot.swing import Swing, motion
 
-RATE = 500.0
-"""Samples of a shake per second; 40 per period if that is more."""
-
 
 def unit(direction: ArrayLike) -> Array:
     """Return `direction` (3,) with length 1.
@@ -83,7 +80,8 @@ def swing_trajectory(
     check_range("reach of a swing", reach, 1e-6, 0.2, "m")
     check_range("shake frequency", highest, 0.1, 50, "Hz")
     check_range("displacement of a swing", size, 0, 1.0001 * reach, "m")
-    times = np.linspace(0, seconds, int(np.ceil(seconds * max(RATE, 40 * highest))) + 1)
+    rate = 500.0  # samples of a shake per second; 40 per period if that is more
+    times = np.linspace(0, seconds, int(np.ceil(seconds * max(rate, 40 * highest))) + 1)
     d, d_rate = motion(pieces, times)
     path = _joints_along(arm, np.asarray(q, dtype=np.float64), unit(direction), reach, highest)
     trajectory = JointTrajectory(times, path(d), path(d, 1) * d_rate[:, None])

@@ -285,13 +285,11 @@ def standing_times(
 
 def _free_branches(T_world_cam: Array, planner: Planner, hand_eye: Array, seeds: int) -> list[Array]:
     """Return for each of (V, 4, 4) camera poses the free joints (C, J) that hold it, upright or upside down."""
-    poses = [T @ roll @ inverse(hand_eye) for T in T_world_cam for roll in _ROLLS]
+    rolls = (np.eye(4), np.diag([-1.0, -1.0, 1.0, 1.0]))
+    poses = [T @ roll @ inverse(hand_eye) for T in T_world_cam for roll in rolls]
     solved = _kinematics.inverse_many(planner.arm, np.array(poses).reshape(-1, 4, 4), seeds=seeds)
-    both = [np.concatenate(solved[k : k + len(_ROLLS)]) for k in range(0, len(solved), len(_ROLLS))]
+    both = [np.concatenate(solved[k : k + len(rolls)]) for k in range(0, len(solved), len(rolls))]
     return [choices[[planner.world.free(q) for q in choices]] if len(choices) else choices for choices in both]
-
-
-_ROLLS = (np.eye(4), np.diag([-1.0, -1.0, 1.0, 1.0]))
 
 
 def _camera_pose(region: Box, azimuth: float, elevation: float, height_share: float, distance: float) -> Array:

@@ -349,7 +349,8 @@ def find_movement(
     twice = np.sqrt(2) * np.array([found.pixel_noise, found.arm_rotation_error, found.arm_translation_error])
     noise = Noise(max(float(twice[0]), LEAST_PIXEL_NOISE), float(twice[1]), float(twice[2]))
     all_views = np.full(len(today), True)
-    fits = {name: refine(problem, X, Z, noise, all_views, part) for name, part in _PARTS.items()}
+    parts = {"camera": slice(0, 6), "board": slice(6, 12), "both": slice(0, 12)}
+    fits = {name: refine(problem, X, Z, noise, all_views, part) for name, part in parts.items()}
     rest = {name: misfit(problem, fit.T_flange_cam, fit.T_base_board, noise) for name, fit in fits.items()}
     gain = misfit(problem, X, Z, noise) - np.array([rest["camera"], rest["board"]])
     camera, board = _way(X, fits["camera"].T_flange_cam), _way(Z, fits["board"].T_base_board, centre)
@@ -359,9 +360,6 @@ def find_movement(
     fit = fits["both" if verdict == "more" else "camera"]
     turn, shift = (float(np.sqrt(np.linalg.eigvalsh(fit.covariance[i : i + 3, i : i + 3])[-1])) for i in (0, 3))
     return Moved(verdict, *_way(X, fit.T_flange_cam), turn, shift, *board)
-
-
-_PARTS: dict[str, slice] = {"camera": slice(0, 6), "board": slice(6, 12), "both": slice(0, 12)}
 
 
 def _verdict(rest: dict[str, float], gain: Array, trifling: bool) -> Verdict:

@@ -22,7 +22,6 @@ from anther.core.geometry import Array, transform_from_pose7
 SPECS = (
     "charuco:7x5:30mm:22mm[:DICT_4X4_50] (squares, square, marker, dictionary) or chessboard:9x6:25mm (inner corners)"
 )
-_UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}  # [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,7 +229,8 @@ def _length(word: str, text: str) -> float:
     match = re.fullmatch(r"(\d+(?:\.\d+)?|\.\d+) ?(mm|cm|m)", word.strip())
     if match is None:
         raise bad_input("board", given=f"'{word}' in '{text}'", allowed="a length with its unit, as 30mm", do="Add it.")
-    return float(match[1]) * _UNITS[match[2]]
+    units = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}  # [m]
+    return float(match[1]) * units[match[2]]
 
 
 COLUMNS = ("image", "x", "y", "z", "qx", "qy", "qz", "qw")

@@ -28,7 +28,6 @@ from anther.core.geometry import Array, Intrinsics, inverse, transform
 from anther.robot.calibration._views import BoardViews
 
 LEAST_PIXEL_NOISE = 0.05  # [px]: blur and perspective shift whole views' corners by about as much
-LEAST_DEPTH = 1e-3  # [m]: a wrong pose may put the board behind the camera
 
 
 class Noise(NamedTuple):
@@ -83,6 +82,9 @@ class Problem:
             flange's on the board's side.
     """
 
+    _least_depth = 1e-3
+    """A wrong pose may put the board behind the camera [m]."""
+
     T_base_flange: Array
     view: NDArray[Any]
     points: Array
@@ -127,13 +129,13 @@ class Problem:
         return lever, in_flange, (in_flange - X[:3, 3]) @ X[:3, :3]
 
     def _project(self, p: Array) -> Array:
-        c, z = self.intrinsics, np.maximum(p[:, 2], LEAST_DEPTH)
+        c, z = self.intrinsics, np.maximum(p[:, 2], self._least_depth)
         return np.stack([c.fx * p[:, 0] / z + c.cx, c.fy * p[:, 1] / z + c.cy], axis=1)
 
     def sums(self, X: Array, Z: Array) -> _Sums:
         """Return the sums per view from which a step, a likelihood and the arm's errors follow."""
         lever, in_flange, p = self._in_camera(X, Z)
-        c, z = self.intrinsics, np.maximum(p[:, 2], LEAST_DEPTH)
+        c, z = self.intrinsics, np.maximum(p[:, 2], self._least_depth)
         D = np.zeros((len(p), 2, 3))
         D[:, 0, 0], D[:, 0, 2] = c.fx / z, -c.fx * p[:, 0] / z**2
         D[:, 1, 1], D[:, 1, 2] = c.fy / z, -c.fy * p[:, 1] / z**2

@@ -43,8 +43,6 @@ SHOWN = 8
 UNSEEN = 0.1
 """States that nobody looked at for so long end a motion [s]."""
 LATE = f"the next motion comes too late: not within {LEAD:g} s. Look at what else runs here"
-LOST = 20
-"""After so many cycles without a command the robot has stopped by itself; nothing that goes on from there is sent."""
 PAUSED = "the loop that commands the arm was held up, and the robot stopped by itself"
 CALLED_OFF = "the motion was called off"
 IDLE = f"nobody looked at the arm's readings for {UNSEEN:g} s. Let nothing else run on this machine"
@@ -180,13 +178,15 @@ class Loop:
 
     def _run(self, control: Any, path: Path) -> None:
         cycles, self._seen, over = 0, self._clock(), False
+        # After so many cycles without a command the robot has stopped by itself: send nothing that goes on.
+        lost = 20
         while not over:
             state, passed = control.readOnce()
             steps, now = round(passed.to_sec() / CYCLE), self._clock()
-            if steps > LOST:
+            if steps > lost:
                 raise RuntimeError(PAUSED)
             command = self._sdk.JointPositions(path.step(steps).tolist())
-            if self._clock() - now > LOST * CYCLE:
+            if self._clock() - now > lost * CYCLE:
                 raise RuntimeError(PAUSED)
             over = command.motion_finished = path.over
             control.writeOnce(command)

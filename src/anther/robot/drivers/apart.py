@@ -25,14 +25,15 @@ from anther.robot.safety import GuardedArm
 
 UNSEEN = 1.0
 """Readings that nobody looked at for so long end a motion [s]: who should watch hangs."""
-ANSWER = 30.0
-"""The process answers a question within this, or is given up [s]."""
 LOST = "the arm's own process is gone; the arm stops by its own timeout. Look at it, and start anew."
 GONE = "who asked for it is gone"
 
 
 class ArmApart:
     """An arm in a process of its own. It is itself an `Arm`; what else its driver can do is asked by `call`."""
+
+    _patience = 30.0
+    """The process answers a question within this, or is given up [s]."""
 
     def __init__(self, make: Callable[..., Any], options: dict[str, Any], limits: SafetyLimits) -> None:
         """Start the process and connect there.
@@ -79,7 +80,7 @@ class ArmApart:
         """Return what a method of the driver returns, such as `enable`."""
         with self._lock:
             self._say("call", name, words)
-            return self._done(self._receive(ANSWER))
+            return self._done(self._receive(self._patience))
 
     def close(self) -> None:
         """End the process; a moving arm is braked."""
@@ -95,7 +96,7 @@ class ArmApart:
         while True:
             if coming.there:
                 self._say("next", coming.take())
-            answer = self._receive(0.005 if coming.asked else ANSWER)
+            answer = self._receive(0.005 if coming.asked else self._patience)
             match answer:
                 case ("sample", sample):
                     self._say("seen", sample.time)
@@ -112,7 +113,7 @@ class ArmApart:
         """Stop the motion under way and pass over what was said of it."""
         with suppress(DeviceError):
             self._say("stop")
-            until = time.monotonic() + ANSWER
+            until = time.monotonic() + self._patience
             while time.monotonic() < until:
                 answer = self._receive(0.1)
                 if answer is not None and answer[0] in ("done", "failed"):
@@ -132,7 +133,9 @@ class ArmApart:
 
     def _done(self, answer: tuple[str, Any] | None) -> Any:
         if answer is None:
-            raise DeviceError(f"the arm's own process says nothing for {ANSWER:g} s. Look at the arm, and start anew.")
+            raise DeviceError(
+                f"the arm's own process says nothing for {self._patience:g} s. Look at the arm, and start anew."
+            )
         what, value = answer
         if what == "failed":
             raise value

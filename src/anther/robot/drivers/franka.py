@@ -29,7 +29,6 @@ from anther.robot.drivers._franka_loop import SHOWN, RobotState
 from anther.robot.drivers._readings import STALE, RobotClock, check_finite_joints, check_fresh
 from anther.robot.drivers._streamed import Coming, prioritize_thread, shorten_thread_turns
 
-JOINTS = 7
 ANSWER = 2.0
 """The loop answers within this [s]; libfranka gives a network up before."""
 BEGINS = "from anther.robot.drivers._franka_loop import main; main()"
@@ -48,6 +47,8 @@ MODES = {
 
 class Franka:
     """An arm whose joint positions are streamed by a `franka_loop.Loop` at the other end of a pipe."""
+
+    _joint_count = 7
 
     def __init__(
         self,
@@ -73,9 +74,9 @@ class Franka:
         self._pipe, self._clock, self._sleep, self._gone = pipe, clock, sleep, gone
         self._robot, self._moves, self._closed = RobotClock(), False, False
         try:
-            if len(names) != JOINTS:
+            if len(names) != self._joint_count:
                 given, do = f"{len(names)} joints", 'Name the robot\'s model, such as "fr3", under [arm].'
-                raise bad_input("arm model", given=given, allowed=f"{JOINTS}", do=do)
+                raise bad_input("arm model", given=given, allowed=f"{self._joint_count}", do=do)
             for _ in range(SHOWN):  # the first states may have waited: the quickest sets the clock
                 self._read()
                 self._sleep(0.005)
@@ -157,8 +158,10 @@ class Franka:
         state = self._read_fresh()
         if why := _reason(state):
             raise DeviceError(f"the arm cannot move: {why}.")
-        if trajectory.positions.shape[1] != JOINTS:
-            raise DeviceError(f"the motion is one of {trajectory.positions.shape[1]} joints; allowed: {JOINTS}.")
+        if trajectory.positions.shape[1] != self._joint_count:
+            raise DeviceError(
+                f"the motion is one of {trajectory.positions.shape[1]} joints; allowed: {self._joint_count}."
+            )
 
     def _until_it_ends(self, watch: Watch | None, coming: Coming[JointTrajectory], samples: list[ArmSample]) -> None:
         """Show the readings to `watch`, and pass on what comes next."""

@@ -141,8 +141,6 @@ class IoDevice:
 
 
 DEVICE = "end_effector/right_gripper"
-MOVES = 4.0
-"""The gripper has moved within this [s]."""
 
 
 class RethinkGripper:
@@ -168,7 +166,7 @@ class RethinkGripper:
         """
         self._node = node
         self._io, self._clock, self._sleep = IoDevice(node, DEVICE, sleep=sleep), clock, sleep
-        self._wait(lambda: self._io.value("position_response_m") is not None, 3.0, "is not heard. Is it attached?")
+        self._wait(lambda: self._io.value("position_response_m") is not None, "is not heard. Is it attached?", 3.0)
 
     def move(self, opening: float) -> GripperState:
         """Move the pads to `opening` [m] apart, or until they meet resistance; return the state then.
@@ -180,7 +178,7 @@ class RethinkGripper:
         check_range("gripper opening", opening, 0, self.stroke, "m")
         self._check_able()
         self._io.set("position_m", float(opening))
-        self._wait(lambda: not self._io.value("is_moving"), MOVES, "does not come to rest. Look what is in its way.")
+        self._wait(lambda: not self._io.value("is_moving"), "does not come to rest. Look what is in its way.")
         return self.state()
 
     def state(self) -> GripperState:
@@ -199,7 +197,7 @@ class RethinkGripper:
         if self._io.value("has_error"):
             self._io.set("reboot", True)
         self._io.set("calibrate", True)
-        self._wait(lambda: bool(self._io.value("is_calibrated")), MOVES, "does not calibrate. Look what is in its way.")
+        self._wait(lambda: bool(self._io.value("is_calibrated")), "does not calibrate. Look what is in its way.")
         self._io.set("speed_mps", sawyer.TOOL.speed)
 
     def close(self) -> None:
@@ -216,7 +214,7 @@ class RethinkGripper:
         if not self._io.value("is_calibrated"):
             raise DeviceError("gripper: it is not calibrated. Then: anther cell enable.")
 
-    def _wait(self, done: Callable[[], bool], seconds: float, what: str) -> None:
+    def _wait(self, done: Callable[[], bool], what: str, seconds: float = 4.0) -> None:
         until, poll = self._clock() + seconds, 0.05
         self._sleep(poll)
         while not done():

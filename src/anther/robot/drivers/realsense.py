@@ -25,8 +25,6 @@ from anther.robot.devices import DeviceError
 from anther.robot.drivers.free_running import STALLED, FreeRunningCamera, Shot
 
 INSTALL = "pip install 'anther[realsense]'"
-SAME_CLOCK = 1.0
-"""Stamps in the host's time are believed if they are no farther from it [s]; a recording's are."""
 
 Found = Callable[[], Sequence[Any]]
 """Gives the devices that are connected now."""
@@ -255,9 +253,10 @@ class RealSense:
         arrival, host = self._clock(), time.time()
         rs, stamp = self._rs, 1e-3 * frame.get_timestamp() - self._since_exposure(frame)
         domains = rs.timestamp_domain.global_time, rs.timestamp_domain.system_time
-        if frame.get_frame_timestamp_domain() in domains and abs(host - stamp) < SAME_CLOCK:
+        tolerance = 1.0  # stamps in the host's time are believed if they are no farther from it [s]; a recording's are
+        if frame.get_frame_timestamp_domain() in domains and abs(host - stamp) < tolerance:
             return min(stamp + (arrival - host), arrival)
-        if self._offsets and abs(arrival - stamp - self._offsets[-1]) > SAME_CLOCK:
+        if self._offsets and abs(arrival - stamp - self._offsets[-1]) > tolerance:
             self._offsets.clear()  # the camera's clock began anew
         self._offsets.append(arrival - stamp)
         return stamp + min(self._offsets)

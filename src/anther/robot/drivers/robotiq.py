@@ -19,10 +19,6 @@ from anther.core.checks import check_range
 from anther.core.errors import MissingExtra
 from anther.robot.devices import DeviceError, GripperState
 
-ACTIVE = 3
-"""Of gSTA: activation is complete."""
-POLL = 0.02
-"""Between two readings of a moving gripper [s]."""
 FAULTS = {
     0x05: "it must be activated before it moves",
     0x07: "it is not activated",
@@ -103,6 +99,12 @@ class Robotiq2F:
         force: with which it closes [N].
     """
 
+    _active = 3
+    """Of gSTA: activation is complete."""
+
+    _poll = 0.02
+    """Between two readings of a moving gripper [s]."""
+
     def __init__(
         self,
         line: Any,
@@ -161,10 +163,10 @@ class Robotiq2F:
     def enable(self) -> None:
         """Activate it: it opens and closes all the way, twice. Keep hands and plants out. Measures `counts`."""
         self._write(0, 0)
-        self._sleep(POLL)
+        self._sleep(self._poll)
         self._write(Action.ACTIVATE, 0)
         until = self._clock() + 15.0
-        while self.status().activation != ACTIVE:
+        while self.status().activation != self._active:
             self._check_in_time(until, "activation")
         closed, opened = self._go(255), self._go(0)
         if closed - opened < 100:
@@ -186,7 +188,7 @@ class Robotiq2F:
 
     def _able(self) -> Status:
         status = self.status()
-        if status.fault or status.activation != ACTIVE:
+        if status.fault or status.activation != self._active:
             why = FAULTS.get(status.fault, f"fault {status.fault:#04x}") if status.fault else FAULTS[0x07]
             raise DeviceError(f"gripper: {why}. Then: anther cell enable.")
         return status
@@ -205,7 +207,7 @@ class Robotiq2F:
             before = status
 
     def _check_in_time(self, until: float, what: str) -> None:
-        self._sleep(POLL)
+        self._sleep(self._poll)
         if self._clock() > until:
             raise DeviceError(f"gripper: its {what} does not end. Look what is in its way, and at its lamp.")
 

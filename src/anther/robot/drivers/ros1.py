@@ -27,8 +27,6 @@ from anther.robot.drivers._streamed import prioritize_thread
 PATIENCE = 3.0
 """The master and other nodes answer within this, or they are not there [s]."""
 
-POLL = 0.05
-"""A node that is closed has noticed it within this [s]."""
 
 Receive = Callable[[Any], None]
 
@@ -84,7 +82,8 @@ class Node:
         for method in (self._publisherUpdate, self._requestTopic, self._getPid, self._getBusInfo):
             self._slave.register_function(method, method.__name__.removeprefix("_"))
         self.uri = f"http://{self._own}:{self._slave.server_address[1]}/"
-        threading.Thread(target=self._slave.serve_forever, args=(POLL,), daemon=True).start()
+        poll = 0.05  # a node that is closed has noticed it within this [s]
+        threading.Thread(target=self._slave.serve_forever, args=(poll,), daemon=True).start()
         threading.Thread(target=self._accept, daemon=True).start()
 
     def subscribe(self, topic: str, kind: str, receive: Receive) -> None:

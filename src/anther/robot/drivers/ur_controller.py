@@ -19,9 +19,6 @@ from anther.core.errors import MissingExtra
 from anther.robot.devices import DeviceError
 from anther.robot.drivers._readings import Reading, RobotClock, check_finite_joints, check_fresh
 
-FULL = 0.99
-"""Speed slider and speed scaling below this are slower than what was planned."""
-
 SAFETY = ("?", "normal", "reduced", "protective stop", "recovery", "safeguard stop", "system emergency stop",
           "robot emergency stop", "violation", "fault")  # fmt: skip
 MODES = ("disconnected", "confirm safety", "booting", "power off", "power on", "idle", "backdrive", "running",
@@ -110,9 +107,10 @@ class Controller:
     def why_slow(self) -> str:
         """Return why a running program moves the arm more slowly than it is told; empty if it does not."""
         slider, scaling = self.receive.getTargetSpeedFraction(), self.receive.getSpeedScaling()
-        if slider < FULL:
+        full = 0.99  # speed slider and speed scaling below this are slower than what was planned
+        if slider < full:
             return f"its speed slider stands at {slider:.0%}; plans need 100 %: set it on the pendant"
-        if scaling < FULL:
+        if scaling < full:
             return f"it goes at {scaling:.0%} of the speed it is told; plans need 100 %: look at its pendant"
         return ""
 

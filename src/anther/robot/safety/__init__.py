@@ -68,9 +68,6 @@ __all__ = [
     "stem_stress",
 ]
 
-MOTOR_AT_REST = 0.1e-3
-"""What a motor at rest may read [m]."""
-
 
 def guard(robot: Robot, limits: SafetyLimits, cart: CartLimits | None = None) -> Robot:
     """Return the same machines, each behind a guard with these limits.
@@ -223,10 +220,12 @@ class GuardedMotor:
                 raise StageFailure("limits_exceeded", "the swing would end in motion. End it with amplitudes of 0.")
             return None if piece is None else pieces[-1]
 
+        at_rest = 0.1e-3  # what a motor at rest may read [m]
+
         def check_amplitude(sample: ArmSample) -> None:
             asked = max(piece.reach for piece in pieces)
             # 1.3: what a motor that is 15 % off does, and as much again
-            if not (amplitude := self._motor.amplitude()) <= 1.3 * asked + MOTOR_AT_REST:
+            if not (amplitude := self._motor.amplitude()) <= 1.3 * asked + at_rest:
                 given = f"the motor moves the pads by {1e3 * amplitude:.2g} mm; asked were {1e3 * asked:.2g} mm."
                 raise DeviceError(f"{given} Check its sensor.")
             if watch:
@@ -236,7 +235,7 @@ class GuardedMotor:
         try:
             pieces.append(check_swing(first, None, self._limits))
             record = self._motor.swing(pieces[0], Watchdog(still, check_amplitude, self._force), next_piece)
-            if not (left := self._motor.amplitude()) <= MOTOR_AT_REST:
+            if not (left := self._motor.amplitude()) <= at_rest:
                 raise DeviceError(f"the motor does not come to rest: it still moves by {1e3 * left:.2g} mm.")
             if not pieces[-1].stops:
                 raise DeviceError("the motor ended before the swing did.")

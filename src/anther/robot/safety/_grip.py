@@ -16,9 +16,6 @@ IDLE = 1.0
 """What a gripper may read with nothing between its pads, either way [N]: its sensor's noise and friction. A guess."""
 SOFTEST = 500.0
 """The least stiffness between the pads of what is held [N/m]. A guess; simulated stems have 6000."""
-BENDING = 20.0
-"""The same before the gripper says that it holds something [N/m]: a stem off the middle is met by one pad and bends
-away. A guess; a simulated pepper has 60 to 200."""
 SEVERAL = 1.5e-3
 """Over so much of the pads' way a force must change [m]: three steps of a closing."""
 DO = "Check the gripper's force signal before it closes on a plant."
@@ -83,7 +80,10 @@ def check_closing(closing: Sequence[GripperState], sent: float) -> None:
             break
     else:
         return
-    change, least = float(np.ptp([s.force for s in pressing])), way * (SOFTEST if last.is_gripping else BENDING)
+    # Least stiffness before the gripper says that it holds something [N/m]: one pad meets a stem off the middle,
+    # which bends away. A guess; a simulated pepper has 60 to 200.
+    bending = 20.0
+    change, least = float(np.ptp([s.force for s in pressing])), way * (SOFTEST if last.is_gripping else bending)
     if change < least:
         raise DeviceError(
             f"{given}: it changed by {change:.1f} N while the pads came {1e3 * way:.1f} mm nearer; allowed: at least "

@@ -18,8 +18,6 @@ AT_REST = 0.05
 """A trajectory begins and ends no faster than this [rad/s]."""
 LONGEST = 120.0
 """No trajectory lasts longer [s]."""
-SOON = 1e-4
-"""The flange's speed is the way it goes in this time [s]."""
 SWING_STEP = 2.5e-4
 """A piece is checked so often [s]: 80 times a period of 50 Hz."""
 JUMP = 1e-3
@@ -67,8 +65,9 @@ def check_trajectory(
     position = limits.forward(q)[:, :3, 3]
     outside = float(np.maximum(limits.workspace.lower - position, position - limits.workspace.upper).max())
     demand("flange", outside, 0.0, "m outside the workspace box", "Stay inside, or set the box larger.")
-    soon = limits.forward(q + SOON * rates)[:, :3, 3]
-    speed = float(np.linalg.norm(soon - position, axis=1).max()) / SOON
+    instant = 1e-4  # the flange's speed is the way it goes in this time [s]
+    soon = limits.forward(q + instant * rates)[:, :3, 3]
+    speed = float(np.linalg.norm(soon - position, axis=1).max()) / instant
     demand("flange speed", speed, limits.flange_speed, "m/s", "Slow the path down.")
     _check_keep_out(q, limits)
 
@@ -171,13 +170,6 @@ STILL = 2e-3
 """A command that travels further than this [rad] must show in the readings: more than noise and friction hide."""
 SHOWS = 0.1
 """Share of the commanded travel that healthy readings show at least, however softly the arm follows; a guess."""
-LAG = 1.5
-"""Healthy readings are behind the command by up to so many times `stale_after`."""
-SPANS = (0.5, 2.0)
-"""Travel is compared over so many times `stale_after`: fast motion is judged soon, slow or little motion later."""
-SWINGS, TURNS = 1e-4, 4
-"""Fast swings, with `TURNS` zero crossings or more in the longer span, must show from this travel on [rad]: 16 bits do.
-Asked of joints that travel at least half as far as the one that travels furthest, or more than `STILL`."""
 
 
 class ForceCheck:
@@ -211,8 +203,8 @@ class ForceCheck:
 
 
 def _is_fast(swing: Array) -> NDArray[np.bool_]:
-    """Return (J,) which joints go to and fro `TURNS` times or more, by their path (T, J) without its line [rad]."""
-    return np.asarray(np.count_nonzero(np.diff(np.sign(swing), axis=0), axis=0) >= TURNS)
+    """Return (J,) which joints cross zero four times or more, by their path (T, J) without its line [rad]."""
+    return np.asarray(np.count_nonzero(np.diff(np.sign(swing), axis=0), axis=0) >= 4)
 
 
 def find_hidden_swings(times: Array, commanded: Array, measured: Array, travel: Array) -> NDArray[np.bool_]:
@@ -231,7 +223,8 @@ def find_hidden_swings(times: Array, commanded: Array, measured: Array, travel: 
     """
     swing, rate, found = (_detrend(times, x) for x in (commanded, np.gradient(commanded, times, axis=0), measured))
     size = np.minimum(np.ptp(swing, axis=0), travel)
-    swings = _is_fast(swing) & (size >= max(SWINGS, min(STILL, 0.5 * float(size.max()))))
+    # From 1e-4 rad on, which 16 bits show, and of joints that travel half as far as the furthest or more than `STILL`.
+    swings = _is_fast(swing) & (size >= max(1e-4, min(STILL, 0.5 * float(size.max()))))
     hidden = swings.copy()
     for j in np.flatnonzero(swings):
         basis = np.linalg.qr(np.stack([swing[:, j], rate[:, j]], axis=1))[0]
@@ -276,30 +269,33 @@ class Watchdog:
             self._watch(sample)
 
     def _check_fresh(self, sample: ArmSample) -> None:
-        """Raise where the clock stands, or a joint does not travel although its command did, whenever in `LAG`.
+        """Raise where the clock stands, or a joint does not travel although its command did, however it lags.
 
         With `stale_after` = 0.1 s: a joint that freezes, to the bit or with noise below `SHOWS` of its travel, is
         noticed within 0.2 s where its command goes faster than 0.04 rad/s all the while, else within 0.35 s where it
         travels 2 mrad in any 0.2 s of them: a swing of 3 mrad at 2 Hz, of 1.3 mrad at 4 Hz. From 10 Hz on a swing of
-        `SWINGS` is enough (`find_hidden_swings`); not where one joint of several freezes with noise and swings by less
+        0.1 mrad is enough (`find_hidden_swings`); not where one joint of several freezes with noise and swings by less
         than `STILL`. What lags by up to 0.15 s is not.
         """
         past, after = self._past, self._limits.stale_after
         if past and not sample.time > past[-1].time:
             self._distrust(f"the clock of the readings stands at {sample.time:.3f} s")
         past.append(sample)
-        while len(past) > 1 and past[1].time <= sample.time - (LAG + SPANS[-1]) * after:
+        # Travel is compared over so many times `stale_after`: fast motion is judged soon, slow or little motion later
+        spans = (0.5, 2.0)
+        most_lag = 1.5  # healthy readings are behind the command by up to so many times `stale_after`
+        while len(past) > 1 and past[1].time <= sample.time - (most_lag + spans[-1]) * after:
             past.popleft()
         times, commanded, measured = (
             np.array(x) for x in zip(*((p.time, p.commanded, p.measured) for p in past), strict=True)
         )
-        for span in (share * after for share in SPANS):
+        for span in (share * after for share in spans):
             begin = int(np.searchsorted(times, sample.time - span, side="right")) - 1
             if begin < 0:
                 return
-            swings = span == SPANS[-1] * after and sample.time >= self._next
+            swings = span == spans[-1] * after and sample.time >= self._next
             shown, doubted = np.ptp(measured[begin:], axis=0), np.ptp(commanded, axis=0)
-            for lag in np.linspace(0, LAG * after, num=7):
+            for lag in np.linspace(0, most_lag * after, num=7):
                 if not (swings or np.any((doubted > STILL) & (shown < SHOWS * doubted))):
                     break
                 inside = (times >= sample.time - lag - span) & (times <= sample.time - lag)
@@ -307,7 +303,7 @@ class Watchdog:
             else:
                 hidden = (doubted > STILL) & (shown < SHOWS * doubted)
                 if hidden.any():
-                    recent = times > sample.time - SPANS[-1] * after
+                    recent = times > sample.time - spans[-1] * after
                     hidden &= ~_is_fast(_detrend(times[recent], commanded[recent]))  # judged by their own rule
                 if swings:
                     self._next = sample.time + after / 2  # it takes a quarter of a millisecond

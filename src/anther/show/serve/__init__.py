@@ -149,10 +149,6 @@ OURS = (
 REPORTS = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox; frame-ancestors 'self'"
 """What a report may load: nothing; it holds its pictures. It runs no script and belongs to no site."""
 LOCAL = ("localhost", "127.0.0.1", "[::1]")
-LARGEST_NOTE = 65_536
-"""Most bytes of a form that is read [-]: the token is in it, so that it is read before anybody is trusted. A guess."""
-LONGEST = 366
-"""Days of an export."""
 
 DAYS: Any = {"ge": date(1970, 1, 2), "le": date(9000, 1, 1)}
 Bounded = Query(**DAYS)
@@ -198,14 +194,17 @@ def make_app(history: str, runs: Path, token: str | None = None, *, local: bool 
     def refused(request: Request, status: int, said: str) -> HTMLResponse:
         return page(request, "refused.html", status, said=said)
 
+    # most bytes of a form that is read [-]: the token is in it, so that it is read before anybody is trusted. A guess
+    largest = 65_536
+
     @app.middleware("http")
     async def guard(request: Request, answer: Callable[[Request], Any]) -> Response:
         name = request.headers.get("host", "").rsplit(":", 1)[0] if local else LOCAL[0]
         if name not in LOCAL:  # another site whose name was bent to this computer
             return Response("Only as localhost.", 400)
         size = request.headers.get("content-length", "0" if request.method in ("GET", "HEAD") else "")
-        if "transfer-encoding" in request.headers or not size.isdecimal() or int(size[:18]) > LARGEST_NOTE:
-            return Response(f"A form of at most {LARGEST_NOTE} bytes, with its Content-Length.", 413)
+        if "transfer-encoding" in request.headers or not size.isdecimal() or int(size[:18]) > largest:
+            return Response(f"A form of at most {largest} bytes, with its Content-Length.", 413)
         response: Response = await answer(request)
         response.headers.setdefault("Content-Security-Policy", OURS)
         response.headers.setdefault("Cache-Control", "no-store")
@@ -403,9 +402,11 @@ def _exports(app: FastAPI, house: House, page: Callable[..., HTMLResponse]) -> N
     """Add the tables for other programs."""
     one_at_a_time = BoundedSemaphore(1)
 
+    longest = 366  # days of an export
+
     @app.get("/exports")
     def exports(request: Request) -> HTMLResponse:
-        return page(request, "exports.html", month=datetime.now(UTC).date() - timedelta(days=29), longest=LONGEST)
+        return page(request, "exports.html", month=datetime.now(UTC).date() - timedelta(days=29), longest=longest)
 
     @app.get("/export")
     def table(
@@ -414,8 +415,8 @@ def _exports(app: FastAPI, house: House, page: Callable[..., HTMLResponse]) -> N
         since: Annotated[date, Bounded],
         until: Annotated[date, Bounded],
     ) -> FileResponse:
-        if not 0 <= (until - since).days < LONGEST:
-            raise HTTPException(400, f"Choose 1 to {LONGEST} days; `anther history --export` has no such limit.")
+        if not 0 <= (until - since).days < longest:
+            raise HTTPException(400, f"Choose 1 to {longest} days; `anther history --export` has no such limit.")
         if not one_at_a_time.acquire(blocking=False):
             raise HTTPException(503, "Another export is being written: try again when it is done.")
         try:

@@ -189,8 +189,6 @@ USABLE = 0.9
 """Share of each effort limit that weight and inertia may take. The rest is for friction, of which nothing is published
 for the robot: the numbers in Rethink's Gazebo model (facts: sawyer 1) calm a simulation, and with them the wrist could
 not reach the SDK's own speed limit. An estimate."""
-SLOWER = (1.0, 1.02, 1.05, 1.1, 1.2)
-"""Factors of time tried for a motion that needs more."""
 
 
 def torques(arm: ArmModel, q: ArrayLike, velocity: ArrayLike, acceleration: ArrayLike) -> Array:
@@ -224,7 +222,8 @@ def check_effort(arm: ArmModel, trajectory: JointTrajectory) -> JointTrajectory:
 
 def limit_effort(arm: ArmModel, trajectory: JointTrajectory) -> JointTrajectory:
     """Return the motion, slowed down evenly by up to a fifth where the motors are not strong enough for it."""
-    motions = (JointTrajectory(trajectory.times * k, trajectory.positions, trajectory.velocities / k) for k in SLOWER)
+    factors = (1.0, 1.02, 1.05, 1.1, 1.2)  # factors of time tried for a motion that needs more
+    motions = (JointTrajectory(trajectory.times * k, trajectory.positions, trajectory.velocities / k) for k in factors)
     return next((motion for motion in motions if effort_share(arm, motion).max() <= USABLE), trajectory)
 
 
