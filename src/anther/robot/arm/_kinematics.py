@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from anther.core.checks import check_transform
-from anther.core.compiling import njit
+from anther.core.compiling import inlined, njit, read_only
 from anther.core.geometry import Array
 from anther.robot.arm.model import ArmModel
 
@@ -142,8 +142,8 @@ def newton_step(arm: ArmModel, q: Array, target: Array, *, damping: float) -> tu
         damping: added to the diagonal.
     """
     steps, errors = np.empty(q.shape), np.empty((len(q), 6))
-    targets = np.ascontiguousarray(np.broadcast_to(target, (len(q), 4, 4)))
-    _steps(np.ascontiguousarray(q), targets, damping, arm.local, arm.T_last_flange, steps, errors)
+    targets = read_only(np.broadcast_to(target, (len(q), 4, 4)))
+    _steps(read_only(q), targets, damping, read_only(arm.local), arm.T_last_flange, steps, errors)
     return steps, errors
 
 
@@ -180,7 +180,7 @@ def _steps(q, targets, damping, local, tip, steps, errors):
         _solve_into(square, jacobian, errors[k], steps[k])
 
 
-@njit(cache=True)
+@inlined
 def _append(pose, local):
     """Make `pose` (3, 4) the pose of a frame that stands at `local` (3 or 4, 4) in it."""
     for a in range(3):
@@ -189,7 +189,7 @@ def _append(pose, local):
             pose[a, b] = x * local[0, b] + y * local[1, b] + z * local[2, b] + (pose[a, 3] if b == 3 else 0.0)
 
 
-@njit(cache=True)
+@inlined
 def _pose_error(pose, target, error):
     """Write translation [m] and rotation vector [rad], in the base frame, from `pose` to `target` into `error` (6,)."""
     turn = np.zeros((3, 3))
@@ -206,7 +206,7 @@ def _pose_error(pose, target, error):
         error[a + 3] = skew[a] * factor
 
 
-@njit(cache=True)
+@inlined
 def _solve_into(square, jacobian, error, step):
     """Write J^T A^-1 e into `step` (J,), A given by its lower triangle, which is overwritten (Cholesky)."""
     x = error.copy()
