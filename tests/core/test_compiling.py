@@ -5,10 +5,11 @@ from __future__ import annotations
 import gc
 import sys
 
+import numpy as np
 import pytest
 
 from anther.core import compiling
-from anther.core.compiling import COMPILED, njit
+from anther.core.compiling import COMPILED, inlined, njit, read_only
 
 
 def compile_two() -> None:
@@ -44,3 +45,15 @@ def test_a_terminal_sees_how_far_it_is_and_then_nothing(
     assert f"{COMPILED.kernels} kernels" in said
     assert "\n" not in said
     assert said.endswith("\r\033[K")
+
+
+def test_a_kernel_is_compiled_once_with_its_parts_whatever_the_order_of_its_input() -> None:
+    half = inlined(lambda x: 0.5 * x)
+    mean = njit(lambda pair: half(pair[0, 0] + pair[0, 1]))
+    before, pair = COMPILED.kernels, np.array([[1.0, 5.0], [0.0, 0.0]])
+    frozen = pair.copy()
+    frozen.flags.writeable = False
+    for given in (pair, np.asfortranarray(pair), np.repeat(pair, 2, axis=1)[:, ::2], frozen, pair.tolist()):
+        assert mean(read_only(given)) == 3.0
+    assert COMPILED.kernels == before + 1
+    assert pair.flags.writeable

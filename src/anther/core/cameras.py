@@ -84,14 +84,14 @@ def laid_over(depth: NDArray[np.float32], of: Intrinsics, onto: Intrinsics, T_on
         onto: the colour camera.
         T_onto_of: (4, 4) depth-camera to colour-camera coordinates.
     """
-    square = np.abs(T_onto_of[:2, :2]) @ (0.5 / np.array([of.fx, of.fy]))  # of a turned pixel at depth 1, half
+    square = np.abs(T_onto_of[:2, :2]) @ (0.5 / of.pinhole[:2])  # of a turned pixel at depth 1, half
     out = np.zeros((onto.height, onto.width), np.float32)
     _lay(
         np.ascontiguousarray(depth, np.float32),
-        (of.fx, of.fy, of.cx, of.cy),
-        (onto.fx, onto.fy, onto.cx, onto.cy),
+        of.pinhole,
+        onto.pinhole,
         np.ascontiguousarray(T_onto_of, np.float64),
-        square * (onto.fx, onto.fy),
+        square * onto.pinhole[:2],
         out,
     )
     return out

@@ -11,10 +11,12 @@ import time
 from typing import Any
 
 import numba
+import numpy as np
 from numba import njit
 from numba.core import event
+from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["COMPILED", "njit", "numba"]
+__all__ = ["COMPILED", "inlined", "njit", "numba", "read_only"]
 
 PATIENCE = 2.0
 """Seconds of compiling before it is told; a kernel or two are not worth a line."""
@@ -60,3 +62,16 @@ class _Compiled(event.Listener):
 
 COMPILED = _Compiled()
 event.register("numba:compile", COMPILED)
+
+inlined: Any = njit(inline="always")
+"""For a part of a kernel: it is only ever compiled within it, with the kernel's own options."""
+
+
+def read_only(array: ArrayLike) -> NDArray[Any]:
+    """Return numbers as kernels take what they only read: in C order, not writable.
+
+    To numba another order, or the right to write, is another type, for which it compiles the kernel once more.
+    """
+    view = np.ascontiguousarray(array).view()
+    view.flags.writeable = False
+    return view

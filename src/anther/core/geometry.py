@@ -121,6 +121,11 @@ class Intrinsics:
         """The (3, 3) camera matrix."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
 
+    @property
+    def pinhole(self) -> Array:
+        """(4,) fx, fy, cx, cy [px]."""
+        return np.array([self.fx, self.fy, self.cx, self.cy], dtype=np.float64)
+
     def rays(self) -> Array:
         """Return (H, W, 3) camera-frame directions with z = 1: depth times ray is the point."""
         u, v = np.meshgrid(np.arange(self.width, dtype=np.float64), np.arange(self.height, dtype=np.float64))

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import distance_transform_edt
 
 from anther.core.checks import check_array, check_transform
-from anther.core.compiling import numba
+from anther.core.compiling import inlined, numba
 from anther.core.geometry import Array, Intrinsics
 from anther.sim.greenhouse import Setting, repainted, surroundings
 from anther.sim.plant import Organ, SimPlant
@@ -143,14 +143,14 @@ def shade(
         _expose(level, mix, out[i])
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@inlined
 def _sky(ray: NDArray[Any], level: Array) -> None:
     up = ray[2] / np.sqrt(ray[0] ** 2 + ray[1] ** 2 + ray[2] ** 2)
     level[2] = 0.72 + 0.2 * up
     level[0], level[1] = 0.93 * level[2], 0.97 * level[2]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@inlined
 def _expose(level: Array, mix: Array, out: NDArray[Any]) -> None:
     for channel in range(3):
         light = mix[channel, 0] * level[0] + mix[channel, 1] * level[1] + mix[channel, 2] * level[2]
@@ -223,7 +223,7 @@ class Scene:
         self._embree = EmbreeScene()
         TriangleMesh(self._embree, self.vertices.astype(np.float32), self.faces)
         self._normals = vertex_normals(self.vertices, self.faces)
-        self._ambient = self._baked_ambient() if ambient is None else ambient
+        self._ambient = self._baked_ambient() if ambient is None else np.asarray(ambient, np.float32)
         kind = np.full(256, OPAQUE, dtype=np.uint8)
         kind[[Organ.LEAF, Organ.FLOWER]], kind[Organ.SURROUNDINGS] = THIN, SUNLESS
         colour = linear(self.vertex_color)
@@ -292,8 +292,7 @@ class Scene:
 
     def _rays(self, intrinsics: Intrinsics, T_world_cam: Array) -> NDArray[np.float32]:
         rays = np.empty((intrinsics.height * intrinsics.width, 3), dtype=np.float32)
-        pinhole = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy])
-        camera_rays(intrinsics.width, intrinsics.height, pinhole, T_world_cam[:3, :3].copy(), rays)
+        camera_rays(intrinsics.width, intrinsics.height, intrinsics.pinhole, T_world_cam[:3, :3].copy(), rays)
         return rays
 
     def _sunlit(self, eye: Array, rays: NDArray[Any], depth: NDArray[Any], hit: dict[str, Any]) -> NDArray[np.bool_]:

@@ -17,7 +17,7 @@ from scipy import ndimage, sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from anther.core.compiling import numba
+from anther.core.compiling import numba, read_only
 from anther.core.geometry import Array, Box, Intrinsics, inverse, transform_points
 from anther.perception.capture import in_threads
 from anther.perception.masks import FLOWER, PLANT
@@ -48,7 +48,7 @@ def pixel_normals(depth: NDArray[Any], keep: NDArray[np.bool_], intrinsics: Intr
     around = _around(keep)
     v, u = (part.start for part in around)
     rows = np.flatnonzero(keep[around] & (depth[around] > 0))
-    camera = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx - u, intrinsics.cy - v])
+    camera = intrinsics.pinhole - [0, 0, u, v]
     return _fitted_planes(np.pad(_inverse(depth[around]), FIT_WINDOW), rows, camera)
 
 
@@ -233,8 +233,8 @@ def balances(points: Array, depth: NDArray[Any], intrinsics: Intrinsics, T_world
     A view contradicts a point if everything it sees there and one pixel around is at least `SEEN_THROUGH` [m] behind
     it; it supports a point if something there lies within half of that.
     """
-    k = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy])
-    return _balances(np.ascontiguousarray(points), depth, k, np.ascontiguousarray(inverse(T_world_cam)))
+    camera = intrinsics.pinhole, np.ascontiguousarray(inverse(T_world_cam))
+    return _balances(read_only(points), read_only(depth), *camera)
 
 
 @numba.njit(nogil=True, cache=True)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from anther.core.compiling import numba
+from anther.core.compiling import numba, read_only
 from anther.core.geometry import Array, inverse, small_transform
 from anther.core.records import Range, Record
 from anther.perception.capture import in_threads
@@ -224,7 +224,8 @@ def _step(
     world, normals = sample.world(at)
     points, along = sample.unbiased(at.reach), sample.points * sample.slant[:, None]
     halves = in_threads(
-        lambda t: _accumulated(pairs[t::2], points, along, sample.view, world, normals, at.poses, scale), range(2)
+        lambda t: _accumulated(read_only(pairs[t::2]), points, along, sample.view, world, normals, at.poses, scale),
+        range(2),
     )
     hessian, gradient = (one + other for one, other in zip(*halves, strict=True))
     hessian += hessian.T - np.diag(np.diag(hessian))

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.core.compiling import numba
+from anther.core.compiling import numba, read_only
 from anther.core.geometry import Array, Box, Intrinsics
 from anther.perception.masks._light import GREEN, GREEN_NO_DEPTH, OTHER, WHITE, YELLOW, ColourRule
 
@@ -87,7 +87,7 @@ def pixels_to_cells(T_world_cam: Array, intrinsics: Intrinsics, grid: Grid) -> A
 
 def _cell_of(depth: NDArray[Any], camera: Array, shape: tuple[int, ...]) -> NDArray[np.int64]:
     """Return (H, W) the flat number of the cell that each pixel lies in; -1 beyond the grid or without depth."""
-    return _cells(depth, tuple(camera.ravel()), shape)
+    return _cells(read_only(depth), tuple(camera.ravel()), shape)
 
 
 @numba.njit(nogil=True, cache=True)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, median_filter
 
-from anther.core.compiling import numba
+from anther.core.compiling import inlined, numba
 from anther.core.geometry import Array
 from anther.perception.skeleton.raw_tree import RawTree, chains
 from anther.perception.skeleton.voxel_solid import nearest
@@ -327,7 +327,7 @@ def _measured(points, start, nodes, tangent, around, counts, out, flat, away, so
             out[j, 5], out[j, 6], out[j, 7] = _extents(flat, away, some, count)
 
 
-@numba.njit(cache=True, nogil=True)
+@inlined
 def _across(x, y, z):
     """Return two unit vectors across a unit tangent: across it and the axis that it is the farthest from."""
     if abs(x) <= abs(y) and abs(x) <= abs(z):
@@ -341,7 +341,7 @@ def _across(x, y, z):
     return (a, b, c), (y * c - z * b, z * a - x * c, x * b - y * a)
 
 
-@numba.njit(cache=True, nogil=True)
+@inlined
 def _circle(flat, away, some, count):
     """Return (x, y, radius, median residual) of the circle through `count` points (Kasa 1976), trimmed once.
 
@@ -372,7 +372,7 @@ def _circle(flat, away, some, count):
     return x, y, r, residual
 
 
-@numba.njit(cache=True, nogil=True)
+@inlined
 def _median(values, some, count):
     """Return the median of the first `count` values (`some` is scratch): NumPy's takes seconds to compile."""
     middle, low, high = count // 2, 0, count - 1
@@ -399,7 +399,7 @@ def _median(values, some, count):
     return 0.5 * (below + some[middle])
 
 
-@numba.njit(cache=True, nogil=True)
+@inlined
 def _extents(flat, away, some, n):
     """Return (surface, thin, wide) of n points about the node; on a circle, median |x| is r / sqrt(2)."""
     for m in range(n):

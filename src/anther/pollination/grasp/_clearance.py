@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from anther.core.compiling import njit
+from anther.core.compiling import inlined, njit
 from anther.core.geometry import Array
 from anther.perception.cloud import Cloud, Support
 from anther.perception.masks import FLOWER
@@ -244,7 +244,7 @@ def _meet(
                     spread[i, k] = max(spread[i, k], abs(local[1]) + radius[m])
 
 
-@njit(cache=True)
+@inlined
 def _near(pose, point, margin, lower, upper, local):
     """Put a point into the pose's frame, and return whether it is within `margin` of the box there."""
     for a in (1, 0, 2):
@@ -256,7 +256,7 @@ def _near(pose, point, margin, lower, upper, local):
     return True
 
 
-@njit(cache=True)
+@inlined
 def _box_distance(p, box, most):
     """Return the signed distance of a point from a box, negative inside; `most` or more when it is at least that."""
     outside, inside = 0.0, -np.inf

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from anther.core.checks import check_transform
-from anther.core.compiling import njit
+from anther.core.compiling import inlined, njit, read_only
 from anther.core.geometry import Array
 from anther.robot.arm.model import ArmModel
 
@@ -142,20 +142,21 @@ def newton_step(arm: ArmModel, q: Array, target: Array, *, damping: float) -> tu
         damping: added to the diagonal.
     """
     steps, errors = np.empty(q.shape), np.empty((len(q), 6))
-    targets = np.ascontiguousarray(np.broadcast_to(target, (len(q), 4, 4)))
-    _steps(np.ascontiguousarray(q), targets, damping, arm.local, arm.T_last_flange, steps, errors)
+    targets = read_only(np.broadcast_to(target, (len(q), 4, 4)))
+    _steps(read_only(q), targets, damping, read_only(arm.local), arm.T_last_flange, steps, errors)
     return steps, errors
 
 
 @njit(cache=True)
 def _steps(q, targets, damping, local, tip, steps, errors):
+    """Fill in steps and errors, number by number: each of NumPy's own operations would be compiled as well."""
     count = q.shape[1]
     pose, turned, square = np.empty((3, 4)), np.empty((4, 4)), np.empty((6, 6))
-    axes, origins, jacobian = np.empty((count, 3)), np.empty((count, 3)), np.empty((6, count))
+    axes, origins, jacobian, scratch = np.empty((count, 3)), np.empty((count, 3)), np.empty((6, count)), np.empty(6)
     for k in range(len(q)):
-        pose[:] = 0.0
         for a in range(3):
-            pose[a, a] = 1.0
+            for b in range(4):
+                pose[a, b] = 1.0 if a == b else 0.0
         for i in range(count):
             c, s = np.cos(q[k, i]), np.sin(q[k, i])
             for a in range(3):
@@ -163,9 +164,10 @@ def _steps(q, targets, damping, local, tip, steps, errors):
                 turned[a, 1] = local[i, a, 1] * c - local[i, a, 0] * s
                 turned[a, 2], turned[a, 3] = local[i, a, 2], local[i, a, 3]
             _append(pose, turned)
-            axes[i], origins[i] = pose[:, 2], pose[:, 3]
+            for a in range(3):
+                axes[i, a], origins[i, a] = pose[a, 2], pose[a, 3]
         _append(pose, tip)
-        _pose_error(pose, targets[k], errors[k])
+        _pose_error(pose, targets[k], turned, errors[k])
         for i in range(count):
             for a in range(3):
                 b, c = (a + 1) % 3, (a + 2) % 3
@@ -177,10 +179,10 @@ def _steps(q, targets, damping, local, tip, steps, errors):
                 square[a, b] = damping if a == b else 0.0
                 for i in range(count):
                     square[a, b] += jacobian[a, i] * jacobian[b, i]
-        _solve_into(square, jacobian, errors[k], steps[k])
+        _solve_into(square, jacobian, errors[k], scratch, steps[k])
 
 
-@njit(cache=True)
+@inlined
 def _append(pose, local):
     """Make `pose` (3, 4) the pose of a frame that stands at `local` (3 or 4, 4) in it."""
     for a in range(3):
@@ -189,13 +191,16 @@ def _append(pose, local):
             pose[a, b] = x * local[0, b] + y * local[1, b] + z * local[2, b] + (pose[a, 3] if b == 3 else 0.0)
 
 
-@njit(cache=True)
-def _pose_error(pose, target, error):
-    """Write translation [m] and rotation vector [rad], in the base frame, from `pose` to `target` into `error` (6,)."""
-    turn = np.zeros((3, 3))
+@inlined
+def _pose_error(pose, target, turn, error):
+    """Write translation [m] and rotation vector [rad], in the base frame, from `pose` to `target` into `error` (6,).
+
+    `turn` (3 or more, 3 or more) is scratch.
+    """
     for a in range(3):
         error[a] = target[a, 3] - pose[a, 3]
         for b in range(3):
+            turn[a, b] = 0.0
             for i in range(3):
                 turn[a, b] += target[a, i] * pose[b, i]
     skew = ((turn[2, 1] - turn[1, 2]) / 2, (turn[0, 2] - turn[2, 0]) / 2, (turn[1, 0] - turn[0, 1]) / 2)
@@ -206,10 +211,11 @@ def _pose_error(pose, target, error):
         error[a + 3] = skew[a] * factor
 
 
-@njit(cache=True)
-def _solve_into(square, jacobian, error, step):
-    """Write J^T A^-1 e into `step` (J,), A given by its lower triangle, which is overwritten (Cholesky)."""
-    x = error.copy()
+@inlined
+def _solve_into(square, jacobian, error, x, step):
+    """Write J^T A^-1 e into `step` (J,), A given by its lower triangle, overwritten (Cholesky); `x` is scratch."""
+    for a in range(6):
+        x[a] = error[a]
     for a in range(6):
         for b in range(a + 1):
             left = square[a, b]

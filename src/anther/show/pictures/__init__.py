@@ -19,5 +19,9 @@ def save_figure(figure: Figure, path: Path) -> None:
     Raises:
         InputError: the file cannot be written.
     """
+    figure.set_dpi(110)
+    if (layout := figure.get_layout_engine()) is not None:
+        layout.execute(figure)  # to find the layout alone, `savefig` draws everything a first time
+        figure.set_layout_engine(None)
     with replacing(path) as temporary:
         figure.savefig(temporary, dpi=110)
