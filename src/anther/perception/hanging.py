@@ -75,7 +75,7 @@ def find_hanging_stem(cloud: Cloud, hook: ArrayLike) -> HangingStem:
     level = ((points[:, 2] - low) / SLICE).astype(int)
     count = np.zeros((level.max() + 1, side, side))
     np.add.at(count, (level, cell[:, 0], cell[:, 1]), upright)
-    evidence = np.minimum(9 * uniform_filter(count, (1, 3, 3), mode="constant") / ENOUGH, 1)
+    evidence = np.minimum(9 * uniform_filter(count, 3, axes=(1, 2), mode="constant") / ENOUGH, 1)
     way, found = _best_way(evidence), evidence > 0.99
     seen = found[np.arange(len(way)), way[:, 0], way[:, 1]]
     ends = np.flatnonzero(seen)

@@ -247,19 +247,8 @@ def _overviews(app: FastAPI, shown: House, page: Callable[..., HTMLResponse]) ->
         result: Result | None = None,
         before: Before = None,
     ) -> HTMLResponse:
-        today = datetime.now(UTC).date()
-        shown_day = day or today
-
-        def ask(session: Session) -> dict[str, Any]:
-            weeks = overview.days(session, shown_day - timedelta(days=13), shown_day)
-            return {
-                "failures": overview.failures(session, shown_day, shown_day),
-                "visits": overview.visits(session, day=shown_day, result=result, before=before),
-                "tally": next((t for t in weeks if t.name == shown_day), None),
-                "charts": charts(weeks, shown_day - timedelta(days=13), shown_day),
-                "last_day": overview.last_day(session, shown_day),
-            }
-
+        shown_day = day or datetime.now(UTC).date()
+        ask = partial(_whole_day, day=shown_day, result=result, before=before)
         values = _read(shown, ask, {"failures": [], "visits": [], "tally": None, "charts": [], "last_day": None})
         return page(request, "day.html", day=shown_day, result=result, step=timedelta(days=1), **values)
 
@@ -303,6 +292,19 @@ def _overviews(app: FastAPI, shown: House, page: Callable[..., HTMLResponse]) ->
     def sweeps(request: Request) -> HTMLResponse:
         found = _read(shown, lambda session: {"sweeps": overview.sweeps(session)}, {"sweeps": []})
         return page(request, "sweeps.html", **found)
+
+
+def _whole_day(session: Session, day: date, result: Result | None, before: int | None) -> dict[str, Any]:
+    """Return what the page of a day shows, two weeks of charts among it."""
+    begin = day - timedelta(days=13)
+    weeks = overview.days(session, begin, day)
+    return {
+        "failures": overview.failures(session, day, day),
+        "visits": overview.visits(session, day=day, result=result, before=before),
+        "tally": next((t for t in weeks if t.name == day), None),
+        "charts": charts(weeks, begin, day),
+        "last_day": overview.last_day(session, day),
+    }
 
 
 STATES = {
