@@ -55,6 +55,12 @@ class Params(Record):
     stiffen: bool = True
     string: HeldString | None = None
 
+    def _check(self) -> None:
+        if not isinstance(self.string, HeldString | None):
+            raise bad_input(
+                "string", given=repr(self.string)[:40], allowed="a HeldString or None", do="Use HeldString.of."
+            )
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlantModel(Stored):
