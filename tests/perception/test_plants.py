@@ -52,7 +52,7 @@ def test_stems_that_cross_go_straight_on() -> None:
     plants = find_plants(points)
     assert len(plants) == 2
     apart = np.abs(points[:, 2] - 0.23) > 0.05  # where they touch either will do
-    assert np.mean(plants.owner[apart] == truth[apart]) > 0.95
+    assert np.mean(plants.owner[apart] == truth[apart]) > 0.9
 
 
 def test_the_order_of_the_points_does_not_matter(scene: tuple[Array, Array]) -> None:
