@@ -115,6 +115,9 @@ def test_compiled_newton_step_is_the_damped_least_squares_step():
     got_step, got_error = newton_step(sawyer.SAWYER, q, target, damping=1e-3)
     np.testing.assert_allclose(got_error, error, atol=1e-12)
     np.testing.assert_allclose(got_step, step[..., 0], atol=1e-9)
+    target.flags.writeable = False
+    np.testing.assert_array_equal(newton_step(sawyer.SAWYER, np.asfortranarray(q), target, damping=1e-3)[0], got_step)
+    assert len(_kinematics._steps.signatures) == 1, "each is compiled for itself"
 
 
 def test_inverse_finds_the_bends_of_elbow_and_wrist_that_thirty_times_the_seeds_find():
