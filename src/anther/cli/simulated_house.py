@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
+from typing import Literal, cast
 
 import numpy as np
 
@@ -75,7 +76,7 @@ class SimulatedHouse:
             at = np.sort(np.array(side.hooks) + rng.normal(0, HOOK_ERROR, len(plants)))
             at = at + 1e-6 * np.arange(len(at))
             yield RowPass(
-                self.name, row, name, time, at, (side.post,), min(side.post[1], at[0]), at[-1] + BEFORE,
+                self.name, row, cast("Literal['left', 'right']", name), time, at, (side.post,), min(side.post[1], at[0]), at[-1] + BEFORE,
                 looks * (1 + LOOKS_ERROR * rng.normal(size=looks.shape)), LOOKS_ERROR * looks,
                 open_flowers=np.array([float(len(plant.flower_position)) for plant in plants]),
                 fruit=np.full(len(plants), np.nan), position_std=HOOK_ERROR,
