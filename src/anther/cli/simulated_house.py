@@ -70,13 +70,14 @@ class SimulatedHouse:
         for k, ((row, name), side) in enumerate(self.sides.items()):
             if side is None:
                 continue
+            where = cast("Literal['left', 'right']", name)
             rng = np.random.default_rng([self.seed, 16, k, int(time.timestamp())])
             plants = side.row.plants[: len(side.hooks)]
             looks = np.array([_looks(plant) for plant in plants])
             at = np.sort(np.array(side.hooks) + rng.normal(0, HOOK_ERROR, len(plants)))
             at = at + 1e-6 * np.arange(len(at))
             yield RowPass(
-                self.name, row, cast("Literal['left', 'right']", name), time, at, (side.post,), min(side.post[1], at[0]), at[-1] + BEFORE,
+                self.name, row, where, time, at, (side.post,), min(side.post[1], at[0]), at[-1] + BEFORE,
                 looks * (1 + LOOKS_ERROR * rng.normal(size=looks.shape)), LOOKS_ERROR * looks,
                 open_flowers=np.array([float(len(plant.flower_position)) for plant in plants]),
                 fruit=np.full(len(plants), np.nan), position_std=HOOK_ERROR,
