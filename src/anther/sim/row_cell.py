@@ -97,10 +97,12 @@ def _gap(box: Box, place: Array) -> float:
 
 def row_world(row: Row, truth: Truth = NOMINAL, arm: ArmModel = SAWYER, joints: Array | None = None) -> world.Cell:
     """Return MuJoCo's world of an arm before a row: the plant that is asked for on its string, and what is in reach."""
-    plant = as_true(held_by_string(row.worked), truth)
+    cut = replace(world.Params().plant, fine_above=float(row.flowers[2]) - FINE_BELOW)
+    plant = held_by_string(row.worked, cut)
+    if truth != NOMINAL:
+        plant = held_by_string(as_true(plant, truth), cut)  # softer or heavier, it must still hang
     reach = arm.reach + arm.tool.tip + 0.2
     near = [part for part in row.obstacles() if _distance(part, arm.shoulder) < reach]
-    cut = replace(world.Params().plant, fine_above=float(row.flowers[2]) - FINE_BELOW)
     start = arm.waiting if joints is None else joints
     return world.Cell(plant, start, world.Params(plant=cut), truth, arm, obstacles=near)
 

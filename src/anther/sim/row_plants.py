@@ -483,11 +483,11 @@ def with_meshes(
     )
 
 
-def held_by_string(plant: SimPlant) -> SimPlant:
+def held_by_string(plant: SimPlant, cut: Params | None = None) -> SimPlant:
     """Return the plant, as stiff as it has to be to hang on its strings as it grew.
 
     What branches off its stems holds itself up by `SELF_SUPPORT`; and where what it carries would twist it, all of it
-    is stiffened.
+    is stiffened. `cut`: pieces into which it is cut besides, see `anther.sim.pieces`.
 
     Raises:
         StageFailure: "no_convergence": it does not hang as it grew, however stiff it is.
@@ -498,7 +498,8 @@ def held_by_string(plant: SimPlant) -> SimPlant:
     plant = replace(plant, youngs=np.where(trunk | pedicel, plant.youngs, factor * plant.youngs))
     for _ in range(12):  # 1.25^12 is 15
         try:
-            alone(plant, Params())
+            for pieces in {Params(), cut or Params()}:
+                alone(plant, pieces)
         except StageFailure:
             plant = replace(plant, youngs=np.where(pedicel, plant.youngs, 1.25 * plant.youngs))
         else:
