@@ -81,14 +81,13 @@ class Row:
     def obstacles(self) -> list[Part]:
         """Return what an arm can strike: parts, neighbours' stems, trusses and stalks, and the strings above them.
 
-        Leaves are none: they give way.
+        Leaves are none: they give way; nor is the string of the stem that is asked for, which goes where that goes.
         """
         found: list[Part] = list(self.parts)
         for plant in self.neighbours:
             solid = np.flatnonzero(~np.isin(plant.organ, (Organ.LEAF, Organ.RACHIS, Organ.PETIOLE)))
             radius = (plant.radius_start + plant.radius_end) / 2
             found += [Rod("neighbour", plant.start[k], plant.end[k], float(radius[k])) for k in solid]
-        for plant in self.plants:
             found += [Rod("string", plant.end[t.segment], t.hook, 0.001) for t in plant.twines]
         return found
 

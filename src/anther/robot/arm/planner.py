@@ -152,7 +152,7 @@ class Planner:
         """Return the amplitudes (Q,) [m] that `swing` can do at joints (J,): see `shake_limit`, and what is free."""
         here, way = check_array("joints", q, (self.arm.count,)), shaking.unit(direction)
         rate = np.linalg.pinv(self.arm.jacobian(here))[:, :3] @ way
-        rooms = SHAKE_CAP / 2.0 ** np.arange(7)  # m, amplitudes tried for being free, the largest first
+        rooms = np.geomspace(SHAKE_CAP, SHAKE_CAP / 64, num=7)  # m, tried for being free
         room = next((size for size in rooms if self._may_swing(here, here + np.outer([-size, size], rate))), 0.0)
         return np.minimum(shake_limit(self.arm, here, way, frequencies), room)
 
