@@ -11,25 +11,16 @@ from dataclasses import replace
 import numpy as np
 
 from anther.core.geometry import Array, Box, look_at
-from anther.core.runs import Advance
-from anther.perception.capture import Capture
-from anther.perception.cloud import Cloud
 from anther.robot.arm.model import ArmModel
-from anther.robot.arm.planner import Params as MotionParams
-from anther.robot.arm.planner import Planner
 from anther.robot.arm.sawyer import SAWYER
 from anther.robot.arm.views import Params as ViewParams
 from anther.robot.arm.views import plan_views
-from anther.robot.cell import Cell
 from anther.robot.devices import Tap, no_tap
-from anther.robot.safety import guard
 from anther.sim import cell as world
-from anther.sim.capture import camera_errors
-from anther.sim.robot import robot_of
 from anther.sim.row import Row, row_scene
 from anther.sim.row_house import Block
 from anther.sim.row_plants import held_by_string
-from anther.sim.simulated_cell import Layout, SimulatedCell, in_wind, photograph, safety_limits, usual_distance
+from anther.sim.simulated_cell import Layout, SimulatedCell, around, usual_distance
 from anther.sim.true_plant import as_true
 from anther.sim.truth import NOMINAL, Truth
 
@@ -150,25 +141,6 @@ def build_row(
     place = row_layout(row, arm)
     planned = plan_views(place.region, place.solids, views, arm=arm)
     mujoco = row_world(row, truth, arm, planned.joints[-1])
-    plant, scene = mujoco.plant, row_scene(row, mujoco.plant)
-    noise = np.random.default_rng([row.seed, 15 + 10 * visit])
-    limits, home = safety_limits(place, arm), tuple(planned.joints[-1].tolist())
-    robot = robot_of(
-        mujoco,
-        errors=camera_errors(truth),
-        T_world_side_camera=place.T_world_side_camera,
-        seed=int(noise.integers(1 << 31)),
-        scene=scene,
-    )
-
-    def take_views(advance: Advance) -> Capture:
-        sight = in_wind(plant, scene, planned, truth)
-        return photograph(sight, planned.joints, row.seed, 0.0, visit, progress=advance, truth=truth, arm=arm)[0]
-
-    def plan_around(cloud: Cloud) -> Planner:
-        # as in `simulated_cell.build`
-        params = MotionParams(velocity_share=0.9, acceleration_share=0.7, approach_speed=0.1, home=home)
-        return Planner(cloud.yielding, cloud.rigid, place.solids, space=place.arm_space, params=params, arm=arm)
-
-    robot = guard(tap(robot, limits, arm.tool.T_flange_cam, lambda: mujoco.time), limits)
-    return SimulatedCell(plant, mujoco, planned, Cell(take_views, plan_around, robot, place.workspace, limits))
+    noise = int(np.random.default_rng([row.seed, 15 + 10 * visit]).integers(1 << 31))
+    scene = row_scene(row, mujoco.plant)
+    return around(mujoco, scene, place, planned, planned.joints[-1], noise, (row.seed, 0.0, visit), tap)

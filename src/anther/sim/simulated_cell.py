@@ -174,23 +174,46 @@ def build(
     place = layout(distance, beyond=actuator == "gripper")
     planned = views_at(distance, views, arm)
     plant = grow(species, seed, viewpoint, distance, truth)
-    noise = np.random.default_rng([seed, int(viewpoint), 2 + 10 * visit])
-    scene = Scene.of_plant(plant)
+    noise = int(np.random.default_rng([seed, int(viewpoint), 2 + 10 * visit]).integers(1 << 31))
     coil = arm_model.COIL_FORCE if actuator == "gripper" else 0.0
     mujoco = world.Cell(plant, arm.waiting, world.Params(coil_force=coil), truth, arm)
-    seen_from, drawn = place.T_world_side_camera, int(noise.integers(1 << 31))
-    robot = robot_of(mujoco, errors=camera_errors(truth), T_world_side_camera=seen_from, seed=drawn, scene=scene)
-    limits, home = safety_limits(place, arm), tuple(arm.waiting.tolist())
+    return around(mujoco, Scene.of_plant(plant), place, planned, arm.waiting, noise, (seed, viewpoint, visit), tap)
+
+
+def around(
+    mujoco: world.Cell,
+    scene: Scene,
+    place: Layout,
+    planned: Views,
+    home: Array,
+    noise: int,
+    seen: tuple[int, float, int],
+    tap: Tap,
+) -> SimulatedCell:
+    """Return the cell of an arm and a plant: what takes views, plans motions and moves, and what that is judged by.
+
+    Args:
+        mujoco: the arm and the plant.
+        scene: what cameras see.
+        place: where things are.
+        planned: the views.
+        home: (J,) joints where the arm waits [rad].
+        noise: seed of the errors of machines and side camera.
+        seen: seed, viewpoint [deg] and visit, as `photograph` takes them.
+        tap: listens to the bare machines.
+    """
+    plant, truth, arm = mujoco.plant, mujoco.truth, mujoco.arm
+    seen_from, limits = place.T_world_side_camera, safety_limits(place, arm)
+    robot = robot_of(mujoco, errors=camera_errors(truth), T_world_side_camera=seen_from, seed=noise, scene=scene)
 
     def take_views(advance: Advance) -> Capture:
         sight = in_wind(plant, scene, planned, truth)
-        return photograph(sight, planned.joints, seed, viewpoint, visit, progress=advance, truth=truth, arm=arm)[0]
+        return photograph(sight, planned.joints, *seen, progress=advance, truth=truth, arm=arm)[0]
 
     def plan_around(cloud: Cloud) -> Planner:
         # between sawyer_moveit's "medium" and "fast" (facts: sawyer 1), which passes the safety limits in places
-        params = MotionParams(velocity_share=0.9, acceleration_share=0.7, approach_speed=0.1, home=home)
-        space = place.arm_space
-        return Planner(cloud.yielding, cloud.rigid, place.solids, space=space, params=params, arm=arm)
+        params = MotionParams(velocity_share=0.9, acceleration_share=0.7, approach_speed=0.1, home=tuple(home.tolist()))
+        return Planner(cloud.yielding, cloud.rigid, place.solids, space=place.arm_space, params=params, arm=arm)
 
     robot = guard(tap(robot, limits, arm.tool.T_flange_cam, lambda: mujoco.time), limits)
     return SimulatedCell(plant, mujoco, planned, Cell(take_views, plan_around, robot, place.workspace, limits))
