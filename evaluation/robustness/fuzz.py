@@ -6,7 +6,8 @@ python -m evaluation.robustness.fuzz --count 100000             for a night; goe
 A traceback is any exception that reaches the top, or an exit code other than 0, 1 and 2; a hang takes more than
 20 s; over memory takes more than 4 GB; silently wrong is a change that had to be refused or to make no difference, and
 did not, and any NaN in a result; half-written is a temporary file left behind. The files are small and the commands run
-in one process, which is started again when it dies or does not come back. `trial` is tried up to its first view.
+in one process, which is started again when it dies or does not come back. `trial` and `row` are tried up to their
+first view.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from typing import Any
 
 import numpy as np
 
+from anther.cli import row_visit
 from anther.cli.main import main as anther
 from anther.core import StageFailure
 from anther.sim import simulated_cell
@@ -90,7 +92,7 @@ def patience(seconds: int) -> Iterator[None]:
 
 
 def no_cell(*_: Any, **__: Any) -> None:
-    """Stand in for the simulated cell: a trial ends before its first view."""
+    """Stand in for the simulated cell: a visit ends before its first view."""
     raise StageFailure("unreachable", "no cell here")
 
 
@@ -182,7 +184,7 @@ def examine(number: int, base: Path) -> Outcome:
 def work(base: Path, first: int, last: int, log: Path) -> None:
     """Examine inputs first to last - 1; one line of the log an input."""
     resource.setrlimit(resource.RLIMIT_AS, (int(4 * MEMORY), int(4 * MEMORY)))  # mapped, not used, of numba and Embree
-    simulated_cell.build = no_cell
+    simulated_cell.build = row_visit.build_row = no_cell
     with log.open("a", encoding="utf-8") as stream:
         for number in range(first, last):
             stream.write(json.dumps(asdict(examine(number, base))) + "\n")

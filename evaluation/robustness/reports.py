@@ -49,24 +49,25 @@ CHARUCO = "charuco:7x5:30mm:22mm"
 
 
 class Ran(NamedTuple):
-    """What a command did: exit code, all that it printed, and whether it ended in a traceback."""
+    """What a command did: exit code, all that it printed, its standard output, whether it ended in a traceback."""
 
     code: int
     text: str
+    answer: str
     crashed: bool = False
 
 
 def run(*arguments: object) -> Ran:
     """Run an anther command."""
-    said = io.StringIO()
-    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         try:
             code = anther([str(a) for a in arguments])
         except SystemExit as end:
             code = int(end.code or 0) if not isinstance(end.code, str) else 1
         except Exception:
-            return Ran(1, said.getvalue() + traceback.format_exc(), crashed=True)
-    return Ran(code, said.getvalue())
+            return Ran(1, out.getvalue() + err.getvalue() + traceback.format_exc(), out.getvalue(), crashed=True)
+    return Ran(code, out.getvalue() + err.getvalue(), out.getvalue())
 
 
 class Crash(Exception):
@@ -112,7 +113,7 @@ def stem(path: str, *options: str) -> Check:
     def check(out: Path) -> str:
         ran = run("skeletonize", path, *options, "--up", "z", "--json", "--out", out)
         done(ran)
-        return near(json.loads(ran.text)["stem_length"], STEM, STEM_WITHIN, "stem")
+        return near(json.loads(ran.answer)["stem_length"], STEM, STEM_WITHIN, "stem")
 
     return check
 
@@ -170,7 +171,7 @@ def calibrated(name: str, key: str, wanted: Array, millimetres: float, degrees: 
     def check(out: Path) -> str:
         ran = board(name, out=str(out), **options)
         done(ran)
-        return apart(np.array(json.loads(ran.text)[key]), wanted, millimetres, degrees)
+        return apart(np.array(json.loads(ran.answer)[key]), wanted, millimetres, degrees)
 
     return check
 
@@ -178,7 +179,7 @@ def calibrated(name: str, key: str, wanted: Array, millimetres: float, degrees: 
 def small_board(out: Path) -> str:
     ran = board("11_board_printed_at_97_percent", out=str(out))
     done(ran)
-    square = re.search(r"3\.0 % smaller.*squares of ([0-9.]+) mm", " ".join(json.loads(ran.text)["notes"]))
+    square = re.search(r"3\.0 % smaller.*squares of ([0-9.]+) mm", " ".join(json.loads(ran.answer)["notes"]))
     return near(float(square[1]), 29.1, 0.05, "squares") if square else "no warning"
 
 
@@ -204,7 +205,7 @@ def shaken(file: str, frequency: float | None, *options: str, words: tuple[str, 
         if frequency is None:
             return told(ran, *words)
         done(ran)
-        found = json.loads(ran.text[ran.text.find("{") :])["first_frequency_hz"]  # after word that kernels compile
+        found = json.loads(ran.answer)["first_frequency_hz"]
         return near(found, frequency, 0.025 * frequency, "frequency")
 
     return check

@@ -26,9 +26,10 @@ def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def _here(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """`examine` goes to other folders; a trial ends before its first view."""
+    """`examine` goes to other folders; a visit ends before its first view."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(fuzz.simulated_cell, "build", fuzz.no_cell)
+    monkeypatch.setattr(fuzz.row_visit, "build_row", fuzz.no_cell)
     monkeypatch.setattr(fuzz, "MEMORY", float("inf"))  # of this process, in which other tests ran as well
 
 

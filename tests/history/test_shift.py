@@ -260,6 +260,20 @@ def test_a_plan_keeps_to_windows_batteries_and_one_robot_a_row() -> None:
     assert shut == {"a": [], "b": []}
 
 
+def test_a_plan_leaves_ctrl_c_to_those_who_hold_the_arm() -> None:
+    code = """if True:
+        import os, signal
+        from anther.history._shift_plan import Leg, RobotNow, assign_legs
+        assign_legs([Leg(0, "0", 10, 100, ((0, 900),))], [RobotNow("a", 0, 1500, 4000, 600, (), None)], 1)
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+        except KeyboardInterrupt:
+            print("held")
+    """
+    ran = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert ran.stdout == "held\n", ran.returncode
+
+
 def test_without_or_tools_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ortools.sat.python", None)
     with pytest.raises(MissingExtra, match=r"anther\[row\]"):

@@ -79,6 +79,7 @@ def assign_legs(
     model.maximize(sum(horizon * leg.stems * literal for leg, literal in done.items()) - last - 60 * spent)
     solver = cp_model.CpSolver()
     solver.parameters.max_deterministic_time, solver.parameters.num_workers = effort, 1
+    solver.parameters.catch_sigint_signal = False  # else Ctrl-C would kill a visit afterwards, arm moving
     if solver.solve(model) not in (cp_model.OPTIMAL, cp_model.FEASIBLE):
         return {robot.name: [] for robot in robots}
     steps: dict[str, list[tuple[int, int]]] = {robot.name: [] for robot in robots}
