@@ -120,6 +120,8 @@ class Cell:
         pieces = add_plant(spec, plant, self.params.plant, contype=PLANT_BIT)
         forces = {"grip_force": self.params.grip_force, "coil_force": self.params.coil_force}
         arm_model.add_arm(spec, arm, truth, **forces, contype=ROBOT_BIT, conaffinity=PLANT_BIT)
+        stems = np.flatnonzero(np.isin(plant.organ, (Organ.STEM, Organ.BRANCH, Organ.PEDUNCLE)))
+        arm_model.add_grips(spec, [f"segment_{k}" for k in stems])
         self.model: Any = spec.compile()
         self.data: Any = mujoco.MjData(self.model)
         self._arm = np.array([self.model.joint(name).qposadr[0] for name in arm.joints])
