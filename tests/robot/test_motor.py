@@ -13,17 +13,19 @@ from small_planner import solve
 from straight_plant import BASE, chain, plant_of, straight_plant
 
 from anther.core.errors import InputError, StageFailure
+from anther.core.geometry import inverse, transform
 from anther.core.oscillation import fit_swing
+from anther.robot.arm.sawyer import SAWYER
 from anther.robot.devices import ArmRecord, ArmSample, DeviceError, MoreSwing, SafetyLimits, Watch
 from anther.robot.safety import GuardedMotor, guard
 from anther.robot.safety._motion import check_swing
 from anther.robot.swing import Swing
-from anther.sim import arm_model
+from anther.sim import arm_model, simulated_cell
 from anther.sim._motor import SimMotor
 from anther.sim.cell import Cell, Params
 from anther.sim.plant import SimPlant
 from anther.sim.robot import SimGripper
-from anther.sim.truth import NOMINAL, Truth
+from anther.sim.truth import NOMINAL, Truth, draw
 
 Q = solve(horizontal_grasp(np.add(BASE, [0, 0, 0.25]), np.zeros(7)).T_world_flange)
 FIRST = Swing.first([30.0], [1e-3], 0.6, 0.3)
@@ -54,6 +56,22 @@ def swings(cell: Cell, since: float, until: float, frequency: float) -> tuple[fl
     paths = motor, cell.flange_pose(qpos)[:, :3, 3], stem
     carried, recoil, moved = (fit_swing(times, np.outer(path @ y, y), frequency).amplitude for path in paths)
     return carried, recoil, moved
+
+
+def test_pads_that_hold_a_stem_easily_do_not_let_it_drift_away() -> None:
+    """The twentieth part of what friction bears pulls; damped softly, MuJoCo's friction lets 1.5 mm a second go by."""
+    T = transform(np.array([[-0.032, -0.001, 0.999], [0.031, -1, 0], [0.999, 0.031, 0.032]]), (0.593, 0, 0.087))
+    plant = simulated_cell.grow("tomato", 10000, 0.0, simulated_cell.usual_distance(SAWYER), draw(10000))
+    cell = Cell(plant, solve(T), Params(coil_force=arm_model.COIL_FORCE))
+    SimGripper(cell).move(0.0)
+    begin, first = cell.time, Swing.first([38.6], [0.6e-3], 1.0, 0.2)
+    SimMotor(cell).swing(first, None, then(first.then([0.0], 0.2, 0.2)))
+    log = cell.log()
+    held = np.bincount(log.contact_other[(log.contact_pad < 2) & (log.contact_other >= 0)]).argmax()
+    end = np.r_[plant.end[held], 1]
+    first_q, last_q = log.qpos[np.searchsorted(log.times, begin)], log.qpos[-1]
+    places = [inverse(cell.pads_pose(q)) @ cell.segment_poses(q)[held] @ end for q in (first_q, last_q)]
+    assert np.linalg.norm(places[1] - places[0]) < 3e-4
 
 
 @pytest.mark.parametrize(("frequency", "amplitude"), [(10.0, 1.2e-3), (30.0, 1e-3), (50.0, 0.4e-3)])
