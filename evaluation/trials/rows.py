@@ -32,6 +32,7 @@ from anther.plant.limits import MOVED
 from anther.pollination import visit_row_stem
 from anther.sim import SimulatedCell, build_row, grow_row, mapped_hook
 from anther.sim.cell import BENCH, NEIGHBOUR, POT
+from anther.sim.judge import LETS_GO, string_pull
 from evaluation.harness import CROPS, by_turns, failed, finish, options, run_cases
 from evaluation.statistics import bootstrap, interval, median
 from evaluation.tables import markdown, percent
@@ -42,8 +43,6 @@ from evaluation.trials.shaking import Brief
 FIRST, DEVELOPMENT = 6100, 3
 """Rows from the first seed on are in no other table; on those from the second on the visit was made."""
 PARTS = ("views_s", "thought_s", "approach_s", "shake_s", "retreat_s")
-LETS_GO = 2.0
-"""A string that is pulled so many times as hard as it hangs slides through its clips or off its hook: a guess."""
 ACCELERATION = "true_flower_acceleration_median_ms2"
 
 Row = dict[str, Any]
@@ -72,7 +71,7 @@ def one(row: Row, folder: Path) -> Row:
         return {"success": False, "failure": failure.kind, "message": str(failure)}
     hook = mapped_hook(grown, cell.world.arm)
     found, done = performed(cell, lambda: visit_row_stem(cell.robot_side, case.species, hook, run))
-    found |= touched(cell) | {"string_pull": string_pull(cell), "plants": len(grown.plants)}
+    found |= touched(cell) | {"string_pull": string_pull(cell.world), "plants": len(grown.plants)}
     found |= {"views_s": cell.capture_seconds, "first": len(_begun) == 1, "notes": notes_of(run)}
     if done is not None:
         found |= asked_times(found, run)
@@ -111,17 +110,6 @@ def touched(cell: SimulatedCell) -> dict[str, float]:
         return float(log.contact_force[np.isin(log.contact_other, others)].max(initial=0.0))
 
     return {"neighbour_force": most(NEIGHBOUR), "part_force": most(POT, BENCH)}
-
-
-def string_pull(cell: SimulatedCell) -> float:
-    """Return the hardest pull of a string of the asked plant, as a share of what it hangs with [-]."""
-    log, most = cell.world.log(), 0.0
-    for pose in map(cell.world.segment_poses, log.qpos[::10]):  # every 20 ms: strings sway at 0.8 Hz
-        for twine in cell.plant.twines:
-            T, at = pose[twine.segment], cell.plant.end[twine.segment]
-            way = np.linalg.norm(twine.hook - (T[:3, :3] @ at + T[:3, 3])) - np.linalg.norm(twine.hook - at)
-            most = max(most, 1 + twine.stiffness * float(way) / twine.tension)
-    return most
 
 
 def harmful(row: Row) -> bool:

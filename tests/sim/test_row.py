@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import fields, replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,9 @@ from scipy.special import j0, j1, y0, y1
 from straight_plant import chain, plant_of
 
 from anther.core.errors import InputError
+from anther.core.geometry import transform
 from anther.sim.cell import NEIGHBOUR, Cell
+from anther.sim.judge import string_pull
 from anther.sim.pieces import Params
 from anther.sim.plant import GRAVITY, Organ, Pot, SimPlant, Twine
 from anther.sim.plant_mechanics import PlantMechanics, alone, mujoco
@@ -200,6 +203,18 @@ def test_an_arm_that_strikes_a_neighbour_is_seen_to() -> None:
     struck = Cell(plant, obstacles=[stem])
     struck.run(np.tile(struck.joints, (4, 1)), np.zeros((4, 7)), np.full(4, struck.opening))
     assert np.any(struck.log().contact_other == NEIGHBOUR)
+
+
+@pytest.mark.parametrize("fallen", [0.0, 0.02])
+def test_a_string_pulls_harder_the_farther_its_stem_is_pulled_off(fallen: float) -> None:
+    plant = pulled(1.0, 0.006, 1e8, 0.2, 20.0)
+    pose = np.tile(transform(np.eye(3), [0, 0, -fallen]), (len(plant.end), 1, 1))
+    cell = SimpleNamespace(
+        plant=plant, log=lambda: SimpleNamespace(qpos=np.zeros((11, 1))), segment_poses=lambda _: pose
+    )
+    twine = plant.twines[0]
+    assert string_pull(cell) == pytest.approx(1 + twine.stiffness * fallen / twine.tension, rel=1e-3)  # type: ignore[arg-type]
+    assert string_pull(SimpleNamespace(**{**vars(cell), "plant": replace(plant, twines=())})) == 0  # type: ignore[arg-type]
 
 
 def test_leaves_were_cut_below_and_the_head_is_young() -> None:

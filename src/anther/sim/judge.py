@@ -173,6 +173,8 @@ PUSH = 2.0
 """The robot may press on the plant with this before it closes [N]."""
 SLIP = 0.005
 """The held point may wander this far between the pads [m]."""
+LETS_GO = 2.0
+"""A string that is pulled so many times as hard as it hangs slides through its clips or off its hook: a guess."""
 LEAF_BAND = 5.0
 """Up to which a leaf is taken to follow quasi-statically [Hz]."""
 
@@ -246,7 +248,7 @@ def judge(
     segment, share = _find_grasped(log, holding)
     organ, *beside = _organs(cell, log, holding, segment)
     slip, height = _slip(cell, log, shaking, segment)
-    push = _push(log, shake)
+    push, pull = _push(log, shake), string_pull(cell)
     poses = np.stack([cell.segment_poses(q) for q in log.qpos[shaking]]) if shake else None
     leaf = _leaf_acceleration(cell, log.times[shaking], poses)
     strains, *stalks = _strain(cell, log, shaking)
@@ -261,6 +263,7 @@ def judge(
         (bool(np.any(log.contact_other < 0)), "collision", "the robot touched the pot or the bench"),
         (push > PUSH, "collision", f"the plant was pushed with {push:.1f} N before the gripper closed"),
         (bool(effort.max() >= 0.999), "limits_exceeded", f"motor {effort.argmax()} was at its torque limit"),
+        (pull > LETS_GO, "limits_exceeded", f"a string pulled with {pull:.1f} times what it hangs with"),
         (segment < 0, "nothing_grasped", "nothing was between the pads"),
         (organ != "stem", "branch_or_leaf_grasped", f"a {organ} was between the pads"),
         (shake is None, "nothing_grasped", "the plant was not shaken"),
@@ -346,6 +349,17 @@ def _slip(cell: Cell, log: CellLog, shaking: NDArray[np.bool_], segment: int) ->
     held = [inverse(cell.pads_pose(q)) @ cell.segment_poses(q)[segment] @ rest for q in log.qpos[samples]]
     wander = np.linalg.norm(np.array(held)[:, :3] - held[0][:3], axis=1)
     return float(wander.max()), float(rest[2] - cell.plant.pot.soil_z)
+
+
+def string_pull(cell: Cell) -> float:
+    """Return the hardest pull of a string of the plant, as a share of what it hangs with [-]; 0 without a string."""
+    log, most = cell.log(), 0.0
+    for pose in map(cell.segment_poses, log.qpos[::10] if cell.plant.twines else ()):  # 20 ms: they sway at 0.8 Hz
+        for twine in cell.plant.twines:
+            T, at = pose[twine.segment], cell.plant.end[twine.segment]
+            way = np.linalg.norm(twine.hook - (T[:3, :3] @ at + T[:3, 3])) - np.linalg.norm(twine.hook - at)
+            most = max(most, 1 + twine.stiffness * float(way) / twine.tension)
+    return most
 
 
 def _push(log: CellLog, shake: tuple[float, float] | None) -> float:

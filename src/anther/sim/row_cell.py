@@ -51,8 +51,13 @@ HOOK_ERROR = 0.02
 
 def mapped_hook(row: Row, arm: ArmModel = SAWYER) -> Array:
     """Return where the map says that the string of the asked stem hangs (3,), in the arm's frame (`before_arm`) [m]."""
-    error = np.random.default_rng([row.seed, 16]).normal(0, HOOK_ERROR, 2)
-    return before_arm(row, arm).hooks[row.asked] + np.append(error, 0.0)
+    return _mapped_hooks(before_arm(row, arm))[row.asked]
+
+
+def _mapped_hooks(row: Row) -> Array:
+    """Return where the map of a row says that every plant's string hangs (P, 3), in the frame that the row is in [m]."""
+    error = np.random.default_rng([row.seed, 16]).normal(0, HOOK_ERROR, (len(row.hooks), 2))
+    return row.hooks + np.pad(error, ((0, 0), (0, 1)))
 
 
 BESIDE_PLUMB = {"tomato": 0.06, "pepper": 0.12}
@@ -62,9 +67,8 @@ tomatoes stray by 0.02; peppers' two stems part from one cube. Guesses."""
 
 def neighbours_kept(row: Row, arm: ArmModel) -> list[Box]:
     """Return what is kept clear of where the map has other stems within reach: a column below each of their hooks."""
-    error = np.random.default_rng([row.seed, 16, 1]).normal(0, HOOK_ERROR, (len(row.hooks), 2))
     wide, found = BESIDE_PLUMB[row.crop], list[Box]()
-    for k, (x, y, z) in enumerate(row.hooks + np.pad(error, ((0, 0), (0, 1)))):
+    for k, (x, y, z) in enumerate(_mapped_hooks(row)):
         box = Box(np.array([x - wide, y - wide, -1.5]), np.array([x + wide, y + wide, z]))
         if k != row.asked and _gap(box, arm.shoulder) < arm.reach + arm.tool.tip:
             found.append(box)
