@@ -55,7 +55,7 @@ def mapped_hook(row: Row, arm: ArmModel = SAWYER) -> Array:
 
 
 def _mapped_hooks(row: Row) -> Array:
-    """Return where the map of a row says that every plant's string hangs (P, 3), in the frame that the row is in [m]."""
+    """Return where the map says that every plant's string hangs (P, 3), in the frame that the row is in [m]."""
     error = np.random.default_rng([row.seed, 16]).normal(0, HOOK_ERROR, (len(row.hooks), 2))
     return row.hooks + np.pad(error, ((0, 0), (0, 1)))
 
