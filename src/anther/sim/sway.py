@@ -5,6 +5,7 @@ The air around a simulated plant: drag that grows with the square of the speed, 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -12,11 +13,30 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from anther.core.checks import check_array
+from anther.core.compiling import njit
 from anther.core.errors import StageFailure
 from anther.core.geometry import Array
 from anther.sim.pieces import Params
 from anther.sim.plant import SimPlant
 from anther.sim.plant_mechanics import PlantMechanics, alone, mujoco
+
+
+@njit(cache=True, error_model="numpy")
+def _blow(wind: Any, factor: Any, bodies: Any, roots: Any, twists: Any, places: Any, middles: Any, force: Any) -> None:
+    """Write the drag of each body in a wind into its row of `force`.
+
+    MuJoCo's twists are about the centre of mass of the body's tree, in `middles`; the drag is at its own, in `places`.
+    """
+    against = np.empty(3)
+    for i in range(len(bodies)):
+        b, root = bodies[i], roots[i]
+        for j in range(3):
+            k, n = (j + 1) % 3, (j + 2) % 3
+            turned = twists[b, k] * (places[b, n] - middles[root, n]) - twists[b, n] * (places[b, k] - middles[root, k])
+            against[j] = wind[j] - twists[b, 3 + j] - turned
+        size = math.sqrt(against[0] ** 2 + against[1] ** 2 + against[2] ** 2)
+        for j in range(3):
+            force[b, j] = factor[i] * size * against[j]
 
 
 class Air:
@@ -30,9 +50,10 @@ class Air:
     def __init__(self, mechanics: PlantMechanics, wind: float, seed: int) -> None:
         """Let the air move at `wind` [m/s] in the mean; `seed` gives its side and its gusts."""
         plant, pieces = mechanics.plant, mechanics.pieces
-        self._model, self._bodies = mechanics.model, mechanics.bodies
+        self._bodies = np.asarray(mechanics.bodies, dtype=np.int64)
+        self._roots = mechanics.model.body_rootid[self._bodies].astype(np.int64)
         area = np.bincount(pieces.body, plant.drag_area, len(pieces.first))
-        self._factor = 0.5 * 1.2 * area[:, None]  # of air, kg/m3
+        self._factor = 0.5 * 1.2 * area  # of air, kg/m3
         self._rng = np.random.default_rng([seed, 9])
         side = self._rng.uniform(0, 2 * np.pi)
         along = np.array([np.cos(side), np.sin(side), 0.0])
@@ -47,22 +68,15 @@ class Air:
             return
         keep = np.exp(-dt / 1.0)
         self._gust = keep * self._gust + np.sqrt(1 - keep**2) * self._gust_size * self._rng.normal(size=3)
-        against = self._mean + self._gust - self.speed(data)
-        data.xfrc_applied[self._bodies, :3] = self._factor * np.linalg.norm(against, axis=1, keepdims=True) * against
-
-    def speed(self, data: Any) -> Array:
-        """Return (B, 3) the velocity of each body's centre of mass [m/s]."""
-        turn, slide = data.cvel[self._bodies, :3], data.cvel[self._bodies, 3:]
-        arm = data.xipos[self._bodies] - data.subtree_com[self._model.body_rootid[self._bodies]]
-        y, z = [1, 2, 0], [2, 0, 1]  # np.cross takes 2.5 times as long, at every step
-        return slide + (turn[:, y] * arm[:, z] - turn[:, z] * arm[:, y])
+        motion = data.cvel, data.xipos, data.subtree_com
+        _blow(self._mean + self._gust, self._factor, self._bodies, self._roots, *motion, data.xfrc_applied)
 
     def linear(self, speed: Array) -> Array:
         """Return (B,) the damping [N s/m] that does the work of the drag when bodies swing with `speed` (B,) [m/s].
 
         8 / (3 pi) of the drag at that amplitude of the speed, as the mean of |sin|^3 over that of sin^2 says.
         """
-        return 8 / (3 * np.pi) * self._factor[:, 0] * speed
+        return 8 / (3 * np.pi) * self._factor * speed
 
 
 TIMESTEP = 2e-3
