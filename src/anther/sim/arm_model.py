@@ -35,8 +35,6 @@ DAMPING = 2.0
 """Of flexures and slide [N s/m]: 5 % of critical."""
 STOP = 2e-3
 """Either way, where it strikes [m]."""
-HOLD = 5e-4
-"""Time in which friction stops what slides between the pads [s]; MuJoCo takes twice the step where that is longer."""
 
 
 def flex_name(joint: str) -> str:
@@ -96,20 +94,21 @@ def add_grips(spec: Any, segments: Iterable[str]) -> None:
 
     MuJoCo's friction is a damping of the speed between two bodies, and its constraints leave out how their Jacobian
     changes with time. At 40 Hz the mean of what is left out, over the damping, made a stem wander out of pads that held
-    it with ten times its pull, by 2 mm/s, in steps of 0.1 ms as well. So friction damps with `HOLD`, not with the pads'
-    softness.
+    it with ten times its pull, by 2 mm/s, in steps of 0.1 ms as well. So friction damps with its own time, not with the
+    pads' softness.
 
     Args:
         spec: the world, with plant and arm.
         segments: names of their geoms.
     """
     pads = [spec.geom(f"{side}_pad") for side in ("left", "right")]
+    hold = 5e-4  # s in which friction stops what slides; MuJoCo takes twice the step where that is longer
     for segment in segments:
         for pad in pads:
             slide, twist, roll = pad.friction
             pair = spec.add_pair(geomname1=segment, geomname2=pad.name, condim=pad.condim)
             pair.friction = [slide, slide, twist, roll, roll]
-            pair.solref, pair.solimp, pair.solreffriction = pad.solref[:2], pad.solimp, [HOLD, 1.0]
+            pair.solref, pair.solimp, pair.solreffriction = pad.solref[:2], pad.solimp, [hold, 1.0]
 
 
 def tune_servos(model: Any, arm: ArmModel, truth: Truth) -> None:

@@ -26,7 +26,6 @@ _MASTERS = {
     0x1549A966, 0x1654AE6B, 0xE0, 0x6D80, 0x6240, 0xA0, 0x1941A469, 0x1254C367, 0x7373, 0x67C8,
 }  # fmt: skip
 """Info, Tracks, Video, ContentEncodings and one of them, BlockGroup, Attachments, Tags, Tag, SimpleTag too."""
-_BLOCKS = (0xA3, 0xA1)
 _ZLIB, _STRIPPED = 0, 3
 """Matroska's numbers of how frames are packed: zlib, and with a beginning that all share left out."""
 
@@ -173,7 +172,7 @@ def _index(path: Path, data: Any) -> Matroska:
                     held.tracks.append(Track())
                 case 0xE7:
                     cluster = _unsigned(data, content)
-                case kind if kind in _BLOCKS:
+                case kind if kind in (0xA3, 0xA1):
                     number, frame = _block(data, content, cluster)
                     held.frames[number].append(frame)
                 case kind if kind == _ATTACHMENT:

@@ -65,13 +65,6 @@ OFF_BY = 0.002
 ROOT_STRAIN = 0.01
 """Bending strain a stem bears (facts: pollination 6); pulled aside by d at height L, its root sees 3 r d / L^2."""
 
-SPACING, DIRECTIONS = 0.005, 24
-"""Of the stations along the stem [m], and approach directions at each; with an arm, those that lead away from it."""
-STRAIGHT = 0.014
-"""Half length of the stem piece that gives its direction [m]: little more than the pads hold. With 30 mm the pads bent
-stems that change direction at a node nearly twice as much (measured)."""
-ROOT_MARGIN, TOP_MARGIN = 0.065, 0.05
-"""Stem left out at its root and its tip [m]; each at most a quarter of the stem."""
 TOWARD_TIPS = 0.006
 """The stem stands this far from the pads' middle towards their tips [m], so that less of them reaches into the petioles
 behind it. With 8 mm closing strained the stem by 0.65 instead of 0.72 % in the mean (61 grasps of eight dense peppers,
@@ -83,14 +76,8 @@ DOUBT = 0.003
 """How far skeleton and cloud may lie beside the truth [m]: of petioles 1.8 to 3.2 mm in 90 of 100 places (measured on
 peppers); what comes this near the closing pads counts as between them."""
 
-WANTED = 3
-"""Grasps that the arm must confirm."""
 ASKED = 150
-"""So often is the arm asked before what it has confirmed is enough; `PATIENCE` times as often while that is nothing."""
-PATIENCE = 4
-"""A tomato with every leaf twice: the arm reached none of the 150 best, and asking on found one that succeeded."""
-NEAR_FORK = 0.025
-"""So far below a fork [m] the skeleton cuts the corner: 5 mm below, by 6 mm and 11 to 15 degrees (two peppers)."""
+"""So often is the arm asked before what it has confirmed is enough; four times as often while that is nothing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,7 +153,7 @@ def plan_grasps(
     Args:
         stem, skeleton, cloud: the plant and, in the cloud, pot and bench.
         params: see `Params`.
-        reach: the arm, asked down the ranking until `WANTED` grasps are confirmed; None asks no arm.
+        reach: the arm, asked down the ranking until three grasps are confirmed; None asks no arm.
 
     Raises:
         StageFailure: "no_grasp_found" (no candidate is clear of pot, bench and stem) or "unreachable" (the arm
@@ -226,13 +213,16 @@ class _Ranking:
 
 def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, toward_base: bool) -> _Ranking:
     gripper, length = params.gripper, float(stem.arc_length[-1])
+    spacing = 0.005  # m between stations along the stem
+    straight = 0.014  # m, half of the piece that gives the stem's direction: little more than the pads hold
+    root, top = 0.065, 0.05  # m left out at the stem's ends, each at most a quarter of it
     candidates = candidates_along(
         stem,
         skeleton,
-        directions=DIRECTIONS,
-        spacing=max(SPACING, length / 60),
-        window=min(STRAIGHT, length / 8),
-        ends=(min(ROOT_MARGIN, length / 4), min(TOP_MARGIN, length / 4)),
+        directions=24,
+        spacing=max(spacing, length / 60),
+        window=min(straight, length / 8),
+        ends=(min(root, length / 4), min(top, length / 4)),
         depth=gripper.depth + TOWARD_TIPS,
     )
     if toward_base:
@@ -251,7 +241,8 @@ def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, towar
     refusals = _refusals(candidates, met, confidence, params, string=string)
     costs = _costs(candidates, met, cloud, params, length)
     below = stem.arc_length[stem.fork] - candidates.arc_length  # above its first fork it is no longer the main stem
-    costs["near or above a fork"] = 10.0 * np.clip(1 - below / NEAR_FORK, 0, 1)
+    near_fork = 0.025  # m below a fork where the skeleton cuts the corner
+    costs["near or above a fork"] = 10.0 * np.clip(1 - below / near_fork, 0, 1)
     if confidence is not None:
         costs["perhaps not the main stem"] = 6.0 * (1 - confidence)
     if toward_base:
@@ -324,8 +315,10 @@ def _first_reached(ranking: _Ranking, reach: Reach | None) -> list[Grasp]:
     found, asked, refused = list[Grasp](), 0, set[bytes]()
     along = ranking.candidates.arc_length
     apart, near_one = min(APART, float(along.max(initial=0)) / 20) - 1e-9, np.zeros(len(along), dtype=bool)
+    wanted = 3  # grasps that the arm must confirm
+    patience = 4  # times as often is the arm asked while it has confirmed nothing
     for i in ranking.order:
-        if reach is not None and (len(found) == WANTED or asked >= ASKED * (1 if found else PATIENCE)):
+        if reach is not None and (len(found) == wanted or asked >= ASKED * (1 if found else patience)):
             break
         if near_one[i]:
             continue

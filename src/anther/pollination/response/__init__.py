@@ -31,9 +31,6 @@ from anther.robot.devices import Frame
 
 __all__ = ["Response", "StemMotion", "StemNear", "measure_response", "stem_near"]
 
-BLURRED = 0.5
-"""A shutter open for a larger share of the period shows less than 0.64 of the swing: too little to make up for."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Response(Stored):
@@ -113,11 +110,12 @@ def measure_response(
         stem: where to look for the main stem beside the pads; None: nowhere.
 
     Raises:
-        InputError: fewer than 8 frames, frames of another size, or an exposure of more than `BLURRED` of a period.
+        InputError: fewer than 8 frames, frames of another size, or an exposure of more than half a period.
     """
     _check(frames, intrinsics)
     check_range("frequency_hint", frequency_hint, 1e-3, 1e3, "Hz")
-    check_range("exposure", exposure, 0, BLURRED / frequency_hint, "s")
+    blurred = 0.5  # of the period: a shutter open for longer shows less than 0.64 of the swing
+    check_range("exposure", exposure, 0, blurred / frequency_hint, "s")
     sharp = float(np.sinc(frequency_hint * exposure))
     T = check_transform("T_world_cam", T_world_cam)
     times = np.array([f.time for f in frames])

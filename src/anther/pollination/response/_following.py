@@ -44,8 +44,6 @@ FLOWER_RADIUS = 0.007
 CROWD = 2.0
 """Flowers closer than this many radii are placed by projection, not by the centre of the petals."""
 
-WIDE = 2.0
-"""Radius of the patch with surroundings that is tracked first, in flower radii."""
 
 NEAR_SWING = 3
 """A flower is matched again within so many pixels of its fitted swing."""
@@ -151,7 +149,8 @@ def _begin(frames: Sequence[Frame], intrinsics: Intrinsics, rest: Array) -> _Beg
             for pixel, r, z in zip(pixels, radius, rest[:, 2], strict=True)
         ]
 
-    return _Begin(first, pixels, radius, patches(1.0), patches(WIDE), images)
+    wide = 2.0  # flower radii, of the patch with surroundings that is tracked first
+    return _Begin(first, pixels, radius, patches(1.0), patches(wide), images)
 
 
 def placed(frame: Frame, intrinsics: Intrinsics, rest: Array) -> tuple[Array, list[Patch]]:
