@@ -19,8 +19,6 @@ from anther.sim.plant import Organ
 from anther.sim.truth import uniform
 
 STEEL = (150, 154, 156)
-PIPE_RADIUS = 0.0255
-"""Of rails and heating pipes [m] (facts: rows D, 51 mm, remembered)."""
 SLAB = (0.20, 1.0, 0.075)
 """Of a slab of substrate: width, length, height [m], as rock wool is sold; remembered."""
 CUBE = (0.10, 0.065)
@@ -165,10 +163,11 @@ def installation(m: Measures, hooks: Array, feet: Array, rng: np.random.Generato
         return Rod(name, np.array([x, low, z]), np.array([x, high, z]), radius, colour)
 
     grey = (214, 216, 214)
-    rails = [along("rail", sign * m.gauge / 2, m.rail, PIPE_RADIUS, grey) for sign in (-1, 1)]
+    pipe_radius = 0.0255  # m (facts: rows D, 51 mm, remembered)
+    rails = [along("rail", sign * m.gauge / 2, m.rail, pipe_radius, grey) for sign in (-1, 1)]
     middle = m.near + m.lines / 2
     wires = [along("wire", x, m.wire + 0.012, 0.0015) for x in (m.near, m.near + m.lines)]
-    pipe = along("pipe", middle, m.gutter + rng.uniform(0.5, 1.2), PIPE_RADIUS, grey)
+    pipe = along("pipe", middle, m.gutter + rng.uniform(0.5, 1.2), pipe_radius, grey)
     first = low + rng.uniform(0, m.posts)
     posts = [
         Block("post", Box(np.array([middle - 0.03, y, 0.0]), np.array([middle + 0.03, y + 0.06, m.wire + 0.3])), STEEL)

@@ -25,8 +25,6 @@ SAM2_MEAN, SAM2_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 """Of red, green, blue, 0..1: ImageNet's, which SAM 2's image processor uses."""
 SAM3_MEAN = SAM3_STD = (0.5, 0.5, 0.5)
 """Of red, green, blue, 0..1, as in SAM 3's image processor."""
-TEXT_LENGTH = 32
-"""Tokens that SAM 3's processor pads every text to."""
 
 
 def load_network(kind: Any, folder: Path) -> Any:
@@ -257,10 +255,11 @@ class Sam3:
 
     def _outlines(self, seen: Any, word: str, shape: tuple[int, ...]) -> list[NDArray[np.bool_]]:
         """Return the masks (K, H, W) of each of the B images for one word. The score: transformers' own decoding."""
+        tokens = 32  # that SAM 3's processor pads every text to
         text = self._tokenizer(
             [word.rstrip(".")] * shape[0],
             padding="max_length",
-            max_length=TEXT_LENGTH,
+            max_length=tokens,
             truncation=True,
             return_tensors="pt",
         ).to(self.device)

@@ -31,12 +31,6 @@ from anther.pollination.shake.observables import ComplexArray, semi_major
 from anther.pollination.shake.params import FAST
 from anther.robot.devices import ArmSample
 
-DAMPING = 0.03
-"""Damping ratio for the extrapolation of growth: branching alone dissipates 0.028 (facts: pollination 2), and lighter
-damping lets a swing grow for longer."""
-MOST_GROWTH = 3.0
-"""Largest ratio of an extrapolated swing to the observed one; a guess."""
-
 LEAST_DEPTH_MOTION = 0.001
 """Least depth motion used above `FAST` [m]: several times the depth error of 0.1 to 0.3 mm; a judgement."""
 
@@ -118,14 +112,17 @@ class Answer(NamedTuple):
 def predict_growth(swings: Swings, hertz: float) -> float:
     """Return the relative growth still to come of a swing at a frequency [Hz]; negative: decay.
 
-    After a change of the shake a mode approaches its steady swing as exp(-`DAMPING` omega t).
+    After a change of the shake a mode approaches its steady swing as exp(-0.03 omega t).
     """
-    return swings.growing / (2 * np.pi * hertz * DAMPING)
+    # branching alone dissipates 0.028 (facts: pollination 2); lighter damping lets a swing grow for longer
+    damping = 0.03
+    return swings.growing / (2 * np.pi * hertz * damping)
 
 
 def extrapolate_growth(swings: Swings, hertz: float) -> Swings:
     """Return the steady swings at a frequency [Hz] that growing swings approach; decaying swings are unchanged."""
-    times = float(np.clip(1 + predict_growth(swings, hertz), 1.0, MOST_GROWTH))
+    most = 3.0  # times the observed swing; a guess
+    times = float(np.clip(1 + predict_growth(swings, hertz), 1.0, most))
     return swings._replace(phasors=times * swings.phasors, std=times * swings.std, overtones=times * swings.overtones)
 
 

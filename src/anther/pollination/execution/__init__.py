@@ -58,10 +58,6 @@ __all__ = [
 ]  # fmt: skip
 
 Progress = Callable[[int, int, str], None]  # called with (phases done, phases in all, the phase that begins)
-SETTLE = 0.6
-"""Wait before the shake for touched leaves to come to rest [s]."""
-CALM = 2.0
-"""The same for a petiole that the pads touch [s]."""
 _KINDS: dict[type, FailureKind] = {InputError: "limits_exceeded", KeyboardInterrupt: "interrupted"}
 
 
@@ -338,4 +334,6 @@ def _wait_after(grasp: Grasp) -> float:
     """Return the wait after closing for touched organs to come to rest [s]; longer with a petiole between the pads."""
     beside = 0.002  # m that a petiole reaches beyond the stem, from which the pads touch it
     free = grasp.squeezed is not None and grasp.squeezed < beside
-    return SETTLE if free else CALM
+    settle = 0.6  # s for touched leaves to come to rest
+    calm = 2.0  # s for a petiole that the pads touch
+    return settle if free else calm

@@ -11,8 +11,6 @@ STEP = 0.0005
 """Closing goes on in such steps [m] until it presses as the plan asks."""
 THINNEST = 0.002
 """The pads are not sent nearer to each other [m]."""
-TOO_THICK = 0.0045
-"""By which a depth camera may see a stem too thick [m]: two pixels at either edge, 1.1 mm each on a D455 at 0.7 m."""
 ENOUGH = 0.95
 """Share of the force asked for with which the pads press enough: a gripper at its holding force reads a little less."""
 
@@ -20,7 +18,7 @@ ENOUGH = 0.95
 def close(gripper: Gripper, grasp: Grasp, press: float) -> GripperState:
     """Close to the measured diameter and on in steps until the pads press with a force [N]; verify the grip.
 
-    Depth sensors see thin stems too thick (facts: perception), but none by more than `TOO_THICK`: nearer the pads do
+    Depth sensors see thin stems too thick (facts: perception), but none by more than 4.5 mm: nearer the pads do
     not come, and what they hold there is nothing. A stem that was measured too thin is pressed hard at once: the pads
     let go a little and close again from where they met it.
 
@@ -30,7 +28,8 @@ def close(gripper: Gripper, grasp: Grasp, press: float) -> GripperState:
         DeviceError: the force does not fit the way of the pads.
     """
     loose = 0.0005  # m around the stem: where a force cannot be set (facts: sawyer 3), position is the gentleness
-    expected, thinnest = max(grasp.stem_diameter + loose, THINNEST), max(grasp.stem_diameter - TOO_THICK, THINNEST)
+    too_thick = 0.0045  # m: two pixels at either edge, 1.1 mm each on a D455 at 0.7 m
+    expected, thinnest = max(grasp.stem_diameter + loose, THINNEST), max(grasp.stem_diameter - too_thick, THINNEST)
     state = _press(gripper, expected, press, thinnest)
     thickest = 0.012  # m: what is wider than the measured diameter by this is not the stem
     if expected + STEP < state.opening < expected + thickest:

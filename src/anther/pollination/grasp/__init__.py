@@ -40,8 +40,6 @@ __all__ = [
     "save_grasps",
 ]  # fmt: skip
 
-STROKE_MARGIN = 0.008
-"""The stem must be thinner than the stroke by this [m]."""
 STAND_OFF = 0.12
 """The straight way in begins this far back along the approach axis [m]."""
 
@@ -62,13 +60,7 @@ class Params:
 
 OFF_BY = 0.002
 """How far a closing gripper may pull the stem aside [m]: what is left of calibration and registration errors."""
-ROOT_STRAIN = 0.01
-"""Bending strain a stem bears (facts: pollination 6); pulled aside by d at height L, its root sees 3 r d / L^2."""
 
-TOWARD_TIPS = 0.006
-"""The stem stands this far from the pads' middle towards their tips [m], so that less of them reaches into the petioles
-behind it. With 8 mm closing strained the stem by 0.65 instead of 0.72 % in the mean (61 grasps of eight dense peppers,
-simulated), but lost it in 6 of 32 instead of 2 of 29."""
 OPENINGS = 1.0, 0.576
 """Of the pads on the way in, shares of the stroke, all tried: wide open forgives errors, half open fits between
 petioles."""
@@ -216,6 +208,7 @@ def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, towar
     spacing = 0.005  # m between stations along the stem
     straight = 0.014  # m, half of the piece that gives the stem's direction: little more than the pads hold
     root, top = 0.065, 0.05  # m left out at the stem's ends, each at most a quarter of it
+    toward_tips = 0.006  # m from the pads' middle to the stem, so that less of them reaches into petioles behind it
     candidates = candidates_along(
         stem,
         skeleton,
@@ -223,7 +216,7 @@ def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, towar
         spacing=max(spacing, length / 60),
         window=min(straight, length / 8),
         ends=(min(root, length / 4), min(top, length / 4)),
-        depth=gripper.depth + TOWARD_TIPS,
+        depth=gripper.depth + toward_tips,
     )
     if toward_base:
         few = (candidates.arc_length <= stem.arc_length[stem.fork]) | (candidates.station % 4 == 0)
@@ -261,8 +254,6 @@ STEM_CLEARANCE, OBSTACLE_CLEARANCE = 0.003, 0.015
 """Least distance of the open fingers from the stem's surface, and of the gripper from pot, soil and bench [m]."""
 SUPPORT_CLEARANCE = OFF_BY + DOUBT
 """Of the gripper from a string, stake or pole [m]: these are seen as well as the stem is."""
-APART = 0.012
-"""Along the stem, so that the next grasp differs when one fails [m]; at most a twentieth of the stem."""
 SLACK = 0.6
 """A grasp whose score is lower than the best's by more is a last resort: it is tried when the better ones failed."""
 DOUBTED = "probably not the main stem"
@@ -274,9 +265,10 @@ def _refusals(
     """Return per criterion which candidates (C,) can never be taken; `string` is the thickest string's diameter [m]."""
     doubtful = np.zeros(len(c.station), dtype=bool) if confidence is None else confidence < 0.5
     held = 2 * c.radius + np.where(met.enclosed[:, STRING] > 0, string, 0)
+    margin = 0.008  # m by which the stem must be thinner than the stroke
     return {
         DOUBTED: doubtful,
-        "thicker than the stroke": held > params.gripper.stroke - STROKE_MARGIN,
+        "thicker than the stroke": held > params.gripper.stroke - margin,
         "a support between the pads": met.enclosed[:, RIGID] > 0,
         "would hit a support": met.distance[:, [RIGID, STRING]].min(axis=1) < SUPPORT_CLEARANCE,
         "would hit pot or bench": met.distance[:, OBSTACLE] < OBSTACLE_CLEARANCE,
@@ -291,16 +283,18 @@ def _costs(c: Candidates, met: Clearance, cloud: Cloud, params: Params, length: 
     squeezed = met.squeezed(c.radius)
     aside = OFF_BY + np.minimum(squeezed / 2, 0.004)
     pushed = met.push * c.arc_length / (np.pi / 4 * np.maximum(c.radius, 1e-4) ** 3)  # strain at the root, M r / (E I)
+    # a stem bears it (facts: pollination 6); pulled aside by d at height L, its root sees 3 r d / L^2
+    root_strain = 0.01
     return {
         "brushes leaves": np.minimum(met.touched[:, LEAF] / 60, 1.5),  # they press with 0.5 N at most (measured)
         "brushes a flower": met.touched[:, FLOWER_POINT] / 3,
         "near a petiole": 0.7 * np.clip(1 - met.distance[:, BRANCH] / DOUBT, 0, 1),
-        "pushes a petiole": np.minimum(4.0 * pushed / ROOT_STRAIN, 6),
+        "pushes a petiole": np.minimum(4.0 * pushed / root_strain, 6),
         "a branch between the fingers": np.minimum(squeezed / 0.002, 6),
         "crowded with petioles": met.enclosed[:, BRANCH] / 6,  # 18 mm of them, in balls 3 mm apart
         "leaves between the fingers": np.minimum(met.enclosed[:, LEAF] / 10, 1),
         "near a flower": np.exp(-flower_distance / 0.03),
-        "near the root": 4.0 * (3 * c.radius * aside / np.maximum(c.arc_length, 1e-3) ** 2) / ROOT_STRAIN,
+        "near the root": 4.0 * (3 * c.radius * aside / np.maximum(c.arc_length, 1e-3) ** 2) / root_strain,
         "near an attachment": 0.3 * np.exp(-c.attachment_distance / 0.015),
         "bent stem": c.bend / 0.0007,
         "a string between the fingers": 1.0 * (met.enclosed[:, STRING] > 0),
@@ -311,10 +305,11 @@ def _costs(c: Candidates, met: Clearance, cloud: Cloud, params: Params, length: 
 
 
 def _first_reached(ranking: _Ranking, reach: Reach | None) -> list[Grasp]:
-    """Return the best candidates, `APART` from each other, that the arm confirms, until enough are found."""
+    """Return the best candidates, 12 mm from each other, that the arm confirms, until enough are found."""
     found, asked, refused = list[Grasp](), 0, set[bytes]()
     along = ranking.candidates.arc_length
-    apart, near_one = min(APART, float(along.max(initial=0)) / 20) - 1e-9, np.zeros(len(along), dtype=bool)
+    least_apart = 0.012  # m along the stem, so that the next grasp differs when one fails
+    apart, near_one = min(least_apart, float(along.max(initial=0)) / 20) - 1e-9, np.zeros(len(along), dtype=bool)
     wanted = 3  # grasps that the arm must confirm
     patience = 4  # times as often is the arm asked while it has confirmed nothing
     for i in ranking.order:

@@ -174,21 +174,9 @@ LEAST_ERROR, RELATIVE_ERROR = 0.0003, 0.1
 """An amplitude whose standard deviation is larger than both the former [m] and the latter's share of it counts as not
 measured."""
 
-LEAST_PIXELS = 0.2
-"""Swings smaller than this in the image are not measured [px]."""
 
 SIGNIFICANCE = 3.0
 """Nor are those smaller than this many standard deviations."""
-
-MEMBER_SPREAD = 0.15
-"""`SPREAD` of flowers that may be mixed up."""
-
-PHASE_ERROR = 0.05
-"""Of each flower, beside what the fit's residual tells [rad]; so that 98 % of the phases measured in films of
-development plants lay within two deviations."""
-
-DEPTHLESS = 0.2
-"""Standard deviation of the whole amplitude relative to its sideways part, where depth is not sure."""
 
 
 def _motion(times: Array, one: Followed, hint: float) -> _Motion | str:
@@ -205,7 +193,8 @@ def _motion(times: Array, one: Followed, hint: float) -> _Motion | str:
     if np.isfinite(clean[:, 0]).mean() < SEEN_SHARE:
         return lost
     amplitude, noise = swing.amplitude, swing.amplitude_std
-    limit = max(SIGNIFICANCE * noise, LEAST_PIXELS * one.pixel)
+    least_pixels = 0.2  # of a swing in the image
+    limit = max(SIGNIFICANCE * noise, least_pixels * one.pixel)
     sideways = float(np.linalg.norm(np.nanstd(clean - swing.at(times), axis=0)[:2]))
     jumps = sideways > max(RESIDUAL_PIXELS * one.pixel, RELATIVE_RESIDUAL * amplitude)
     if jumps or noise > max(LEAST_ERROR, RELATIVE_ERROR * amplitude):
@@ -214,8 +203,10 @@ def _motion(times: Array, one: Followed, hint: float) -> _Motion | str:
         return _UNSEEN._replace(at_most=limit)
     weight = 1 / np.maximum(swing.axis_std, 0.3 * swing.axis_std.max())  # the surer an axis, the more it tells
     frequency, span = find_frequency(times, clean * weight, hint), float(np.ptp(times))
-    usual = amplitude * (MEMBER_SPREAD if one.mixed else SPREAD)
+    mixed_up = 0.15  # `SPREAD` of flowers that may be mixed up
+    usual = amplitude * (mixed_up if one.mixed else SPREAD)
     spread = float(np.linalg.norm([noise, LEAST_SPREAD, usual, np.hypot(amplitude, unseen) - amplitude]))
+    phase_error = 0.05  # rad, beside what the residual tells: 98 % of phases in films lay within two deviations
     return _Motion(
         direction=swing.direction,
         amplitude=amplitude,
@@ -223,7 +214,7 @@ def _motion(times: Array, one: Followed, hint: float) -> _Motion | str:
         frequency=frequency,
         frequency_std=float(np.sqrt(3) / np.pi * noise / amplitude / span),
         phase=swing.phase,
-        phase_std=float(np.hypot(noise / amplitude, PHASE_ERROR)),
+        phase_std=float(np.hypot(noise / amplitude, phase_error)),
         # in depth noise passes for overtones
         acceleration_peak=swing.acceleration(limit, axes=2) * (frequency / hint) ** 2,
         at_most=float("nan"),
@@ -241,7 +232,8 @@ def _without_noisy_depth(times: Array, track: Array, hint: float, deep: bool) ->
     sure = deep and noise <= max(LEAST_ERROR, RELATIVE_ERROR * across)
     if sure and size >= SIGNIFICANCE * noise:
         return track, 0.0
-    unseen = SIGNIFICANCE * noise if sure else across * np.sqrt((1 + DEPTHLESS) ** 2 - 1)
+    depthless = 0.2  # spread of the whole amplitude relative to its sideways part, where depth is not sure
+    unseen = SIGNIFICANCE * noise if sure else across * np.sqrt((1 + depthless) ** 2 - 1)
     return flat, float(unseen)
 
 

@@ -26,8 +26,6 @@ NEAR = 0.02
 """A point is visible where the measured depth agrees with its own within this [m]."""
 SLOW = 4
 """Number of Legendre polynomials fitted for slow motion: wind and decaying swings."""
-SPARE = 5
-"""Least number of degrees of freedom of a fit."""
 LEAST_ERROR = 0.03
 """Least error of a position [px]: a guess, about the noise in films without motion."""
 NO_OVERTONES = np.zeros((0, 0, 3), np.complex128)
@@ -175,13 +173,14 @@ def likeness(rate: float, seconds: float, tones: Array) -> float:
 
     It is the variance of the tone that is told worst over what it would be beside no other and no slow motion. Tones
     above half the rate seem slower than they are; known ones may (stroboscope), as long as no two seem alike. Infinite
-    where there are not `SPARE` more frames than numbers that are fitted.
+    where there are not five more frames than numbers that are fitted.
     """
     return _alike(np.arange(int(seconds * rate)) / rate, tones)
 
 
 def _alike(times: Array, tones: Array) -> float:
-    if len(times) < 2 * len(tones) + SLOW + SPARE:
+    spare = 5  # least number of degrees of freedom of a fit
+    if len(times) < 2 * len(tones) + SLOW + spare:
         return float("inf")
     _, inverse_gram = _solved(_basis(times, tones), times[:, None])
     return float(inverse_gram.diagonal()[:-SLOW].max()) * len(times) / 2

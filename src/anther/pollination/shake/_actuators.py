@@ -47,11 +47,6 @@ class Actuator:
     delivers: Delivery = exactly
 
 
-_LATERAL = np.array([180, 45, 20, 7.2, 2.8, 1.8, 0.80, 0.45, 0.20]) * 1e-3
-_APPROACH = np.array([111, 28, 12, 4.4, 1.7, 1.1, 0.49, 0.28, 0.12]) * 1e-3
-_VERTICAL = np.array([122, 30, 13.5, 4.9, 1.9, 1.2, 0.54, 0.30, 0.14]) * 1e-3
-
-
 def sawyer_limit(grasp: Grasp, direction: Array, frequencies: Array) -> Array:
     """Return the amplitude (Q,) [m] that a Sawyer manages at the paper's grasp, whatever the grasp's joints are.
 
@@ -64,7 +59,10 @@ def sawyer_limit(grasp: Grasp, direction: Array, frequencies: Array) -> Array:
     vertical /= max(float(np.linalg.norm(vertical)), 1e-6)  # straight down there is none: all else is lateral
     along, up = abs(float(direction @ grasp.approach)), abs(float(direction @ vertical))
     aside = float(np.sqrt(max(direction @ direction - along**2 - up**2, 0.0)))
-    shares = ((along, _APPROACH), (up, _VERTICAL), (aside, _LATERAL))
+    lateral = np.array([180, 45, 20, 7.2, 2.8, 1.8, 0.80, 0.45, 0.20]) * 1e-3
+    approach = np.array([111, 28, 12, 4.4, 1.7, 1.1, 0.49, 0.28, 0.12]) * 1e-3
+    upward = np.array([122, 30, 13.5, 4.9, 1.9, 1.2, 0.54, 0.30, 0.14]) * 1e-3
+    shares = ((along, approach), (up, upward), (aside, lateral))
     return 1 / np.maximum(np.sum([share / _amplitude(table, f) for share, table in shares], axis=0), 1e-9)
 
 
@@ -100,12 +98,11 @@ def arm_shaker(limit: Limit = sawyer_limit) -> Actuator:
 STROKE, ACCELERATION = 1.5e-3, 50.0
 """Largest amplitude of the gripper's motor, half of peak to peak [m]; what it gives [m/s2]: that moves a flower with 50
 m/s2 at gain 1, 0.51 mm at 50 Hz (facts: pollination 1b)."""
-RAMPS = 0.97
-"""Share of a motor's limits that a steady shake may take: a ramp over half a second adds 1 % at 10 Hz."""
 
 
 def _motor_limit(_: Grasp, __: Array, frequencies: Array) -> Array:
-    return RAMPS * np.minimum(STROKE, ACCELERATION / (2 * np.pi * np.asarray(frequencies, dtype=float)) ** 2)
+    ramps = 0.97  # share of a motor's limits: a ramp over half a second adds 1 % at 10 Hz
+    return ramps * np.minimum(STROKE, ACCELERATION / (2 * np.pi * np.asarray(frequencies, dtype=float)) ** 2)
 
 
 def _motor_delivers(frequencies: Array) -> tuple[Array, Array]:

@@ -173,8 +173,6 @@ def best(found: Search, *, avoid: Place | None = None) -> Place:
     return int(q), int(g), int(d)
 
 
-QUICK = 2.0
-"""Slower frequencies are not tried beside the plan's own [Hz]: watching one takes two seconds and more."""
 APART = 1.15
 """Frequencies worth trying are this factor from each other: responses lose their likeness within 40 %."""
 
@@ -196,9 +194,10 @@ def find_candidates(found: Search, at: Place, most: int, earlier: EarlierShake |
         return CandidateShakes(found.frequencies[[q]], directions[:1], np.minimum(earlier.amplitude, own), own)
     promise = found.score[:, g, lines].max(axis=1)
     chosen = [q]
+    slowest = 2.0  # Hz beside the plan's own: watching a slower one takes two seconds and more
     for k in np.argsort(-promise, kind="stable"):
         far = np.abs(np.log(found.frequencies[chosen] / found.frequencies[k])).min() >= np.log(APART)
-        if far and found.frequencies[k] >= QUICK and promise[k] > 0 and len(chosen) < most:
+        if far and found.frequencies[k] >= slowest and promise[k] > 0 and len(chosen) < most:
             chosen.append(int(k))
     return CandidateShakes(found.frequencies[chosen], directions, size[chosen], reach[chosen])
 
