@@ -170,11 +170,6 @@ _NUMBERS = tuple(name for name in _Motion._fields if name != "direction")
 _UNSEEN = _Motion(np.full(3, np.nan), *[float("nan")] * len(_NUMBERS))
 
 
-LEAST_ERROR, RELATIVE_ERROR = 0.0003, 0.1
-"""An amplitude whose standard deviation is larger than both the former [m] and the latter's share of it counts as not
-measured."""
-
-
 SIGNIFICANCE = 3.0
 """Nor are those smaller than this many standard deviations."""
 
@@ -197,7 +192,7 @@ def _motion(times: Array, one: Followed, hint: float) -> _Motion | str:
     limit = max(SIGNIFICANCE * noise, least_pixels * one.pixel)
     sideways = float(np.linalg.norm(np.nanstd(clean - swing.at(times), axis=0)[:2]))
     jumps = sideways > max(RESIDUAL_PIXELS * one.pixel, RELATIVE_RESIDUAL * amplitude)
-    if jumps or noise > max(LEAST_ERROR, RELATIVE_ERROR * amplitude):
+    if jumps or noise > _most_noise(amplitude):
         return "did not swing with the shake: partly hidden or confused. Shake less, or move the side camera"
     if amplitude < limit:
         return _UNSEEN._replace(at_most=limit)
@@ -221,6 +216,11 @@ def _motion(times: Array, one: Followed, hint: float) -> _Motion | str:
     )
 
 
+def _most_noise(amplitude: float) -> float:
+    """Return the standard deviation [m] up to which an amplitude [m] counts as measured: 0.3 mm, or a tenth of it."""
+    return max(0.0003, 0.1 * amplitude)
+
+
 def _without_noisy_depth(times: Array, track: Array, hint: float, deep: bool) -> tuple[Array, float]:
     """Return the track (T, 3), without motion in depth where that is only noise, and how large it may have been [m].
 
@@ -229,7 +229,7 @@ def _without_noisy_depth(times: Array, track: Array, hint: float, deep: bool) ->
     flat = track * (np.nanmedian(track[:, 2]) / track[:, 2:])
     swing, across = fit_swing(times, track, hint), fit_swing(times, flat, hint).amplitude
     size, noise = float(np.linalg.norm(swing.coefficients[:2, 2])), float(swing.axis_std[2])
-    sure = deep and noise <= max(LEAST_ERROR, RELATIVE_ERROR * across)
+    sure = deep and noise <= _most_noise(across)
     if sure and size >= SIGNIFICANCE * noise:
         return track, 0.0
     depthless = 0.2  # spread of the whole amplitude relative to its sideways part, where depth is not sure
