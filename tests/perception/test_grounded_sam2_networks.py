@@ -27,7 +27,6 @@ from anther.perception.masks._networks import (  # noqa: E402
     SAM2_MEAN,
     SAM2_STD,
     SAM3_MEAN,
-    TEXT_LENGTH,
     GroundedSam2,
     Sam3,
     chosen_boxes,
@@ -203,7 +202,7 @@ def test_sam3_agrees_with_the_whole_network_run_on_one_image(models: Path, image
     for image, (masks, word) in zip(images, ours, strict=True):
         assert len(masks) == len(word) > 0
         for k, words in enumerate(("leaves", "stem", "flower")):
-            text = tokenizer([words], padding="max_length", max_length=TEXT_LENGTH, return_tensors="pt")
+            text = tokenizer([words], padding="max_length", max_length=32, return_tensors="pt")
             with torch.inference_mode():
                 answer = whole(pixel_values=normalised(image[None], (56, 56), CPU, SAM3_MEAN, SAM3_MEAN), **text)
             score = (answer.pred_logits[0].sigmoid() * answer.presence_logits[0].sigmoid()).numpy()

@@ -18,7 +18,7 @@ from anther.core.errors import StageFailure
 from anther.perception.cloud import Cloud
 from anther.perception.skeleton import Skeleton
 from anther.perception.stem import BRANCH, LEAF, STEM, TRUSS, Stem
-from anther.perception.traits import LEVELS, REACH, measure, measure_cloud, organs_of
+from anther.perception.traits import LEVELS, measure, measure_cloud, organs_of
 
 STEP, NODES = 0.01, 41
 LIMBS = {10: (60.0, 30.0, LEAF), 20: (90.0, 200.0, TRUSS), 32: (45.0, 350.0, BRANCH)}
@@ -90,7 +90,7 @@ def test_angles_are_to_the_stem_and_not_to_the_vertical(lean: float) -> None:
 def test_a_limb_that_bends_is_measured_where_it_leaves() -> None:
     skeleton, stem = plant()
     nodes = skeleton.nodes.copy()
-    beyond = NODES + np.arange(int(REACH / STEP), 12)  # of the first limb, which then hangs straight down
+    beyond = NODES + np.arange(int(0.03 / STEP), 12)  # of the first limb, which then hangs straight down
     nodes[beyond] = nodes[beyond[0] - 1] - np.outer(np.arange(1, len(beyond) + 1) * STEP, [0, 0, 1])
     found = measure(Skeleton(nodes, skeleton.parent, skeleton.radius), stem)
     assert found.limbs[0].angle_deg == pytest.approx(60)

@@ -20,8 +20,6 @@ from anther.pollination.escalation import Escalation, Params
 from anther.pollination.escalation import _foresight as foresight_module
 from anther.pollination.escalation._knowledge import (
     ARM_ASIDE,
-    DAMPING,
-    MOST_GROWTH,
     Answer,
     Observation,
     draw_gripper_errors,
@@ -169,9 +167,9 @@ def test_a_flower_moves_away_no_further_than_the_members_say_nor_beside_what_was
 
 
 def test_a_swing_counts_as_what_it_grows_to_and_as_it_is_where_it_dies_out() -> None:
-    rate = 2 * np.pi * 17.0 * DAMPING
+    rate = 2 * np.pi * 17.0 * 0.03
     seen = Swings(np.full((2, 1, 3), 1.0 - 2.0j), np.full((2, 3), 0.1), np.tile(np.eye(3), (2, 1, 1)))
-    for share, times in ((0.0, 1.0), (0.5, 1.5), (-0.5, 1.0), (9.0, MOST_GROWTH)):
+    for share, times in ((0.0, 1.0), (0.5, 1.5), (-0.5, 1.0), (9.0, 3.0)):
         found = extrapolate_growth(seen._replace(growing=share * rate), 17.0)
         assert found.phasors == pytest.approx(times * seen.phasors)
         assert found.std == pytest.approx(times * seen.std)

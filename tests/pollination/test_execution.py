@@ -16,7 +16,7 @@ from small_planner import SmallPlanner, solve
 from anther.core.errors import InputError, StageFailure
 from anther.core.geometry import Array
 from anther.core.oscillation import alias, choose_rate
-from anther.pollination.execution import APPROACH_SPEED, CALM, PHASES, SETTLE, Trial, execute
+from anther.pollination.execution import APPROACH_SPEED, PHASES, Trial, execute
 from anther.pollination.execution._closing import ENOUGH, STEP
 from anther.pollination.grasp import STAND_OFF, Grasp
 from anther.robot.arm import sawyer
@@ -66,7 +66,7 @@ def test_an_arm_with_one_joint_elsewhere_reaches_before_it_approaches(joint: int
 
 @pytest.mark.parametrize(
     ("squeezed", "wait"),
-    [(0.0, SETTLE), (0.0019, SETTLE), (0.004, CALM), (None, CALM)],
+    [(0.0, 0.6), (0.0019, 0.6), (0.004, 2.0), (None, 2.0)],
 )
 def test_pads_that_press_a_petiole_wait_until_it_is_calm(squeezed: float | None, wait: float) -> None:
     trial = execute(PLANNER, Plan(replace(GRASP, squeezed=squeezed)), fake_robot(), LIMITS)

@@ -10,20 +10,8 @@ from numpy.typing import NDArray
 
 from anther.core.geometry import Array, Intrinsics
 from anther.plant.limits import MOVED, moved
-from anther.pollination.response import (
-    DEPTHLESS,
-    LEAST_PIXELS,
-    MEMBER_SPREAD,
-    PHASE_ERROR,
-    SIGNIFICANCE,
-    _Motion,
-    _motion,
-    _named,
-    _notes,
-    _without_noisy_depth,
-)
+from anther.pollination.response import SIGNIFICANCE, _Motion, _motion, _named, _notes, _without_noisy_depth
 from anther.pollination.response._following import (
-    CROWD,
     FLOWER_RADIUS,
     Followed,
     _begin,
@@ -94,22 +82,22 @@ def test_a_quiet_swings_deviation_is_that_share_of_it_which_a_turning_flower_sho
         np.hypot(SPREAD * 0.005, LEAST_SPREAD), rel=0.02
     )
     mixed = measured(track(0.003, 0.004), mixed=True)
-    assert mixed.amplitude_std == pytest.approx(np.hypot(MEMBER_SPREAD * 0.005, LEAST_SPREAD), rel=0.02)
+    assert mixed.amplitude_std == pytest.approx(np.hypot(0.15 * 0.005, LEAST_SPREAD), rel=0.02)
 
 
 def test_where_depth_is_not_sure_the_whole_swing_may_be_larger_by_a_share() -> None:
     found = measured(track(0.005), deep=False)
-    every = [SPREAD * 0.005, LEAST_SPREAD, DEPTHLESS * 0.005]
+    every = [SPREAD * 0.005, LEAST_SPREAD, 0.2 * 0.005]
     assert found.amplitude_std == pytest.approx(np.linalg.norm(every), rel=0.02)
     assert found.direction == pytest.approx([1, 0, 0], abs=0.05)
 
 
 def test_noise_counts_in_the_deviations_of_amplitude_and_phase() -> None:
     quiet, noisy = measured(track(0.005, noise=1e-5)), measured(track(0.005, noise=1e-3, deep_noise=1e-3), pixel=5e-3)
-    assert quiet.phase_std == pytest.approx(PHASE_ERROR, rel=0.01)
+    assert quiet.phase_std == pytest.approx(0.05, rel=0.01)
     error = 1e-3 * np.sqrt(2 / 120)
-    assert noisy.phase_std == pytest.approx(np.hypot(error / 0.005, PHASE_ERROR), rel=0.1)
-    assert noisy.phase_std > 1.08 * PHASE_ERROR
+    assert noisy.phase_std == pytest.approx(np.hypot(error / 0.005, 0.05), rel=0.1)
+    assert noisy.phase_std > 1.08 * 0.05
     assert noisy.amplitude_std > quiet.amplitude_std
 
 
@@ -130,7 +118,7 @@ def test_the_surer_an_axis_the_more_it_tells_the_frequency() -> None:
 
 
 def test_a_swing_below_a_share_of_a_pixel_is_not_told() -> None:
-    least = LEAST_PIXELS * PIXEL
+    least = 0.2 * PIXEL
     assert measured(track(1.05 * least, noise=1e-6)).amplitude == pytest.approx(1.05 * least, rel=0.02)
     faint = measured(track(0.95 * least, noise=1e-6))
     assert faint.at_most == pytest.approx(least)
@@ -144,7 +132,7 @@ def test_nor_is_one_that_noise_hides() -> None:
     clear, faint = (_motion(times, one(track(size, noise=noise)[:40]), F) for size in (8 * error, 0.0))
     assert cast(_Motion, clear).amplitude > SIGNIFICANCE * error
     assert cast(_Motion, faint).at_most == pytest.approx(SIGNIFICANCE * error, rel=0.35)
-    assert cast(_Motion, faint).at_most > 1.1 * LEAST_PIXELS * PIXEL
+    assert cast(_Motion, faint).at_most > 1.1 * 0.2 * PIXEL
 
 
 def test_a_track_off_its_swing_by_three_quarters_of_a_pixel_jumps_from_petal_to_petal() -> None:
@@ -356,7 +344,7 @@ def test_flowers_at_several_depths_are_looked_for_from_before_the_nearest_to_beh
 
 def test_in_a_crowd_flowers_are_looked_for_where_they_should_be() -> None:
     """The petals' middle would be that of the crowd; of two farther apart each has its own."""
-    for apart, crowded in ((0.8 * CROWD * RADIUS, True), (1.7 * CROWD * RADIUS, False)):
+    for apart, crowded in ((0.8 * 2.0 * RADIUS, True), (1.7 * 2.0 * RADIUS, False)):
         homes = np.array([[90.0, 80.0], [90.0 + apart, 80.0]])
         shown = homes + np.array([[0.0, 0.0], [0.0, 1.6]])
         pixels, _ = placed(picture(0.0, shown), CAMERA, at_rest(homes))

@@ -17,15 +17,11 @@ from anther.perception.skeleton import Skeleton
 from anther.perception.stem import BRANCH, STEM, Stem
 from anther.pollination import grasp
 from anther.pollination.grasp import (
-    APART,
     DOUBT,
     OBSTACLE_CLEARANCE,
     OFF_BY,
-    ROOT_STRAIN,
     STAND_OFF,
-    STROKE_MARGIN,
     SUPPORT_CLEARANCE,
-    TOWARD_TIPS,
     Grasp,
     Params,
     _costs,
@@ -97,7 +93,7 @@ def test_frame_conventions():
         np.testing.assert_allclose(g.tangent, tilt[:, 2], atol=1e-9)
         assert abs(y @ g.tangent) < 1e-9
         assert abs(x @ g.tangent) == pytest.approx(1)
-        np.testing.assert_allclose(p + (GripperShape().depth + TOWARD_TIPS) * z, g.point, atol=1e-12)
+        np.testing.assert_allclose(p + (GripperShape().depth + 0.006) * z, g.point, atol=1e-12)
         np.testing.assert_allclose(g.pregrasp(0.1)[:3, 3], p - 0.1 * z, atol=1e-12)
 
 
@@ -114,7 +110,7 @@ def test_ranked_and_one_per_place():
     assert scores == sorted(scores, reverse=True)
     arcs = np.sort([g.arc_length for g in grasps])
     assert len(arcs) > 20
-    assert np.diff(arcs).min() > APART - 1e-6, "the next grasp is another place"
+    assert np.diff(arcs).min() > 0.012 - 1e-6, "the next grasp is another place"
 
 
 def test_best_grasp_is_away_from_branches_and_leaf():
@@ -545,7 +541,7 @@ def test_half_of_what_the_pads_fold_pulls_the_stem_aside_and_strains_its_root():
         spread[:, PETIOLE] = c.radius + folded
         cost = _costs(c, replace(ranking.met, spread=spread), cloud, Params(), 0.5)["near the root"]
         strain = 3 * c.radius * (OFF_BY + folded / 2) / c.arc_length**2
-        np.testing.assert_allclose(cost, strain / (0.25 * ROOT_STRAIN))
+        np.testing.assert_allclose(cost, strain / (0.25 * 0.01))
 
 
 def test_the_reason_tells_thickness_and_clearance_in_millimetres():
@@ -646,7 +642,7 @@ def test_a_stem_twice_as_thick_is_strained_an_eighth_by_what_is_pushed_aside():
 
 @pytest.mark.parametrize(("less", "refused"), [(0.5, True), (1.5, False)])
 def test_a_stem_needs_the_margin_between_the_open_pads(less, refused):
-    radius = (GripperShape().stroke - less * STROKE_MARGIN) / 2
+    radius = (GripperShape().stroke - less * 0.008) / 2
     ranking = _rank(*make_plant(branches=(), radius=radius), Params(), toward_base=False)
     assert ranking.fell["thicker than the stroke"] == refused * len(ranking.candidates.station)
 

@@ -16,7 +16,6 @@ from anther.pollination.escalation._knowledge import measure_sharpness
 from anther.pollination.response._petals import smoothed
 from anther.pollination.response.points import (
     SLOW,
-    SPARE,
     Sight,
     Swings,
     _basis,
@@ -153,8 +152,8 @@ def test_tones_that_frames_cannot_tell_apart_look_alike(tones: list[float], why:
 @pytest.mark.parametrize("tones", [[4.0], [3.0, 5.0, 7.5], [2.0, 3.5, 5.0, 6.5, 8.0]])
 def test_tones_are_told_only_by_more_frames_than_there_are_numbers_to_fit(tones: list[float]) -> None:
     fitted = 2 * len(tones) + SLOW
-    assert likeness(30.0, (fitted + SPARE - 0.5) / 30, np.array(tones)) == np.inf
-    assert likeness(30.0, (fitted + SPARE + 0.5) / 30, np.array(tones)) < np.inf
+    assert likeness(30.0, (fitted + 5 - 0.5) / 30, np.array(tones)) == np.inf
+    assert likeness(30.0, (fitted + 5 + 0.5) / 30, np.array(tones)) < np.inf
 
 
 @pytest.mark.parametrize("rate", [1.6, 0.0, -1.6])

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from test_execution import GRASP, PLANNER, Plan
 
 from anther.pollination.execution import execute, lost_grip
-from anther.pollination.execution._closing import STEP, TOO_THICK
+from anther.pollination.execution._closing import STEP
 from anther.robot.devices import DeviceError, GripperState
 from anther.robot.safety import GuardedGripper, check_idle
-from anther.robot.safety._grip import IDLE, SEVERAL, SOFTEST
+from anther.robot.safety._grip import IDLE, SOFTEST
 
 OPEN = GripperState(GRASP.opening, 0.0, False)
 
@@ -127,10 +127,10 @@ def test_pads_that_met_hold_nothing() -> None:
 
 
 def test_the_pads_come_no_nearer_than_the_thinnest_stem_that_can_be() -> None:
-    gripper = ElasticStem(width=GRASP.stem_diameter - TOO_THICK - STEP)
+    gripper = ElasticStem(width=GRASP.stem_diameter - 0.0045 - STEP)
     trial = execute(PLANNER, Plan(), fake_robot(FakeArm(), gripper), LIMITS)
     assert trial.failure == "nothing_grasped"
-    assert min(gripper.commands) == pytest.approx(GRASP.stem_diameter - TOO_THICK)
+    assert min(gripper.commands) == pytest.approx(GRASP.stem_diameter - 0.0045)
 
 
 @given(st.floats(SOFTEST * 1.01, 1e5), st.integers(1, 12))
@@ -171,7 +171,7 @@ def test_pads_that_something_holds_off_press_on_it() -> None:
     assert "got 0.0 N" in trial.stop_reason
     assert "held off by something" in trial.stop_reason
     assert (trial.failure, trial.phases[-1]) == ("device_fault", "retreat")
-    assert min(gripper.commands) == pytest.approx(0.008 - SEVERAL)
+    assert min(gripper.commands) == pytest.approx(0.008 - 1.5e-3)
 
 
 @given(st.floats(-0.5, 19.0), st.floats(0.0, 0.1))
@@ -180,12 +180,12 @@ def test_a_force_that_only_trembles_while_the_pads_close_is_stuck(force: float, 
     gripper = ElasticStem(lambda _, s: replace(s, force=force + tremble * rng.normal(), is_gripping=True))
     gripper.move(0.03)
     guarded = GuardedGripper(gripper, LIMITS)
-    steps = round(SEVERAL / STEP)
+    steps = round(1.5e-3 / STEP)
     for k in range(steps):
         guarded.move(0.008 - k * STEP)
     with pytest.raises(DeviceError, match="changed by"):
         guarded.move(0.008 - steps * STEP)
-    assert gripper.commands[-1] == pytest.approx(0.008 - SEVERAL)
+    assert gripper.commands[-1] == pytest.approx(0.008 - 1.5e-3)
 
 
 def test_a_stem_that_one_pad_bends_away_is_no_stuck_force() -> None:

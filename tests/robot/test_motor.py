@@ -32,7 +32,7 @@ FIRST = Swing.first([30.0], [1e-3], 0.6, 0.3)
 LAST = FIRST.then([0.0], 0.2, 0.2)
 
 
-def holding(truth: Truth = NOMINAL, coil: float = arm_model.COIL_FORCE, plant: SimPlant | None = None) -> Cell:
+def holding(truth: Truth = NOMINAL, coil: float = arm_model.COIL.force, plant: SimPlant | None = None) -> Cell:
     """Return a cell whose gripper holds the stem of a plant, and in which a motor shakes it."""
     cell = Cell(plant or straight_plant(), Q, Params(coil_force=coil), truth)
     SimGripper(cell).move(0.0)
@@ -62,7 +62,7 @@ def test_pads_that_hold_a_stem_easily_do_not_let_it_drift_away() -> None:
     """The twentieth part of what friction bears pulls; damped softly, MuJoCo's friction lets 1.5 mm a second go by."""
     T = transform(np.array([[-0.032, -0.001, 0.999], [0.031, -1, 0], [0.999, 0.031, 0.032]]), (0.593, 0, 0.087))
     plant = simulated_cell.grow("tomato", 10000, 0.0, simulated_cell.usual_distance(SAWYER), draw(10000))
-    cell = Cell(plant, solve(T), Params(coil_force=arm_model.COIL_FORCE))
+    cell = Cell(plant, solve(T), Params(coil_force=arm_model.COIL.force))
     SimGripper(cell).move(0.0)
     begin, first = cell.time, Swing.first([38.6], [0.6e-3], 1.0, 0.2)
     SimMotor(cell).swing(first, None, then(first.then([0.0], 0.2, 0.2)))

@@ -16,7 +16,7 @@ from anther.core.geometry import Array
 from anther.robot.arm import sawyer
 from anther.robot.arm.planner import Planner
 from anther.robot.arm.shaking import swing_trajectory
-from anther.robot.swing import RAMP_PERIODS, Swing, motion, whole_shake
+from anther.robot.swing import Swing, motion, whole_shake
 
 TONES = np.array([2.5, 4.1, 7.3])
 SIZES = st.lists(st.floats(0, 0.01), min_size=3, max_size=3)
@@ -86,7 +86,7 @@ def test_a_whole_shake_is_a_sine_between_two_smooth_ends(amplitude: float, frequ
     t = np.linspace(0, duration, 40001)
     both = whole_shake(amplitude, frequency, duration)
     d, rate = motion(both, t)
-    omega, ramp = 2 * np.pi * frequency, min(RAMP_PERIODS / frequency, duration / 2)
+    omega, ramp = 2 * np.pi * frequency, min(3 / frequency, duration / 2)
     steady = (t > ramp) & (t < duration - ramp)
     np.testing.assert_allclose(d[steady], amplitude * np.sin(omega * t[steady]), rtol=0, atol=1e-9)
     assert np.abs(d).max() <= amplitude * (1 + 1e-9)

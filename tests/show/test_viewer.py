@@ -31,7 +31,7 @@ from anther.show.results import RunResults
 from anther.show.run_scene import arm_of
 from anther.show.viewer import write_html
 from anther.show.viewer._motion import RATE, motion_of
-from anther.show.viewer._scene import VIEW_FROM, build_scene
+from anther.show.viewer._scene import build_scene
 
 FREQUENCY, SECONDS, SWING = 4.0, 2.0, 0.01
 FIRM = Pads(stiffness=1e9, turning=1e6, stiffness_spread=0.0, turning_spread=0.0)
@@ -129,7 +129,7 @@ def in_picture(points: Any, results: RunResults, height: float) -> Any:
     sees 75 degrees."""
     assert results.cloud is not None
     middle = results.cloud.points.mean(axis=0)
-    T = look_at(middle + VIEW_FROM, middle)
+    T = look_at(middle + np.array([0.4, -0.6, 0.2]), middle)
     seen = (points - T[:3, 3]) @ T[:3, :3]
     return height / 2 / np.tan(np.radians(75) / 2) * seen[..., :2] / seen[..., 2:]
 

@@ -16,7 +16,7 @@ from anther.core.errors import StageFailure
 from anther.robot.arm import sawyer
 from anther.robot.devices import JointTrajectory
 from anther.sim import growth, plant_mechanics
-from anther.sim.cell import FINE, LOG_EVERY, Cell, Params, mujoco
+from anther.sim.cell import FINE, Cell, Params, mujoco
 from anther.sim.pepper import grow_pepper
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.plant_mechanics import leaf_boxes
@@ -55,7 +55,7 @@ def test_free_decay_has_the_frequency_and_damping_ratio_asked_for() -> None:
     x = path[:, np.argmax(np.ptp(path, axis=0)[:2])]
     peaks = find_peaks(x - x.mean())[0]
     height = x[peaks] - x[-200:].mean()
-    frequency = 1 / (np.diff(peaks).mean() * LOG_EVERY * cell.params.timestep)
+    frequency = 1 / (np.diff(peaks).mean() * 2 * cell.params.timestep)
     ratio = np.log(height[0] / height[6]) / 6 / (2 * np.pi)
     assert frequency == pytest.approx(cell.mechanics.frequencies[0], rel=5e-3)
     assert ratio == pytest.approx(0.03, rel=0.1)

@@ -17,7 +17,6 @@ from packaging.requirements import Requirement
 
 from anther.cli.args.doctor import Args
 
-LEAST_PYTHON = (3, 11)
 LEAST_DISK = 1e9
 """Free space that a few trials take [bytes]: one is some 60 MB."""
 FOR = {
@@ -77,8 +76,9 @@ def run(args: Args) -> int:
 
 def _python() -> Examined:
     found = f"{platform.python_version()} on {platform.platform()}, {os.cpu_count()} cores"
-    if sys.version_info[:2] < LEAST_PYTHON:
-        return Examined("Python", "wrong", found, f"Anther needs Python {LEAST_PYTHON[0]}.{LEAST_PYTHON[1]} or newer.")
+    least = (3, 11)
+    if sys.version_info[:2] < least:
+        return Examined("Python", "wrong", found, f"Anther needs Python {least[0]}.{least[1]} or newer.")
     return Examined("Python", "ok", found)
 
 

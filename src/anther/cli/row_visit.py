@@ -16,8 +16,6 @@ from anther.show.summary import summarise
 from anther.sim import Row, SimulatedCell, build_row, mapped_hook
 from anther.sim.judge import Verdict, judge
 
-ENTRY, TRAVEL = 120.0, 2.0
-"""Time to enter a row, and from one stem to the next, 0.4 m at 0.3 m/s until the cart stands (guesses) [s]."""
 BY_THE_SIMULATOR = {"cell", "capture", "execution", "judge"}
 """Stages whose time is the simulator's, not this computer's."""
 
@@ -50,7 +48,9 @@ def visit_stem(row: Row, order: Order, history: str, folder: Path) -> Report:
     stages = run.seconds.keys() - BY_THE_SIMULATOR
     thought = sum(min(run.seconds[stage], run.cpu_seconds[stage]) for stage in stages)
     moved = (visit.simulated_capture_seconds or 0.0) + (visit.simulated_execution_seconds or 0.0)
-    travel = ENTRY if order.enters else TRAVEL
+    entry = 120.0  # s to enter a row (a guess)
+    to_stem = 2.0  # s from one stem to the next, 0.4 m at 0.3 m/s until the cart stands (a guess)
+    travel = entry if order.enters else to_stem
     return Report(visit, order.begin + timedelta(seconds=travel + moved + thought))
 
 

@@ -25,11 +25,6 @@ from anther.perception.capture import Capture, in_threads
 SHARE = "share.json"
 """What was masked, what grows there, and what others may do with it."""
 FRONT, SIDE = "haarcascade_frontalface_alt2.xml", "haarcascade_profileface.xml"
-MARGIN = 0.25
-"""By which a box round a face is wider on each side: hair and ears tell who it is too (a guess) [-]."""
-GREY = 128
-EPOCH = (1980, 1, 1, 0, 0, 0)
-"""Time of every file in an archive: the earliest that a .zip can say."""
 Box = tuple[int, int, int, int, int]
 """View, and x, y, width, height of its part [px]."""
 
@@ -100,8 +95,9 @@ def _cascade(name: str) -> Any:
 
 def _widened(box: tuple[int, ...], shape: tuple[int, ...]) -> tuple[int, int, int, int]:
     x, y, w, h = (int(value) for value in box)
-    x0, y0 = max(int(x - MARGIN * w), 0), max(int(y - MARGIN * h), 0)
-    x1, y1 = min(int(x + (1 + MARGIN) * w), shape[1]), min(int(y + (1 + MARGIN) * h), shape[0])
+    margin = 0.25  # on each side, of a box round a face: hair and ears tell who it is too (a guess)
+    x0, y0 = max(int(x - margin * w), 0), max(int(y - margin * h), 0)
+    x1, y1 = min(int(x + (1 + margin) * w), shape[1]), min(int(y + (1 + margin) * h), shape[0])
     return x0, y0, x1 - x0, y1 - y0
 
 
@@ -130,7 +126,7 @@ def masked(capture: Capture, boxes: list[Box]) -> Capture:
         part = view, slice(y, y + height), slice(x, x + width)
         depth[part] = 0
         if rgb is not None:
-            rgb[part] = GREY
+            rgb[part] = 128
     return replace(capture, depth=depth, rgb=rgb)
 
 
@@ -142,6 +138,7 @@ def _write(capture: Capture, about: dict[str, Any], folder: Path) -> None:
 def _archive(folder: Path, out: Path) -> None:
     """Write a .zip whose files tell neither when nor by whom they were made."""
     with replacing(out) as path, zipfile.ZipFile(path, "w") as archive:
+        epoch = (1980, 1, 1, 0, 0, 0)  # time of every file in an archive: the earliest that a .zip can say
         for file in sorted(file for file in folder.rglob("*") if file.is_file()):
-            entry = zipfile.ZipInfo(str(Path("capture") / file.relative_to(folder)), EPOCH)
+            entry = zipfile.ZipInfo(str(Path("capture") / file.relative_to(folder)), epoch)
             archive.writestr(entry, file.read_bytes())  # images are compressed as they are

@@ -26,8 +26,6 @@ from anther.sim.row_cell import HOOK_ERROR
 
 LARGEST = -(-MOST * 3 // 5)
 """Plants that a side of a path can have: the near line of the largest row that is grown."""
-LOOKS_ERROR = 0.05
-"""Of a number of a stem's looks, as a share of it (a guess)."""
 BEFORE = 0.4
 """From where a pass begins to the first hook, and from the last one to its end [m]."""
 
@@ -67,6 +65,7 @@ class SimulatedHouse:
 
     def passes(self, time: datetime) -> Iterator[RowPass]:
         """Yield what a camera sees on the way along each side, at one time."""
+        error = 0.05  # of a number of a stem's looks, as a share of it (a guess)
         for k, ((row, name), side) in enumerate(self.sides.items()):
             if side is None:
                 continue
@@ -78,7 +77,7 @@ class SimulatedHouse:
             at = at + 1e-6 * np.arange(len(at))
             yield RowPass(
                 self.name, row, where, time, at, (side.post,), min(side.post[1], at[0]), at[-1] + BEFORE,
-                looks * (1 + LOOKS_ERROR * rng.normal(size=looks.shape)), LOOKS_ERROR * looks,
+                looks * (1 + error * rng.normal(size=looks.shape)), error * looks,
                 open_flowers=np.array([float(len(plant.flower_position)) for plant in plants]),
                 fruit=np.full(len(plants), np.nan), position_std=HOOK_ERROR,
             )  # fmt: skip

@@ -30,8 +30,6 @@ from anther.plant.imported import with_known_places
 from anther.show.pictures import save_figure
 from anther.show.pictures.plant import draw_plant
 
-VERSION = 3
-"""Of the columns: rows of another are measured again."""
 COUNTED = ("branch", "truss", "leaf")
 COLUMNS: dict[str, type] = {
     "plant": str,
@@ -164,10 +162,11 @@ def _measure_plant(args: Args, path: Path, name: str) -> dict[str, Any]:
     """Return what is known of one plant, measured now unless it was before, from this file with these options."""
     place = args.out / "plants" / name
     kept = place / "traits.json"
+    version = 3  # of the columns: rows of another are measured again
     asked = {
         "size": path.stat().st_size,
         "changed": path.stat().st_mtime,
-        "options": repr((args.units, args.up, args.root, args.stem_tip, args.species, *_stages(args), VERSION)),
+        "options": repr((args.units, args.up, args.root, args.stem_tip, args.species, *_stages(args), version)),
     }
     if kept.is_file() and not args.overwrite:
         before = read_object(kept)

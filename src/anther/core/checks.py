@@ -97,9 +97,6 @@ def check_room(what: str, size: float, do: str) -> None:
         raise bad_input(what, given=f"{size / 1e9:.1f} GB", allowed=f"at most {MOST_BYTES / 1e9:g} GB", do=do)
 
 
-_IDENTITY = np.eye(4)
-
-
 def check_transform(name: str, value: Any, count: int | None = None) -> NDArray[np.float64]:
     """Return `value` as read-only rigid transforms, (4, 4) or, with `count` or a 3-d input, (V, 4, 4).
 
@@ -110,8 +107,9 @@ def check_transform(name: str, value: Any, count: int | None = None) -> NDArray[
     T = check_array(name, value, (count, 4, 4) if stack else (4, 4))
     R = T[..., :3, :3]
     # np.allclose takes five times as long, and a plan asks hundreds of times
-    skewed, bottom = np.abs(np.swapaxes(R, -1, -2) @ R - _IDENTITY[:3, :3]), np.abs(T[..., 3, :] - _IDENTITY[3])
-    rigid = np.all(skewed <= 1e-6 + 1e-5 * _IDENTITY[:3, :3]) and np.all(bottom <= 1e-9 + 1e-5 * _IDENTITY[3])
+    identity = np.eye(4)
+    skewed, bottom = np.abs(np.swapaxes(R, -1, -2) @ R - identity[:3, :3]), np.abs(T[..., 3, :] - identity[3])
+    rigid = np.all(skewed <= 1e-6 + 1e-5 * identity[:3, :3]) and np.all(bottom <= 1e-9 + 1e-5 * identity[3])
     rigid = rigid and np.all(np.linalg.det(R) > 0)
     if not rigid:
         raise bad_input(

@@ -20,8 +20,6 @@ from scipy.stats import qmc
 from anther.core import Array
 from anther.core.compiling import njit
 
-SLIDE = 0.35
-"""The most that hooks slide in a week [m]: lowering moves a stem by half a plant (facts: rows, D)."""
 WEEK = {
     "step": (0.002, 0.02),  # change of the slide from hook to hook, in a week, standard deviation [m]
     "jump": (0.003, 0.1),  # probability that the slide is another one from a hook on: another worker, another day
@@ -80,13 +78,14 @@ def align(stored: Hooks, seen: Hooks, weeks: float) -> tuple[Array, float]:
     """
     moved = seen.position[None, :] - stored.position[:, None]
     pitch = (seen.end - seen.begin) / len(seen.position)
-    most = SLIDE * weeks + 0.05 + 3 * float(np.sqrt(2 * seen.drift.max()))
+    slide = 0.35  # m in a week that hooks slide at most: lowering moves a stem by half a plant (facts: rows D)
+    most = slide * weeks + 0.05 + 3 * float(np.sqrt(2 * seen.drift.max()))
     slides = np.linspace(-most, most, BINS)
     low, high = _band(stored.position, seen.position, most + pitch)
     evidence, shares = np.empty(DRAWS), np.empty((DRAWS, *moved.shape))
     sweep, combine = cast(Any, _forward), cast(Any, _combined)
     for k, week in enumerate(_weeks(weeks)):
-        skip, add = _left_out(stored, seen, week, SLIDE * weeks / 2, pitch)
+        skip, add = _left_out(stored, seen, week, slide * weeks / 2, pitch)
         weight = np.exp(_likeness(stored, seen, week)) * (1 - skip)[:, None]
         own = stored.variance[:, None] + seen.variance + week["scatter"] ** 2 + np.diff(slides)[0] ** 2 / 12
         kernel = _kernel(slides, np.sqrt(week["step"] ** 2 + 2 * seen.walk**2 * pitch), week["jump"])

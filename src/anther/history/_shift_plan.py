@@ -10,10 +10,6 @@ from anther.core.errors import MissingExtra
 
 CHARGE = -1
 """The step of a robot that is no leg."""
-TRIPS = 3
-"""Battery charges of a robot in one shift: one lasts about 5 h (facts: rows, A1)."""
-EFFORT = 2.0
-"""Deterministic time of the solver, which makes a plan repeatable: a few seconds."""
 
 
 class Leg(NamedTuple):
@@ -39,7 +35,7 @@ class RobotNow(NamedTuple):
 
 
 def assign_legs(
-    legs: Sequence[Leg], robots: Sequence[RobotNow], chargers: int, effort: float = EFFORT
+    legs: Sequence[Leg], robots: Sequence[RobotNow], chargers: int, effort: float = 2.0
 ) -> dict[str, list[int]]:
     """Return each robot's steps: numbers of legs and `CHARGE`, in their order. A leg that fits nowhere is left out.
 
@@ -95,17 +91,18 @@ def assign_legs(
 def _add_robot(model: Any, robot: RobotNow, starts: Any, choices: Any, horizon: int) -> list[tuple[Any, Any, Any]]:
     """Add the trips of a robot, each on one battery; return its charges: (start, whether it is, interval)."""
     charges = []
-    for _ in range(TRIPS - 1):
+    trips = 3  # battery charges of a robot in one shift: one lasts about 5 h (facts: rows, A1)
+    for _ in range(trips - 1):
         start, literal = model.new_int_var(robot.free, max(horizon, robot.free), ""), model.new_bool_var("")
         charges.append((start, literal, model.new_optional_fixed_size_interval_var(start, robot.charge, literal, "")))
     for (before, _, _), (after, literal, _) in pairwise(charges):
         model.add_implication(literal, charges[0][1])
         model.add(after >= before + robot.charge).only_enforce_if(literal)
-    spans, loads = [span for _, _, span in charges], [[] for _ in range(TRIPS)]
+    spans, loads = [span for _, _, span in charges], [[] for _ in range(trips)]
     for leg, start in starts.items():
         if robot.rows and leg.row not in robot.rows:
             continue
-        for trip in range(TRIPS):
+        for trip in range(trips):
             literal = model.new_bool_var("")
             choices[leg].append((robot, trip, literal))
             loads[trip].append(leg.seconds * literal)
@@ -114,7 +111,7 @@ def _add_robot(model: Any, robot: RobotNow, starts: Any, choices: Any, horizon: 
             if trip > 0:
                 model.add_implication(literal, charges[trip - 1][1])
                 model.add(start >= charges[trip - 1][0] + robot.charge).only_enforce_if(literal)
-            if trip < TRIPS - 1:
+            if trip < trips - 1:
                 model.add(start + leg.seconds <= charges[trip][0]).only_enforce_if([literal, charges[trip][1]])
     model.add_no_overlap(spans)
     for trip, load in enumerate(loads):

@@ -11,8 +11,6 @@ from anther.core.errors import bad_input
 from anther.core.records import Range, Record, Stored
 from anther.plant.visit import Visit
 
-TEMPERATURE, HUMIDITY = (18.0, 32.0), 80.0
-"""Pollen is shed and germinates between these [°C], and clumps above this [%] (facts: pollination, 1d)."""
 TOW = timedelta(minutes=30)
 """How long a robot that stopped blocks its row (a guess)."""
 Seconds = Annotated[float, Range(1, 1e6, "s")]
@@ -57,9 +55,11 @@ class Climate(Record):
     @property
     def bad(self) -> str | None:
         """Why pollen is not shed in it; None if it is."""
-        if not TEMPERATURE[0] <= self.temperature <= TEMPERATURE[1]:
+        sheds = (18.0, 32.0)  # °C between which pollen is shed and germinates (facts: pollination, 1d)
+        if not sheds[0] <= self.temperature <= sheds[1]:
             return f"{self.temperature:g} °C"
-        return f"{self.humidity:g} % humidity" if self.humidity > HUMIDITY else None
+        dampest = 80.0  # %, above which pollen clumps (facts: pollination, 1d)
+        return f"{self.humidity:g} % humidity" if self.humidity > dampest else None
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,14 +27,10 @@ from anther.history._tables import RowSide, StemRow, VisitRow, pollinated
 from anther.history._trials import plant_of
 from anther.plant.visit import check_labels
 
-GONE = 0.95
-"""A stem is removed from the map when it is gone with this probability: after about three passes without it."""
 MISSED, REMOVED, GROWTH, SCATTER = (
     float(np.sqrt(np.prod(WEEK[n]))) for n in ("missed", "removed", "growth", "scatter")
 )
 """Middles of what a week is believed to do."""
-OTHER_ROW = 1e-3
-"""Prior odds that another row was driven than the one that is named, whose posts were seen (a guess)."""
 WEEKS = timedelta(weeks=1)
 
 
@@ -152,7 +148,8 @@ def _recognise(session: Session, seen: RowPass) -> Recognition:
     if stems:
         before = _hooks_of_map(side, stems, seen, now)
         shares, evidence = align(before, now, weeks)
-        if evidence < np.log(OTHER_ROW):
+        other_row = 1e-3  # prior odds that another row was driven than the one that is named (a guess)
+        if evidence < np.log(other_row):
             given = f"stems that explain the pass e^{-evidence:.0f} times worse than strangers"
             do = "Check which row was driven; nothing was changed."
             raise bad_input("pass", given=given, allowed=f"the stems of {_name(seen)}", do=do)
@@ -253,6 +250,7 @@ def _update_lost(
         return []
     old, missing = np.array([s.position for s in stems]), []
     moved = _along_rail(old, old[list(match.values())], now.position[list(match)])
+    sure = 0.95  # after about three passes without it
     for i, stem in enumerate(stems):
         if i in match.values():
             continue
@@ -262,7 +260,7 @@ def _update_lost(
         if now.begin <= stem.position <= now.end:
             gone = stem.gone + (1 - stem.gone) * min(REMOVED * weeks, 0.5)
             stem.gone = (1 - min(float(shares[:, i].sum()), 1.0)) * gone / (gone + (1 - gone) * MISSED)
-            stem.removed = seen.time if stem.gone >= GONE else None
+            stem.removed = seen.time if stem.gone >= sure else None
             missing.append(stem)
     return missing
 

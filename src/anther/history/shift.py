@@ -32,17 +32,6 @@ from anther.history._trials import add
 from anther.history.row_map import stems_of
 from anther.plant.visit import result_words
 
-LEG = 2_700.0
-"""Work of a leg at most [s]: short beside the hours of a day and a battery, long beside entering a row (a guess)."""
-REPLAN = timedelta(minutes=10)
-"""A plan is not made anew more often because somebody is idle."""
-TRIES = 2
-"""How often a stem is begun at which a robot stops or is killed: it may have been shaken."""
-IDLE = timedelta(minutes=1)
-"""How often a robot that can do nothing looks whether others left a row or charger."""
-POLL = 5.0
-"""How long a program that waits sleeps at a time [s]."""
-
 
 def begin_shift(shift: Shift, where: Path | str = DEFAULT) -> int:
     """Add a shift with all stems of its house, and return its number.
@@ -89,9 +78,10 @@ def _why_not(stem: Stem, shift: Shift) -> str | None:
 def _legs(stems: list[Stem], shift: Shift) -> list[list[int]]:
     """Return numbers of stems in the order of the work: in along the left, out along the right, in equal parts."""
     legs = []
+    leg = 2_700.0  # s of work: short beside a battery's hours, long beside entering a row (a guess)
     for _, group in groupby(sorted(stems, key=lambda s: s.row), key=lambda s: s.row):
         way = sorted(group, key=lambda s: (s.side != "left", s.hook if s.side == "left" else -s.hook))
-        size = ceil(len(way) / ceil(len(way) * shift.stem / LEG))
+        size = ceil(len(way) / ceil(len(way) * shift.stem / leg))
         legs += [[s.number for s in way[k : k + size]] for k in range(0, len(way), size)]
     return legs
 
@@ -106,7 +96,7 @@ def run_shift(
 ) -> list[StemResult]:
     """Give orders to robots until every stem is visited or left with its reason; return what became of each.
 
-    A stem at which a program was killed is tried again, `TRIES` times in all.
+    A stem at which a program was killed is tried again, twice in all.
 
     Args:
         number: of the shift.
@@ -120,6 +110,7 @@ def run_shift(
         MissingExtra: OR-Tools is not installed.
     """
     names, asked = _resume(number, where, robots)
+    pause = 5.0  # s that a program which waits sleeps at a time
     while True:
         order = _advance(number, where, names, None if simulated else datetime.now(UTC))
         if order is None:
@@ -129,7 +120,7 @@ def run_shift(
         elif order is _Replan:
             _plan(number, where)
         elif not simulated:
-            clock.sleep(POLL)
+            clock.sleep(pause)
     _close(number, where, late=not simulated and datetime.now(UTC) >= asked.end)
     return read_shift(number, where)
 
@@ -218,7 +209,7 @@ def _state(session: Session, number: int) -> tuple[ShiftRow, Shift, dict[str, Sh
 
 
 def _resume(number: int, where: Path | str, names: Collection[str] | None) -> tuple[list[str], Shift]:
-    """Take up a shift: what its robots had begun and not reported waits again, or is left after `TRIES`."""
+    """Take up a shift: what its robots had begun and not reported waits again, or is left after two tries."""
     with open_writer(where) as session:
         _, shift, robots = _state(session, number)
         _check_robots(names or (), robots)
@@ -235,7 +226,8 @@ def _working(session: Session, number: int) -> list[ShiftStem]:
 
 
 def _try_again(stem: ShiftStem, why: str) -> None:
-    stem.state = "waiting" if stem.tries < TRIES else "left"
+    tries = 2  # a stem at which a robot stopped may have been shaken
+    stem.state = "waiting" if stem.tries < tries else "left"
     stem.reason, stem.robot = (None, None) if stem.state == "waiting" else (f"{why} {stem.tries} times", stem.robot)
 
 
@@ -271,7 +263,10 @@ def _idle(
 ) -> type:
     """Let a robot wait that can do nothing; a plan is due if it could do what others are to do later."""
     others = {n for r in robots.values() if r is not robot for n in r.steps if n in waiting and n != r.leg}
-    if robot.free >= planned + REPLAN and any(_may_enter(shift, robot, robots, waiting[leg][0]) for leg in others):
+    replan_every = timedelta(minutes=10)  # a plan is not made anew more often because somebody is idle
+    if robot.free >= planned + replan_every and any(
+        _may_enter(shift, robot, robots, waiting[leg][0]) for leg in others
+    ):
         return _Replan
     robot.leg, robot.free = None, _wait_until(shift, robot, robots, waiting)  # out of the row
     return _Wait
@@ -364,7 +359,8 @@ def _wait_until(shift: Shift, robot: ShiftRobot, robots: dict[str, ShiftRobot], 
         t for row in {row for row, _ in waiting.values()} for b, e, _ in _closed(shift, robots, row) for t in (b, e)
     ]
     busy = [r for r in robots.values() if r is not robot and not r.stopped and (r.leg is not None or r.charging)]
-    times += [max(r.free, robot.free) + IDLE for r in busy]
+    look_every = timedelta(minutes=1)  # a robot that can do nothing looks whether others left a row or charger
+    times += [max(r.free, robot.free) + look_every for r in busy]
     return min((t for t in times if t > robot.free), default=shift.end)
 
 

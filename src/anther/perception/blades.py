@@ -17,13 +17,6 @@ from anther.perception.skeleton.raw_tree import edge_lengths, sum_above
 from anther.perception.skeleton.voxel_solid import point_spacing
 from anther.perception.stem import LEAF, Stem
 
-MIDDLE = 0.95
-"""A slice's width is that of the middle of its points by this share, over the share: strays do not widen it."""
-FEWEST_POINTS = 40
-"""On average in a slice: one point beyond either end of `MIDDLE`."""
-FEWEST_SLICES, MOST_SLICES = 5, 24
-"""Of a blade. An ellipse in 5 slices is 3 % too large, in 24 less than 1 %."""
-
 
 class Blade(NamedTuple):
     """One blade, NaN where too thinly seen.
@@ -80,21 +73,23 @@ def together(blades: list[Blade]) -> Blade:
 def measure_blade(points: Array, midrib: Array) -> Blade:
     """Return what a blade's points (N, 3) say of it, cut along its midrib (M, 3), M >= 2, base first."""
     points = np.unique(points, axis=0)
-    count = min(len(points) // FEWEST_POINTS, MOST_SLICES)
-    if count < FEWEST_SLICES:
+    fewest, most = 5, 24  # slices: an ellipse in 5 is 3 % too large, in 24 less than 1 %
+    points_each = 40  # on average in a slice: one point beyond either end of its middle
+    count = min(len(points) // points_each, most)
+    if count < fewest:
         return UNSEEN
     line, arc, tangent = _smooth(midrib)
     near = KDTree(line).query(points)[1]
     along = arc[near] + np.einsum("ij,ij->i", points - line[near], tangent[near])
     low, high = np.quantile(along, [0.005, 0.995])
     edges, spacing = np.linspace(low, high, count + 1), point_spacing(points)
-    if high - low < FEWEST_SLICES * spacing:
+    if high - low < fewest * spacing:
         return UNSEEN
     which, cell = np.searchsorted(edges, along) - 1, 2.5 * spacing  # five points: hardly ever empty
     sides, filled, side = np.full((count, 2), np.nan), np.zeros(count), None
     for k in range(count):
         inside = which == k
-        if np.count_nonzero(inside) < FEWEST_POINTS // 4:
+        if np.count_nonzero(inside) < points_each // 4:
             continue
         at = int(np.searchsorted(arc, (edges[k] + edges[k + 1]) / 2).clip(0, len(arc) - 1))
         across, side = _unrolled(points[inside] - line[at], tangent[at], side)
@@ -104,7 +99,7 @@ def measure_blade(points: Array, midrib: Array) -> Blade:
             continue
         filled[k] = _filled(along[inside] - edges[k], across - sides[k, 0], edges[1] - edges[0], np.ptp(sides[k]), cell)
     seen = np.isfinite(sides[:, 0])
-    if np.count_nonzero(seen) < FEWEST_SLICES:
+    if np.count_nonzero(seen) < fewest:
         return UNSEEN
     left, right = (np.interp(np.arange(count), np.flatnonzero(seen), edge[seen]) for edge in sides.T)
     width, reach = right - left, max(abs(left.sum()), abs(right.sum()))
@@ -146,9 +141,10 @@ def _unrolled(offset: Array, tangent: Array, before: Array | None) -> tuple[Arra
 
 
 def _middle(values: Array, spacing: float) -> tuple[float, float]:
-    """Return the ends of what N values fill, from the `MIDDLE` of them: as if evenly, but not beyond all of them."""
-    low, high = np.quantile(values, [(1 - MIDDLE) / 2, (1 + MIDDLE) / 2])
-    more = (high - low) / 2 * ((len(values) + 1) / (len(values) - 1) / MIDDLE - 1)
+    """Return the ends of what N values fill, from the middle 95 % of them: as if evenly, but not beyond all of them."""
+    share = 0.95
+    low, high = np.quantile(values, [(1 - share) / 2, (1 + share) / 2])
+    more = (high - low) / 2 * ((len(values) + 1) / (len(values) - 1) / share - 1)
     return max(low - more, values.min() - spacing / 2), min(high + more, values.max() + spacing / 2)
 
 

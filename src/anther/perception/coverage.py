@@ -9,15 +9,6 @@ from numpy.typing import NDArray
 
 from anther.perception.masks import LEAST_PIXELS
 
-ENOUGH = 0.6
-"""Share of the plant's pixels with a reading below which advice is given: the one real frame of a shrub with thin parts
-and nothing close behind has 0.53, simulated captures that perception reads well 0.75."""
-WINDOW = 9
-"""A stereo camera reads about half of a part as wide as its matching window [px]; 12 in the real frame, 9 in the middle
-of the simulated ones."""
-NEAR = 0.3
-"""Where a D405 and most modes of a D435 still measure [m] (facts: perception, depth sensors)."""
-
 
 def describe_depth(depth: NDArray[Any], plant: NDArray[np.bool_], focal: float, *, only_poor: bool = False) -> str:
     """Return one sentence: the share of the plant with depth, the thinnest part that is measured, and what would help.
@@ -36,13 +27,16 @@ def describe_depth(depth: NDArray[Any], plant: NDArray[np.bool_], focal: float, 
         return ""
     measured = readings[readings > 0]
     share = len(measured) / len(readings)
-    if share >= ENOUGH and only_poor:
+    enough = 0.6  # of the plant's pixels: simulated captures that perception reads well have 0.75
+    if share >= enough and only_poor:
         return ""
-    said, do = f"depth covers {share:.0%} of the plant's pixels", [f"come to {NEAR:g} m if the camera measures there"]
+    near = 0.3  # m: where a D405 and most modes of a D435 still measure (facts: perception, depth sensors)
+    said, do = f"depth covers {share:.0%} of the plant's pixels", [f"come to {near:g} m if the camera measures there"]
     if len(measured):
         away = float(np.median(measured))
-        thinnest, closer = (1e3 * WINDOW * z / focal for z in (away, NEAR))
+        window = 9  # px: a stereo camera reads about half of a part as wide as its matching window
+        thinnest, closer = (1e3 * window * z / focal for z in (away, near))
         said += f"; at {away:.2f} m parts under {thinnest:.1f} mm are mostly lost"
-        do = [f"{do[0]} ({closer:.1f} mm)"] if away > NEAR else []
+        do = [f"{do[0]} ({closer:.1f} mm)"] if away > near else []
     do += ["hang a sheet close behind the plant", "choose a high-density preset", "take a D405"]
-    return said if share >= ENOUGH else f"{said}: {', or '.join([', '.join(do[:-1]), do[-1]])}"
+    return said if share >= enough else f"{said}: {', or '.join([', '.join(do[:-1]), do[-1]])}"

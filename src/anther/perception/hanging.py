@@ -18,18 +18,6 @@ from anther.perception.masks import FLOWER, PLANT
 
 __all__ = ["HangingStem", "find_hanging_stem"]
 
-STRAY = 0.05
-"""How far a hanging stem's axis is from the plumb line of its hook [m]: maps err by 0.02, stems lean; a guess."""
-SLICE, CELL = 0.01, 0.004
-"""Height of a slice, side of a cell [m]: a stem's diameter, and its radius."""
-ENOUGH = 10.0
-"""Upright surface in three cells square and one slice from which a stem is seen [points]: a fifth of what one side of a
-stem of 10 mm shows in voxels of 1.5 mm. More counts no more, so that a blade does not outweigh a stem."""
-STEP = 0.3
-"""What a step aside by a cell costs, of a slice in which the stem is seen: a stem at 20 degrees is still followed."""
-BARE = 0.004
-"""Radius of the stem where it is hidden [m]: a guess; the skeleton's own radii there come from it."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HangingStem:
@@ -49,7 +37,8 @@ class HangingStem:
         line = np.stack([np.interp(fine, np.arange(len(self.axis)), column) for column in self.axis.T], axis=1)
         line = line[~self.seen[np.round(fine).astype(int)]]
         turn = np.linspace(0, 2 * np.pi, 16, endpoint=False)
-        ring = BARE * np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
+        radius = 0.004  # m, where the stem is hidden: a guess; the skeleton's own radii there come from it
+        ring = radius * np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
         new = (line[:, None] + ring).reshape(-1, 3)
         labels = np.concatenate([cloud.labels, np.full(len(new), PLANT, np.uint8)])  # type: ignore[list-item]
         return replace(cloud, points=np.vstack([cloud.points, new]), labels=labels, normals=None, colors=None)
@@ -58,35 +47,39 @@ class HangingStem:
 def find_hanging_stem(cloud: Cloud, hook: ArrayLike) -> HangingStem:
     """Return the axis of the stem that hangs on a hook (3,) [m].
 
-    Of all ways up within `STRAY` of the plumb line it is the one along which most upright surface is seen, less what
+    Of all ways up within 5 cm of the plumb line it is the one along which most upright surface is seen, less what
     its steps aside cost (dynamic programming over slices of height); the axis is the middle of what is seen there.
 
     Raises:
         StageFailure: "no_stem_found" where nothing hangs there.
     """
     x, y, _ = np.asarray(hook, dtype=np.float64)
-    near = (cloud.labels != FLOWER) & (np.abs(cloud.points[:, :2] - [x, y]) < STRAY).all(axis=1)
+    stray = 0.05  # m from the plumb line of the hook: maps err by 0.02, stems lean; a guess
+    near = (cloud.labels != FLOWER) & (np.abs(cloud.points[:, :2] - [x, y]) < stray).all(axis=1)
     points = cloud.points[near]
     upright = np.ones(len(points)) if cloud.normals is None else 1 - np.abs(cloud.normals[near, 2])
-    if upright.sum() < ENOUGH:
+    enough = 10.0  # points in 3 x 3 cells: a fifth of what one side of a stem of 10 mm shows in voxels of 1.5 mm
+    if upright.sum() < enough:
         raise _nothing(x, y)
-    low, side = points[:, 2].min(), int(2 * STRAY / CELL)
-    cell = np.minimum(((points[:, :2] - [x, y] + STRAY) / CELL).astype(int), side - 1)
-    level = ((points[:, 2] - low) / SLICE).astype(int)
+    edge = 0.004  # m, of a cell: a stem's radius
+    low, side = points[:, 2].min(), int(2 * stray / edge)
+    cell = np.minimum(((points[:, :2] - [x, y] + stray) / edge).astype(int), side - 1)
+    slice_ = 0.01  # m, height of a slice: a stem's diameter
+    level = ((points[:, 2] - low) / slice_).astype(int)
     count = np.zeros((level.max() + 1, side, side))
     np.add.at(count, (level, cell[:, 0], cell[:, 1]), upright)
-    evidence = np.minimum(9 * uniform_filter(count, 3, axes=(1, 2), mode="constant") / ENOUGH, 1)
+    evidence = np.minimum(9 * uniform_filter(count, 3, axes=(1, 2), mode="constant") / enough, 1)
     way, found = _best_way(evidence), evidence > 0.99
     seen = found[np.arange(len(way)), way[:, 0], way[:, 1]]
     ends = np.flatnonzero(seen)
     if len(ends) < 2:
         raise _nothing(x, y)
     kept, number = slice(ends[0], ends[-1] + 1), np.arange(len(way))
-    own = np.linalg.norm(points[:, :2] - ([x, y] + (way[level] + 0.5) * CELL - STRAY), axis=1) < 2.5 * CELL
+    own = np.linalg.norm(points[:, :2] - ([x, y] + (way[level] + 0.5) * edge - stray), axis=1) < 2.5 * edge
     weight = np.bincount(level[own], upright[own], len(way))
     middle = [np.bincount(level[own], upright[own] * p, len(way))[seen] / weight[seen] for p in points[own, :2].T]
     across = [gaussian_filter1d(np.interp(number[kept], ends, line), 2.0) for line in middle]
-    return HangingStem(np.column_stack([*across, low + (number[kept] + 0.5) * SLICE]), seen[kept])
+    return HangingStem(np.column_stack([*across, low + (number[kept] + 0.5) * slice_]), seen[kept])
 
 
 def _nothing(x: float, y: float) -> StageFailure:
@@ -97,15 +90,16 @@ def _best_way(evidence: Array) -> NDArray[np.int64]:
     """Return (K, 2) the cells of the best way up through evidence (K, C, C), a cell aside a slice at most."""
     total, cheapest = evidence[0], [evidence[0]]
     beside = np.ones((3, 3), dtype=bool)
+    step = 0.3  # aside by a cell, in slices in which the stem is seen: a stem at 20 degrees is still followed
     for here in evidence[1:]:
-        total = here + np.maximum(total, maximum_filter(total, footprint=beside, mode="nearest") - STEP)
+        total = here + np.maximum(total, maximum_filter(total, footprint=beside, mode="nearest") - step)
         cheapest.append(total)
     place = np.array(np.unravel_index(np.argmax(total), total.shape))
     way = [place]
     for before in cheapest[-2::-1]:
         low, high = np.maximum(place - 1, 0), place + 2
-        around = before[low[0] : high[0], low[1] : high[1]] - STEP
-        around[tuple(place - low)] += STEP
+        around = before[low[0] : high[0], low[1] : high[1]] - step
+        around[tuple(place - low)] += step
         place = low + np.array(np.unravel_index(np.argmax(around), around.shape))
         way.append(place)
     return np.array(way[::-1])

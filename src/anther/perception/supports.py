@@ -24,13 +24,7 @@ from anther.perception.stem import Stem
 
 __all__ = ["Evidence", "find_supports", "log_odds", "notes_beside"]
 
-FEWEST = 200
-"""Fewer points show no support beside a plant."""
-_CELLS = 2e7  # of the grid: 20 MB
-_PAIRS = 150_000  # drawn for lines: a string with 1 % of the points is hit fifteen times
-_LINES = 16  # looked at; more are never needed by a row of five
 _GAP = 0.15  # a line may be hidden over this share of the plant's size
-_SHORTEST = 0.4  # a shorter straight thing, relative to the plant's size, is a petiole
 
 
 def find_supports(cloud: Cloud) -> Cloud:
@@ -42,7 +36,8 @@ def find_supports(cloud: Cloud) -> Cloud:
     Args:
         cloud: plant points, world frame, z up [m].
     """
-    if cloud.supports or len(cloud.points) < FEWEST:
+    fewest = 200  # fewer points show no support beside a plant
+    if cloud.supports or len(cloud.points) < fewest:
         return cloud
     scene = _Scene.of(cloud)
     rods = list(_rods(scene))
@@ -57,7 +52,7 @@ def find_supports(cloud: Cloud) -> Cloud:
         owner[(owner < 0) & (off < rod.radius + margin[section])] = k
         supports.append(Support(kind, axis, rod.radius, cloud.points[owner == k]))
     plant = owner < 0
-    if np.count_nonzero(plant) < FEWEST:
+    if np.count_nonzero(plant) < fewest:
         only = ", ".join(support.name for support in supports)
         note = f"supports: all that is in view looks like {only}; a bare stem does too, so it is taken for the plant"
         return replace(cloud, notes=(*cloud.notes, note))
@@ -93,13 +88,10 @@ def _note(support: Support, plant: Array, cell: float) -> str:
     return text
 
 
-STRING_RADIUS = 0.003
-"""Twine is 1 to 3 mm thick, and a depth camera adds as much (a guess): what is thicker is rigid."""
-
-
 def _kind(rod: _Rod, cell: float) -> Literal["string", "wire", "stake", "pole"]:
     """Return what a rod is; one that the cloud shows too coarsely to be sure is no string."""
-    if rod.radius + 0.2 * cell <= STRING_RADIUS:
+    string_radius = 0.003  # m: twine is 1 to 3 mm thick, and a depth camera adds as much (a guess)
+    if rod.radius + 0.2 * cell <= string_radius:
         return "string" if abs(rod.along[2]) > 0.7 else "wire"
     return "stake" if rod.radius <= 0.01 else "pole"
 
@@ -140,7 +132,8 @@ class _Scene:
         extent = np.ptp(np.quantile(points, [0.002, 0.998], axis=0), axis=0)
         some = points[:: max(1, len(points) // 2000)]
         spacing = float(np.median(KDTree(points).query(some, k=2)[0][:, 1]))
-        cell = max(1.5 * spacing, float(np.prod(np.ptp(points, axis=0) + 1e-3) / _CELLS) ** (1 / 3), 1e-6)
+        most_cells = 2e7  # of the grid: 20 MB
+        cell = max(1.5 * spacing, float(np.prod(np.ptp(points, axis=0) + 1e-3) / most_cells) ** (1 / 3), 1e-6)
         thin = voxel_means(points - points.min(axis=0), cell) + points.min(axis=0)
         greenness = None
         if cloud.colors is not None:
@@ -171,8 +164,10 @@ def _straight_lines(scene: _Scene) -> Array:
     Random pairs of points are joined; what is occupied along nine tenths of the way is followed beyond both ends.
     """
     rng = np.random.default_rng(0)
-    first, second = scene.points[rng.integers(0, len(scene.points), (2, _PAIRS))]
-    long = np.linalg.norm(second - first, axis=1) > _SHORTEST * scene.size
+    pairs = 150_000  # of points drawn for lines: a string with 1 % of the points is hit fifteen times
+    first, second = scene.points[rng.integers(0, len(scene.points), (2, pairs))]
+    shortest = 0.4  # of the plant's size: a shorter straight thing is a petiole
+    long = np.linalg.norm(second - first, axis=1) > shortest * scene.size
     first, second = first[long], second[long]
     near = ndimage.binary_dilation(scene.grid, ndimage.generate_binary_structure(3, 1))
 
@@ -230,22 +225,14 @@ class Evidence:
     greenness: tuple[float, float, float] | None = None
 
 
-PRIOR = -3.0
-"""Log-odds that a long straight line in a plant's cloud is a support: one in twenty (a guess)."""
-PRICE = 3.0
-"""Log of how much worse it is to cut a stem away than to keep a support: twenty times (a judgement)."""
-BOW, WANDER = 0.003, 0.012
-"""Rms bow over the length: of strings, stakes and pipes (a guess; the one real pole has 0.002), and of stem segments
-(a guess; the straightest of 93 labelled seedlings have 0.001 to 0.004)."""
-
-
 def log_odds(e: Evidence) -> float:
     """Return the log-odds of a rigid rod against a piece of plant.
 
     Each term is the log-ratio of the probabilities of what is seen; the distributions are guesses.
     """
-    rod = e.noise**2 + (BOW * e.length) ** 2
-    plant = e.noise**2 + (WANDER * e.length) ** 2
+    bow, wander = 0.003, 0.012  # rms over the length: of strings, stakes and pipes, and of stem segments (guesses)
+    rod = e.noise**2 + (bow * e.length) ** 2
+    plant = e.noise**2 + (wander * e.length) ** 2
     straight = 2 * np.log(plant / rod) - 2 * e.bow**2 * (1 / rod - 1 / plant)  # four coefficients
     even = _normal(e.taper, 0, 0.15) - np.logaddexp(_normal(e.taper, -0.4, 0.35), _normal(e.taper, 0, 1.0)) + np.log(2)
     bare = max(np.log(0.8 / 0.3) + e.orphans * np.log(0.2 / 0.7), -4.0)  # geometric, 0.25 and 2.3 in the mean
@@ -256,7 +243,8 @@ def log_odds(e: Evidence) -> float:
     if e.greenness is not None:
         own, middle, spread = e.greenness
         colour = float(np.clip(_normal(own, 0, 0.2) - _normal(own, middle, max(spread, 0.1)), -1.5, 1.5))
-    return float(PRIOR + straight + even + thin + bare + free + colour)
+    prior = -3.0  # one in twenty (a guess)
+    return float(prior + straight + even + thin + bare + free + colour)
 
 
 def _normal(x: float, mean: float, sigma: float) -> float:
@@ -304,7 +292,9 @@ class _Rod:
 def _rods(scene: _Scene) -> Iterator[_Rod]:
     """Yield the rods that are likely enough supports, the longest lines first."""
     lines, coarse, looked = _straight_lines(scene), scene.coarser(), 0
-    while len(lines) and looked < _LINES:
+    most_lines = 16  # looked at; more are never needed by a row of five
+    price = 3.0  # ln of 20: to cut a stem away is so much worse than to keep a support (a judgement)
+    while len(lines) and looked < most_lines:
         looked += 1
         found = [pair for view in (scene, coarse) if (pair := _fitted(view, lines[0])) is not None]
         if not found:
@@ -312,7 +302,7 @@ def _rods(scene: _Scene) -> Iterator[_Rod]:
             continue
         rod, evidence = max(found, key=lambda pair: log_odds(pair[1]))
         lines = lines[1:][~rod.near(lines[1:], scene.cell)]
-        if log_odds(evidence) > PRICE:
+        if log_odds(evidence) > price:
             yield rod
             scene, coarse = scene.without(rod), coarse.without(rod)
 
@@ -374,14 +364,16 @@ def _fitted(scene: _Scene, line: Array) -> tuple[_Rod, Evidence] | None:
     start, end = line
     width = 3 * scene.cell
     found, alone, typical, off = _sections(scene, start, end), np.zeros(0, dtype=bool), 0.0, np.zeros(0)
+    alike = 0.4  # ln of a section's spread over the usual one, within which the rod stands alone
+    least = 6  # sections that show a rod alone
     for again in (False, True):  # the line first runs on the rod's surface, then along its axis
         found = _sections(scene, start, end) if again else found
         there = found.near < width
-        if np.count_nonzero(there) < _LEAST:
+        if np.count_nonzero(there) < least:
             return None
         typical = float(np.quantile(found.spread[there], 0.3))  # what touches the rod makes sections wider
-        alone = there & (np.abs(np.log(found.spread / typical)) < _ALIKE)
-        if np.count_nonzero(alone) < _LEAST:
+        alone = there & (np.abs(np.log(found.spread / typical)) < alike)
+        if np.count_nonzero(alone) < least:
             return None
         offset, slope, off = _straight_fit(found.t[alone], found.centre[alone])
         length = np.linalg.norm(end - start)
@@ -393,7 +385,7 @@ def _fitted(scene: _Scene, line: Array) -> tuple[_Rod, Evidence] | None:
     t = found.t[good]
     if scene.coarse and typical < 1.5 * scene.cell:  # seen as well in fine cells
         return None
-    if len(t) < _LEAST or len(t) < 0.2 * np.count_nonzero(found.near < np.inf):
+    if len(t) < least or len(t) < 0.2 * np.count_nonzero(found.near < np.inf):
         return None
     axis = _Rod(start, end, typical, np.isin(np.arange(len(found.t)), good))
     rod = _measured(scene, axis)
@@ -412,12 +404,6 @@ def _fitted(scene: _Scene, line: Array) -> tuple[_Rod, Evidence] | None:
         greenness=_greenness(scene, rod),
     )
     return rod, evidence
-
-
-_LEAST = 6
-"""Sections that show a rod alone."""
-_ALIKE = 0.4
-"""Log of a section's spread over the usual one, within which the rod stands alone."""
 
 
 def _straight_fit(t: Array, centre: Array) -> tuple[Array, Array, Array]:

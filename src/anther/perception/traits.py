@@ -20,8 +20,6 @@ from anther.perception.stem import LEAF, ORGAN_NAMES, STEM, Stem
 
 LEVELS = (10, 25, 50, 75, 90)
 """Where the stem's radius is given [% of its length]."""
-REACH = 0.03
-"""An insertion angle is that of a limb's first stretch of this length [m], or of all of a shorter one."""
 
 
 class Limb(NamedTuple):
@@ -32,8 +30,8 @@ class Limb(NamedTuple):
         arc_length_m: where on the stem.
         length_m: of its longest way, from the stem's axis to a tip.
         total_length_m: of all its axes.
-        radius_m: median radius of its first `REACH`.
-        angle_deg: between the stem's upward direction there and the limb's first `REACH`.
+        radius_m: median radius of its first 30 mm.
+        angle_deg: between the stem's upward direction there and the limb's first 30 mm.
         azimuth_deg: of that piece about the vertical, from x to y, in [0, 360).
         width_m, area_m2, coverage: of its blades (`blades.Blade`); NaN without a blade, without a cloud, and where the
             points are too few.
@@ -143,7 +141,8 @@ def _limb(skeleton: Skeleton, stem: Stem, length: Array, way: Array, nodes: NDAr
     """
     tip = int(nodes[way[nodes].argmax()])
     axis = np.intersect1d(skeleton.path_from_root(tip), nodes)
-    first = axis[: max(np.count_nonzero(way[axis] <= REACH), 1)]
+    reach = 0.03  # m of a limb's first stretch, whose angle is the insertion's
+    first = axis[: max(np.count_nonzero(way[axis] <= reach), 1)]
     out = skeleton.nodes[first[-1]] - skeleton.nodes[stem.node_ids[at]]
     below, above = skeleton.nodes[stem.node_ids[[max(at - 2, 0), min(at + 2, len(stem.node_ids) - 1)]]]
     up = above - below

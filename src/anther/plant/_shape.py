@@ -23,9 +23,6 @@ from anther.perception.skeleton.raw_tree import BLADE
 from anther.perception.stem import Stem
 from anther.rods import Clamp, Rods, least_stiffness, stands
 
-BRANCH_SHARE = 0.7
-"""Largest radius of a branch at its base over that of what it stands on [-]: petiole bases measure 4-6 mm on stems of
-8-12 mm (facts: pollination 2 [R])."""
 LEAST_RADIUS = THINNEST
 """Of any stem or branch edge [m]: a pedicel's."""
 PEDUNCLE_RADIUS = 1.25e-3
@@ -54,7 +51,7 @@ def edge_radii(skeleton: Skeleton, stem: Stem) -> Array:
     """Return the radius (J,) of edge j, which joins the parent of j to j [m]; entry 0 repeats entry 1.
 
     The stem's taper is a straight line, robust against single bad radii (Theil-Sen). On a branch the radius never
-    grows towards the tip and starts at most at `BRANCH_SHARE` of what it stands on; its first edge uses the branch's
+    grows towards the tip and starts at most at 0.7 of what it stands on; its first edge uses the branch's
     radius, not the stem's. In a leaf blade the scan shows the blade, not the rib in it: there the radius falls in a
     straight line to nothing at the tip, never below `LEAST_RADIUS`. A tapered edge gets the radius of the uniform bar
     with the same bending compliance.
@@ -67,13 +64,14 @@ def edge_radii(skeleton: Skeleton, stem: Stem) -> Array:
     node[stem.node_ids] = _stem_taper(stem, skeleton.radius)
     edge, beyond = node.copy(), _way_to_tip(skeleton)
     rib, heir, on_stem = _ribs(skeleton, stem, beyond), _heirs(skeleton, beyond), _on_main_stem(stem, len(node))
+    most = 0.7  # petiole bases measure 4-6 mm on stems of 8-12 mm (facts: pollination 2 [R])
     for j in range(1, len(node)):
         p = int(skeleton.parent[j])
         if on_stem[j] and on_stem[p]:
             edge[j] = bar_radius(node[p], node[j])
             continue
         begins = on_stem[p] or heir[p] != j
-        largest = (BRANCH_SHARE if begins else 1.0) * node[p] * rib[j]
+        largest = (most if begins else 1.0) * node[p] * rib[j]
         node[j] = max(min(node[j], largest), LEAST_RADIUS)
         edge[j] = node[j] if begins else bar_radius(node[p], node[j])
     edge[0] = edge[1]

@@ -29,10 +29,6 @@ __all__ = [
     "LEARNED", "PEPPER", "TOMATO", "Material", "Params", "PlantModel", "build_plant", "plant_with_flowers",
 ]  # fmt: skip
 
-PEDICEL_PIECES = 3  # edges per pedicel
-FLOWER_RADIUS = 5e-3
-"""Of a flower's mass, taken as a ball for its moment of inertia [m] (facts: pollination 2, corolla 10 mm)."""
-
 
 @dataclass(frozen=True, slots=True)
 class Params(Record):
@@ -247,16 +243,16 @@ def _rods(
 ) -> tuple[Rods, NDArray[np.bool_], NDArray[Any], float]:
     """Return the rods in the scanned shape, which edges are pedicel, the flowers' nodes, and the leaf mass [kg]."""
     radius = material.radius_scale * edge_radii(skeleton, stem)
-    stalks = hang_flowers(
-        skeleton, flowers, length=params.pedicel_length, radius=params.pedicel_radius, pieces=PEDICEL_PIECES
-    )
+    pieces = 3  # edges per pedicel
+    stalks = hang_flowers(skeleton, flowers, length=params.pedicel_length, radius=params.pedicel_radius, pieces=pieces)
     new = len(stalks.nodes)
     mass = np.zeros(len(radius) + new)
     if cloud is not None:
         mass[: len(radius)] = leaf_mass(skeleton, stem, cloud, areal_density=params.areal_density)
     leaves, inertia = float(mass.sum()), 0 * mass
     mass[stalks.tips] += params.flower_mass
-    inertia[stalks.tips] = 0.4 * params.flower_mass * FLOWER_RADIUS**2
+    ball = 5e-3  # m, radius of a flower's mass for its moment of inertia (facts: pollination 2, corolla 10 mm)
+    inertia[stalks.tips] = 0.4 * params.flower_mass * ball**2
     is_pedicel = np.concatenate([np.zeros(len(radius), dtype=bool), stalks.is_pedicel])
     rods = Rods(
         nodes=np.concatenate([skeleton.nodes, stalks.nodes]),

@@ -22,10 +22,6 @@ from anther.rods import Support
 
 TENSION = {"tomato": Believed.between(40.0, 60.0), "pepper": Believed.between(8.0, 25.0)}
 """Pull of a string at its hook [N] (facts: rows 0 and D, 4 to 6 kg hang on a tomato's); of a pepper's stem a guess."""
-NEAREST = 0.05
-"""A hook is at least so far above what its string holds [m], whatever the map says."""
-BESIDE = 0.01
-"""A string so near a stem's surface is held by it [m]: a clip is as wide."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +52,8 @@ class HeldString(Record):
 
         It pulls along the stem, since nothing bends what hangs: a hook that the map has 2 cm off would bend it.
         """
-        length = max(self.hook[2] - nodes[node, 2], NEAREST)
+        least_height = 0.05  # m of the hook above what its string holds, whatever the map says
+        length = max(self.hook[2] - nodes[node, 2], least_height)
         along = nodes[node] - nodes[0]
         return Support.string(node, length / np.linalg.norm(along) * along, factor * self.tension, self.stretching)
 
@@ -86,5 +83,6 @@ def topmost_hold(nodes: Array, radius: Array, cloud: Cloud | None) -> int:
     strings: Sequence[Array] = [] if cloud is None else [s.balls(0.005)[:, :3] for s in cloud.supports if s.soft]
     if not strings:
         return len(nodes) - 1
-    near = KDTree(np.vstack(strings)).query(nodes)[0] < radius + BESIDE
+    beside = 0.01  # m from a stem's surface that a string holds it: a clip is as wide
+    near = KDTree(np.vstack(strings)).query(nodes)[0] < radius + beside
     return int(np.flatnonzero(near).max()) if near.any() else len(nodes) - 1

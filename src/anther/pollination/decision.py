@@ -41,15 +41,11 @@ base that is bent most is a leaf's (97 % of 1,440 shakes of the plants of `stalk
 counted as lost); a slip costs bark, besides this visit's fruit, which `worth` takes off."""
 EXPONENT = 1.5
 """n of the share of pollen freed, a^n / (a^n + half^n): between 1 and 2 (facts: pollination 6)."""
-PROBIT = 1.702
-"""A logistic curve is this much steeper than the normal distribution that is nearest to it (Camilli 1994)."""
 GRIP = Believed(1.0, 0.25)
 """Of the friction that pads have over that which a planner counts with: median and spread of ln, a guess."""
 
 BANDS = np.array([6.0, 17.0, 28.0, 70.0])
 """Middles of 1-14, 14-20, 20-40 and 40-120 Hz, between which errors go as the logarithm of the frequency does [Hz]."""
-NONE = 1e-12
-"""A load per metre that is not more is none: there is no such organ."""
 Errors = Mapping[str, tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]]
 ERRORS: Errors = {
     "flowers": ((0.06, 0.13, -0.20, -0.75), (0.81, 0.48, 0.46, 0.75), (0.56, 0.75, 0.78, 0.89)),
@@ -158,9 +154,10 @@ def believed(kind: str, values: Array, hertz: ArrayLike, measured: bool | None =
     at = np.log(np.asarray(hertz, dtype=np.float64))
     intercept, slope, spread = (np.interp(at, np.log(BANDS), row) for row in rows)
     inertia = 0.0 if kind == "grip_force" else 2 * (at + np.log(2 * np.pi))
-    logs = np.log(np.maximum(values, NONE))
+    none = 1e-12  # a load per metre that is not more is none: there is no such organ
+    logs = np.log(np.maximum(values, none))
     regressed = intercept + inertia + slope * (logs - inertia)
-    return np.where(values > NONE, regressed, logs), np.asarray(spread)
+    return np.where(values > none, regressed, logs), np.asarray(spread)
 
 
 def expected(kind: str, values: Array, hertz: ArrayLike, measured: bool | None = None) -> Array:
@@ -225,7 +222,8 @@ def _dose_curve(hertz: Array, power: int) -> Curve:
     """Return the curve of the share of pollen freed by a measure of motion, see `DOSE_MEASURES`."""
 
     def freed(logs: Array, spread: Array) -> Array:
-        width = np.sqrt((PROBIT / EXPONENT) ** 2 + HALF_DOSE.spread**2 + spread**2)
+        probit = 1.702  # a logistic curve is so much steeper than the nearest normal distribution (Camilli 1994)
+        width = np.sqrt((probit / EXPONENT) ** 2 + HALF_DOSE.spread**2 + spread**2)
         return ndtr((logs + power * np.log(hertz / SAME_DOSE) - np.log(HALF_DOSE.median)) / width)
 
     return freed

@@ -23,8 +23,6 @@ from anther.robot.arm.shaking import amplitude_limit
 from anther.rods import natural_frequencies, response_map
 
 ARM = arm_shaker()
-TURNS = np.pi * np.arange(12) / 12
-"""Horizontal directions that are tried for the best one [rad]."""
 MODES = 4
 COLUMNS = (
     "grip_node", "grip_distance_m", "grip_z_m", "frequency_hz", "direction_x", "direction_y", "direction_z",
@@ -104,7 +102,7 @@ def map_grips(
         flowers: (F,) nodes.
         frequencies: (Q,) [Hz].
         amplitude: (Q,) of the grip [m].
-        directions: (D, 3) unit vectors, of which each cell takes the best; None: `TURNS`.
+        directions: (D, 3) unit vectors, of which each cell takes the best; None: 12 over half a turn.
         pads: length of stem between the pads [m].
         actuator: whose band is allowed.
     """
@@ -118,7 +116,8 @@ def map_grips(
             plant.rods, plant.clamp, rows, np.eye(3), frequencies, observe=flowers, loss_factor=loss
         )
     if directions is None:
-        directions = np.column_stack([np.cos(TURNS), np.sin(TURNS), 0 * TURNS])
+        turns = np.pi * np.arange(12) / 12  # horizontal directions that are tried for the best one [rad]
+        directions = np.column_stack([np.cos(turns), np.sin(turns), 0 * turns])
     ratio, direction = _best_direction(moves, directions)
     resonances = []
     for nodes in held:

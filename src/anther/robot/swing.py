@@ -14,9 +14,6 @@ from anther.core.errors import bad_input
 from anther.core.geometry import Array
 from anther.core.records import Range, Record, Shape
 
-RAMP_PERIODS = 3
-"""A whole shake rises and falls smoothly within this many periods; our choice."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Swing(Record):
@@ -104,7 +101,8 @@ def whole_shake(amplitude: float, frequency: float, duration: float) -> tuple[Sw
     check_range("shake amplitude", amplitude, 1e-6, 0.2, "m")
     check_range("shake frequency", frequency, 0.1, 50, "Hz")
     check_range("shake duration", duration, 2 / frequency, 60, "s")
-    ramp = min(RAMP_PERIODS / frequency, duration / 2)
+    periods = 3  # within which a whole shake rises and falls; our choice
+    ramp = min(periods / frequency, duration / 2)
     rise = Swing.first(frequency, amplitude, duration - ramp, ramp)
     return rise, rise.then(0.0, ramp, ramp)
 

@@ -119,7 +119,7 @@ class SimMotor:
         acceleration = np.diff(speed, prepend=self.cell.motor_command[1]) / dt
         force = arm_model.motor_load(place[:-1], speed, acceleration)
         for what, value, most, unit in (
-            ("place", np.abs(place).max(), arm_model.STOP, "m"),
+            ("place", np.abs(place).max(), arm_model.COIL.stop, "m"),
             ("force without a stem", np.abs(force).max(), self.cell.params.coil_force, "N"),
         ):
             if value > most:

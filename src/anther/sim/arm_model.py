@@ -9,7 +9,7 @@ product: its numbers are guesses of what one of that size has.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco as mujoco_module
 import numpy as np
@@ -25,18 +25,27 @@ FINGER_MASS = 0.04  # kg, our estimate
 PAD_WAYS = ("x", "z", "turn")  # in which a pad gives way on its finger, see `add_arm`
 GRIP_FORCE = 10.0
 """Of the gripper, usually at most [N]: about 30 % of 35 N (facts: sawyer 3)."""
-COIL_FORCE = 25.0
-"""Of the motor's voice coil at most [N]."""
-CARRIAGE_MASS = 0.12
-"""Of coil, slide and the fingers' drive, which ride on it [kg]; the fingers come besides."""
-SPRING = 2e3
-"""Of the flexures that centre it [N/m]: alone with the fingers it swings at 16 Hz."""
-DAMPING = 2.0
-"""Of flexures and slide [N s/m]: 5 % of critical."""
-STOP = 2e-3
-"""Either way, where it strikes [m]."""
-HOLD = 5e-4
-"""Time in which friction stops what slides between the pads [s]; MuJoCo takes twice the step where that is longer."""
+
+
+class Coil(NamedTuple):
+    """The voice coil that moves the fingers, and what it moves.
+
+    Attributes:
+        force: at most [N].
+        carriage: coil, slide and the fingers' drive, which ride on it [kg]; the fingers come besides.
+        spring: of the flexures that centre it [N/m]: alone with the fingers it swings at 16 Hz.
+        damping: of flexures and slide [N s/m]: 5 % of critical.
+        stop: either way, where it strikes [m].
+    """
+
+    force: float = 25.0
+    carriage: float = 0.12
+    spring: float = 2e3
+    damping: float = 2.0
+    stop: float = 2e-3
+
+
+COIL = Coil()
 
 
 def flex_name(joint: str) -> str:
@@ -96,20 +105,21 @@ def add_grips(spec: Any, segments: Iterable[str]) -> None:
 
     MuJoCo's friction is a damping of the speed between two bodies, and its constraints leave out how their Jacobian
     changes with time. At 40 Hz the mean of what is left out, over the damping, made a stem wander out of pads that held
-    it with ten times its pull, by 2 mm/s, in steps of 0.1 ms as well. So friction damps with `HOLD`, not with the pads'
-    softness.
+    it with ten times its pull, by 2 mm/s, in steps of 0.1 ms as well. So friction damps with its own time, not with the
+    pads' softness.
 
     Args:
         spec: the world, with plant and arm.
         segments: names of their geoms.
     """
     pads = [spec.geom(f"{side}_pad") for side in ("left", "right")]
+    hold = 5e-4  # s in which friction stops what slides; MuJoCo takes twice the step where that is longer
     for segment in segments:
         for pad in pads:
             slide, twist, roll = pad.friction
             pair = spec.add_pair(geomname1=segment, geomname2=pad.name, condim=pad.condim)
             pair.friction = [slide, slide, twist, roll, roll]
-            pair.solref, pair.solimp, pair.solreffriction = pad.solref[:2], pad.solimp, [HOLD, 1.0]
+            pair.solref, pair.solimp, pair.solreffriction = pad.solref[:2], pad.solimp, [hold, 1.0]
 
 
 def tune_servos(model: Any, arm: ArmModel, truth: Truth) -> None:
@@ -234,19 +244,19 @@ def _pad_holder(
 def _add_carriage(flange: Any, force: float) -> Any:
     """Put the motor's carriage, 30 x 30 x 20 mm, on the flange and return it. Its joint is `motor` [m]."""
     body = flange.add_body(name="carriage", gravcomp=1)
-    body.explicitinertial, body.mass, body.ipos = True, CARRIAGE_MASS, [0, 0, 0.05]
-    body.inertia = CARRIAGE_MASS / 12 * np.array([0.03**2 + 0.02**2, 0.03**2 + 0.02**2, 2 * 0.03**2])
+    body.explicitinertial, body.mass, body.ipos = True, COIL.carriage, [0, 0, 0.05]
+    body.inertia = COIL.carriage / 12 * np.array([0.03**2 + 0.02**2, 0.03**2 + 0.02**2, 2 * 0.03**2])
     joint = body.add_joint(name="motor", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0, 1, 0])
-    joint.range, joint.limited = [-STOP, STOP], 1
-    joint.stiffness, joint.damping = [SPRING, 0, 0], [DAMPING, 0, 0]
+    joint.range, joint.limited = [-COIL.stop, COIL.stop], 1
+    joint.stiffness, joint.damping = [COIL.spring, 0, 0], [COIL.damping, 0, 0]
     joint.actgravcomp, joint.actfrclimited, joint.actfrcrange = 1, 1, [-force, force]
     return body
 
 
 def _add_coil(spec: Any) -> None:
     """Add the voice coil: a critically damped servo in place and in speed, and a force on top, limited together."""
-    mass, omega = CARRIAGE_MASS + 2 * FINGER_MASS, 2 * np.pi * 100.0  # Hz
-    gains = {"position": mass * omega**2 - SPRING, "velocity": 2 * mass * omega - DAMPING, "force": 1.0}
+    mass, omega = COIL.carriage + 2 * FINGER_MASS, 2 * np.pi * 100.0  # Hz
+    gains = {"position": mass * omega**2 - COIL.spring, "velocity": 2 * mass * omega - COIL.damping, "force": 1.0}
     for kind, gain in gains.items():
         actuator = spec.add_actuator(name=f"motor_{kind}", target="motor", trntype=mujoco.mjtTrn.mjTRN_JOINT)
         actuator.gainprm[0] = gain
@@ -257,7 +267,7 @@ def _add_coil(spec: Any) -> None:
 
 def motor_load(place: Any, speed: Any, acceleration: Any) -> Any:
     """Return the force that a motion asks of the coil [N] with nothing between the fingers."""
-    return (CARRIAGE_MASS + 2 * FINGER_MASS) * acceleration + DAMPING * speed + SPRING * place
+    return (COIL.carriage + 2 * FINGER_MASS) * acceleration + COIL.damping * speed + COIL.spring * place
 
 
 def _least_inertia(stiffness: float) -> float:

@@ -36,10 +36,6 @@ Sight = SimPlant | Scene | Callable[[int], Scene]
 """What is looked at: a plant, its scene, or the scene as each view finds it."""
 
 
-EDGE = 2.0
-"""Disparity step that makes an edge [px]."""
-
-
 @dataclass(frozen=True, slots=True)
 class DepthNoise(Record):
     """Parameters of the depth sensor; the defaults are a D455.
@@ -327,7 +323,8 @@ def _ragged_edges(
     """Return the disparity with flying pixels at its edges, and (H, W) which edge pixels have no reading."""
     window = np.ones((3, 3), np.uint8)
     near, far = cv2.dilate(disparity, window), cv2.erode(disparity, window)
-    edge = near - far > EDGE
+    edge_step = 2.0  # px of disparity that make an edge
+    edge = near - far > edge_step
     chance = rng.random(disparity.shape, dtype=np.float32)
     flying = edge & (chance < params.edge_flying)
     between = far + (near - far) * rng.random(disparity.shape, dtype=np.float32)

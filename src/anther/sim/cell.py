@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from enum import IntEnum
 from itertools import takewhile
 from typing import Any
 
@@ -30,9 +31,12 @@ from anther.sim.truth import NOMINAL, Truth
 
 POT, BENCH, NEIGHBOUR = range(-1, -4, -1)
 """What a contact's `other` says when it is not a plant segment."""
-PLANT_BIT, ROBOT_BIT, SCENERY_BIT = 1, 2, 4
-LOG_EVERY = 2
-"""One sample is logged every so many steps."""
+
+
+class _Bit(IntEnum):
+    """Of MuJoCo's contact masks: what a geometry is."""
+
+    PLANT, ROBOT, SCENERY = 1, 2, 4
 
 
 FINE = 4
@@ -117,9 +121,9 @@ class Cell:
         """
         self.plant, self.params, self.truth, self.arm = plant, params or Params(), truth, arm
         spec = _world(self.params.timestep, plant, solids, obstacles)
-        pieces = add_plant(spec, plant, self.params.plant, contype=PLANT_BIT)
+        pieces = add_plant(spec, plant, self.params.plant, contype=_Bit.PLANT)
         forces = {"grip_force": self.params.grip_force, "coil_force": self.params.coil_force}
-        arm_model.add_arm(spec, arm, truth, **forces, contype=ROBOT_BIT, conaffinity=PLANT_BIT)
+        arm_model.add_arm(spec, arm, truth, **forces, contype=_Bit.ROBOT, conaffinity=_Bit.PLANT)
         stems = np.flatnonzero(np.isin(plant.organ, (Organ.STEM, Organ.BRANCH, Organ.PEDUNCLE)))
         arm_model.add_grips(spec, [f"segment_{k}" for k in stems])
         self.model: Any = spec.compile()
@@ -262,7 +266,8 @@ class Cell:
         mujoco.mj_step(m, d)
         if d.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
             raise StageFailure("no_convergence", f"the simulated cell became unstable at {d.time:.3f} s.")
-        if round(d.time / m.opt.timestep) % (self._parts * LOG_EVERY) == 0:
+        every = 2  # one sample is logged in so many steps
+        if round(d.time / m.opt.timestep) % (self._parts * every) == 0:
             self._note()
 
     def _coil(self, motor: Array) -> Array:
@@ -347,7 +352,7 @@ def _world(timestep: float, plant: SimPlant, solids: Sequence[Box], obstacles: S
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     option.cone, option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10
-    bits = {"contype": SCENERY_BIT, "conaffinity": ROBOT_BIT}
+    bits = {"contype": _Bit.SCENERY, "conaffinity": _Bit.ROBOT}
     if plant.pot.radius:
         _add_pot(spec.worldbody, plant, bits)
     for i, box in enumerate(solids):

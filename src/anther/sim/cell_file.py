@@ -113,7 +113,7 @@ def simulate(
     scene = Scene.of_plant(plant)
     motion = motion_params(file.limits.speed_ratio)
     seen = plan_views(file.region, file.keep_out, views, T_flange_cam=file.T_flange_cam, motion=motion, arm=arm)
-    params = world.Params(grip_force=_force(file), coil_force=arm_model.COIL_FORCE if actuator == "gripper" else 0.0)
+    params = world.Params(grip_force=_force(file), coil_force=arm_model.COIL.force if actuator == "gripper" else 0.0)
     mujoco = world.Cell(plant, seen.joints[-1], params, truth, arm, file.keep_out)
     noise = np.random.default_rng([seed, int(viewpoint), 2])
     robot = robot_of(

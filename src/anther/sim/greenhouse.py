@@ -21,8 +21,8 @@ Painted = tuple[Mesh, Organ, NDArray[Any]]
 """A mesh, the `Organ` of its faces, and its sRGB colour (3,) or those of its vertices (n, 3)."""
 Matrix = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
 
-FLOOR_Z, WALL_DISTANCE = -1.25, 3.5
-"""Where floor and walls are [m]; z in the world."""
+WALL_DISTANCE = 3.5
+"""Where the walls are [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,8 @@ def surroundings(
     rng = np.random.default_rng(7)
     x, y = pot.centre[:2]
     bench = box([x - 0.25, y - 0.4, pot.bench_z - 0.04], [x + 0.25, y + 0.4, pot.bench_z])
-    parts = [(bench, Organ.BENCH, np.array(setting.bench)), *shell(np.array([x, y, FLOOR_Z]), rng)]
+    floor_z = -1.25  # m
+    parts = [(bench, Organ.BENCH, np.array(setting.bench)), *shell(np.array([x, y, floor_z]), rng)]
     if setting.stake:
         parts.append((_rod(pot, (0.02, 0.015), 0.004, 0.55), Organ.BENCH, np.array((196, 164, 110))))
         parts.append((_rod(pot, (-0.03, 0.03), 0.0012, 0.8), Organ.BENCH, np.array((228, 226, 214))))

@@ -169,10 +169,6 @@ def net_fruit(
     return np.where(slips, 0.0, gain) - np.where(bent["stem"], 1.0, lost) - cost
 
 
-PUSH = 2.0
-"""The robot may press on the plant with this before it closes [N]."""
-SLIP = 0.005
-"""The held point may wander this far between the pads [m]."""
 LETS_GO = 2.0
 """A string that is pulled so many times as hard as it hangs slides through its clips or off its hook: a guess."""
 LEAF_BAND = 5.0
@@ -258,16 +254,18 @@ def judge(
         cell, log.times[shaking][dosed], None if poses is None else poses[dosed], frequency
     )
     effort = np.abs(log.torques / cell.arm.effort).max(axis=0)
+    most_push = 2.0  # N that the robot may press on the plant before it closes
+    most_slip = 0.005  # m that the held point may wander between the pads
     findings: list[tuple[bool, FailureKind, str]] = [
         (bool(np.any(log.contact_other == NEIGHBOUR)), "collision", "the robot touched another plant or its string"),
         (bool(np.any(log.contact_other < 0)), "collision", "the robot touched the pot or the bench"),
-        (push > PUSH, "collision", f"the plant was pushed with {push:.1f} N before the gripper closed"),
+        (push > most_push, "collision", f"the plant was pushed with {push:.1f} N before the gripper closed"),
         (bool(effort.max() >= 0.999), "limits_exceeded", f"motor {effort.argmax()} was at its torque limit"),
         (pull > LETS_GO, "limits_exceeded", f"a string pulled with {pull:.1f} times what it hangs with"),
         (segment < 0, "nothing_grasped", "nothing was between the pads"),
         (organ != "stem", "branch_or_leaf_grasped", f"a {organ} was between the pads"),
         (shake is None, "nothing_grasped", "the plant was not shaken"),
-        (not slip <= SLIP, "slipped", f"the stem slipped {1000 * slip:.1f} mm between the pads"),
+        (not slip <= most_slip, "slipped", f"the stem slipped {1000 * slip:.1f} mm between the pads"),
         (share < 0.95, "slipped", f"the stem was held in {share:.0%} of the shake only"),
     ]
     failure: FailureKind | None = "damaged" if harm.passed else None

@@ -15,7 +15,7 @@ from anther.sim.growth import AREAL_DENSITY, GOLDEN_ANGLE, Growth, arc, blade_co
 from anther.sim.mesh import blade, star, tube, unit
 from anther.sim.plant import POT_AXIS, Organ, SimPlant
 
-BRANCH_GREEN, SEPAL_GREEN = (112, 146, 70), (98, 136, 62)
+BRANCH_GREEN = (112, 146, 70)
 
 
 def grow_pepper(seed: int, *, viewpoint: float = 0.0, axis: tuple[float, float] = POT_AXIS) -> SimPlant:
@@ -127,10 +127,11 @@ def grow_flower(growth: Growth, parent: int, out: Array) -> None:
     """A single nodding white flower on a curved pedicel."""
     rng = growth.rng
     kind = {"length": (0.01, 0.02), "mass": (0.07e-3, 0.13e-3), "nod": (0.6, 1.6)}
-    pedicel, tip, nod = growth.flower(parent, out, SEPAL_GREEN, **kind, parts=(0.5, 0.5), widths=(1, 1, 1.1))
+    green = (98, 136, 62)
+    pedicel, tip, nod = growth.flower(parent, out, green, **kind, parts=(0.5, 0.5), widths=(1, 1, 1.1))
     corolla, spin = rng.uniform(0.009, 0.0125), rng.uniform(0, 2 * np.pi)
     petals = star(tip + 0.002 * nod, nod, int(rng.integers(5, 8)), corolla, reflex=rng.uniform(-0.4, 0.3), spin=spin)
     cup = tube(tip + np.outer([-0.001, 0.002, 0.004], nod), [0.0015, 0.0032, 0.0034], sides=8, tip=False)
     cone = tube(tip + np.outer([0.001, 0.005, 0.0065], nod), [0.0012, 0.0019, 0.001], sides=8)
-    for mesh, colour in ((petals, (244, 244, 236)), (cup, SEPAL_GREEN), (cone, (120, 118, 150))):
+    for mesh, colour in ((petals, (244, 244, 236)), (cup, green), (cone, (120, 118, 150))):
         growth.surface(mesh, Organ.FLOWER, colour, pedicel)

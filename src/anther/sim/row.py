@@ -24,8 +24,6 @@ from anther.sim.row_plants import Place, high_wire_tomato, string_pepper
 
 FEWEST, MOST = 3, 12
 """Plants in a row that is grown."""
-UNEVEN = 0.03
-"""By which plants stand off their places along the row, standard deviation [m]: a guess."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,14 +113,15 @@ def _line(m: Measures, crop: Crop, count: int, line: int, rng: np.random.Generat
     """Return the places of the plants of a line of strings, 0 on the side of the path, in order along y."""
     pitch = m.pitch * (2 if crop == "pepper" else 1)  # two stems a plant
     y = pitch * (np.arange(count) - (count - 1) / 2 + 0.5 * line)
-    y = y + np.clip(rng.normal(0, UNEVEN, count), -pitch / 4, pitch / 4)
+    uneven = 0.03  # m, standard deviation of plants' places along the row: a guess
+    y = y + np.clip(rng.normal(0, uneven, count), -pitch / 4, pitch / 4)
     inward = 1.0 - 2.0 * line
     x, on = m.near + line * m.lines, m.near + m.lines / 2 - 0.03 * inward
     foot_z = m.gutter + SLAB[2] + CUBE[1]
     rise, drift = (0.0, 0.0) if crop == "pepper" else (rng.uniform(0.05, 0.2), m.drift)
     # stems of high-wire tomatoes rise from holders below their strings; those of peppers grow out of their cubes
     foot_x = on if crop == "pepper" else x + 0.06 * inward
-    feet = [np.array([foot_x, place - drift + rng.normal(0, UNEVEN), foot_z + rise]) for place in y]
+    feet = [np.array([foot_x, place - drift + rng.normal(0, uneven), foot_z + rise]) for place in y]
     return [
         Place(foot, np.array([x, place, m.wire]), -inward * np.eye(3)[0]) for foot, place in zip(feet, y, strict=True)
     ]

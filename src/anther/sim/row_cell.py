@@ -26,9 +26,6 @@ from anther.sim.truth import NOMINAL, Truth
 
 FLOWERS_Z = 0.15
 """Height of the flowers over the arm's base [m]: as in the cell of a plant in a pot."""
-FINE_BELOW = 0.55
-"""How far under the flowers the plant is cut finely [m]: an arm holds it within 0.4 m of them, and bending dies out
-within 3 to 9 cm of a grip (facts: rows 0)."""
 ROW_VIEWS = ViewParams(count=6, widest=50.0)
 """Views from one side of the row: 3 to 6 are what a visit has time for."""
 
@@ -60,14 +57,11 @@ def _mapped_hooks(row: Row) -> Array:
     return row.hooks + np.pad(error, ((0, 0), (0, 1)))
 
 
-BESIDE_PLUMB = {"tomato": 0.06, "pepper": 0.12}
-"""How far from the plumb line of its mapped hook a neighbour's stem is looked for [m]: 9 in 10 stems of high-wire
-tomatoes stray by 0.02; peppers' two stems part from one cube. Guesses."""
-
-
 def neighbours_kept(row: Row, arm: ArmModel) -> list[Box]:
     """Return what is kept clear of where the map has other stems within reach: a column below each of their hooks."""
-    wide, found = BESIDE_PLUMB[row.crop], list[Box]()
+    # m from the plumb line of its hook that a neighbour's stem is looked for; peppers part in two: guesses
+    beside = {"tomato": 0.06, "pepper": 0.12}
+    wide, found = beside[row.crop], list[Box]()
     for k, (x, y, z) in enumerate(_mapped_hooks(row)):
         box = Box(np.array([x - wide, y - wide, -1.5]), np.array([x + wide, y + wide, z]))
         if k != row.asked and _gap(box, arm.shoulder) < arm.reach + arm.tool.tip:
@@ -108,7 +102,8 @@ def _gap(box: Box, place: Array) -> float:
 
 def row_world(row: Row, truth: Truth = NOMINAL, arm: ArmModel = SAWYER, joints: Array | None = None) -> world.Cell:
     """Return MuJoCo's world of an arm before a row: the plant that is asked for on its string, and what is in reach."""
-    cut = replace(world.Params().plant, fine_above=float(row.flowers[2]) - FINE_BELOW)
+    fine_below = 0.55  # m under the flowers: an arm holds it within 0.4 m of them (facts: rows 0)
+    cut = replace(world.Params().plant, fine_above=float(row.flowers[2]) - fine_below)
     plant = held_by_string(row.worked, cut)
     if truth != NOMINAL:
         plant = held_by_string(as_true(plant, truth), cut)  # softer or heavier, it must still hang

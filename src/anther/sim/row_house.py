@@ -18,9 +18,7 @@ from anther.sim.mesh import box, tube
 from anther.sim.plant import Organ
 from anther.sim.truth import uniform
 
-STEEL, WHITE, PIPE, SPOOL = (150, 154, 156), (232, 234, 232), (214, 216, 214), (226, 206, 70)
-PIPE_RADIUS = 0.0255
-"""Of rails and heating pipes [m] (facts: rows D, 51 mm, remembered)."""
+STEEL = (150, 154, 156)
 SLAB = (0.20, 1.0, 0.075)
 """Of a slab of substrate: width, length, height [m], as rock wool is sold; remembered."""
 CUBE = (0.10, 0.065)
@@ -134,7 +132,7 @@ class Block:
 
     name: str
     box: Box
-    colour: RGB = WHITE
+    colour: RGB = (232, 234, 232)
 
     def moved(self, way: ArrayLike) -> Block:
         """Return the box elsewhere, `way` (3,) from here [m]."""
@@ -164,10 +162,12 @@ def installation(m: Measures, hooks: Array, feet: Array, rng: np.random.Generato
     def along(name: str, x: float, z: float, radius: float, colour: RGB = STEEL) -> Rod:
         return Rod(name, np.array([x, low, z]), np.array([x, high, z]), radius, colour)
 
-    rails = [along("rail", sign * m.gauge / 2, m.rail, PIPE_RADIUS, PIPE) for sign in (-1, 1)]
+    grey = (214, 216, 214)
+    pipe_radius = 0.0255  # m (facts: rows D, 51 mm, remembered)
+    rails = [along("rail", sign * m.gauge / 2, m.rail, pipe_radius, grey) for sign in (-1, 1)]
     middle = m.near + m.lines / 2
     wires = [along("wire", x, m.wire + 0.012, 0.0015) for x in (m.near, m.near + m.lines)]
-    pipe = along("pipe", middle, m.gutter + rng.uniform(0.5, 1.2), PIPE_RADIUS, PIPE)
+    pipe = along("pipe", middle, m.gutter + rng.uniform(0.5, 1.2), pipe_radius, grey)
     first = low + rng.uniform(0, m.posts)
     posts = [
         Block("post", Box(np.array([middle - 0.03, y, 0.0]), np.array([middle + 0.03, y + 0.06, m.wire + 0.3])), STEEL)
@@ -206,9 +206,10 @@ def _hooks(hooks: Array) -> list[Part]:
     """Return the hooks, each with the spool of string that is unwound from week to week."""
     found: list[Part] = []
     _, y, z = np.eye(3)
+    yellow = (226, 206, 70)
     for hook in hooks:
         found.append(Rod("hook", hook + 0.02 * z, hook - 0.03 * z, 0.002, STEEL))
-        found.append(Rod("spool", hook + 0.012 * y, hook + 0.11 * y, 0.016, SPOOL))
+        found.append(Rod("spool", hook + 0.012 * y, hook + 0.11 * y, 0.016, yellow))
     return found
 
 

@@ -27,10 +27,6 @@ from anther.sim.tomato import SEPAL_GREEN, STEM_GREEN, grow_leaf, grow_truss
 from anther.sim.truth import Spread, uniform
 
 RGB = tuple[int, int, int]
-LYING = (134, 136, 92)
-TWINE_WHITE, CLIP_WHITE = (232, 230, 222), (198, 208, 210)
-TWINE_RADIUS = 0.001
-"""Of a string [m]: an estimate, as `evaluation.perception.scene_plants` has it."""
 FRUIT_DENSITY = 1000.0
 """Mostly water [kg/m3]."""
 HEAVIEST = {"tomato": 0.25, "pepper": 0.25}
@@ -95,15 +91,6 @@ HABIT: dict[str, dict[str, Spread]] = {
     },
 }
 """What is drawn of each plant."""
-BEND_OVER_TWIST = 4.0
-"""EI/GJ of woody stems that a string embraces: between a round bar's 1.5 and a petiole's 12 (facts: pollination 2); a
-guess."""
-CLIPPED = 0.5
-"""Share of plants whose string is clipped to them; it is wound about the others. Growers do either (facts: rows D)."""
-HANGS_OVER = 0.15
-"""Share of heads that grew past the wire and hang over it: a guess."""
-SIDE_SHOOT = 0.12
-"""Share of the leaves below the head in whose axil a shoot was left: a guess."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -194,7 +181,8 @@ def _grow_lying_stem(growth: Growth, place: Place, radius: float, habit: Mapping
     lying = np.stack([wave * np.clip(along, 0, 1), -way * (bend + along), -bend + 0 * along], axis=1)
     points = place.foot + np.vstack([lying, turn])
     mesh = tube(points, np.full(len(points), 1.05 * radius), sides=10, tip=False)
-    growth.surface(mesh, Organ.STEM, LYING, -1)
+    colour = (134, 136, 92)
+    growth.surface(mesh, Organ.STEM, colour, -1)
 
 
 def _over_the_wire(top: Array, lean: Array, rest: float, rng: np.random.Generator) -> Array:
@@ -225,7 +213,8 @@ def high_wire_tomato(seed: int, place: Place) -> SimPlant:
     rng = np.random.default_rng([seed, 11])
     habit = {name: spread.draw(rng) for name, spread in HABIT["tomato"].items()}
     growth, pitch = Growth(rng), habit["truss_pitch"]
-    over = rng.uniform(0.25, 0.45) if rng.uniform() < HANGS_OVER else 0.0  # m
+    over_share = 0.15  # of heads grew past the wire and hang over it: a guess
+    over = rng.uniform(0.25, 0.45) if rng.uniform() < over_share else 0.0  # m
     length = place.hook[2] - place.foot[2] - habit["hook_to_flower"] + over + pitch * HEAD.sum()
     axis = hanging_axis(place, rng, length=length, lifted=habit["lifted"])
     nodes = axis.arc[-1] - np.concatenate([[0.004], np.cumsum(pitch * HEAD[::-1])])
@@ -246,13 +235,14 @@ def _grow_tomato_leaves(growth: Growth, axis: Axis, nodes: Array, habit: Mapping
     """Grow the leaves that were not cut, and side shoots; return the azimuth [rad] where the lowest sits."""
     rng = growth.rng
     azimuth, head = rng.uniform(0, 2 * np.pi), len(HEAD)
+    shoot_share = 0.12  # of the leaves below the head have a shoot in their axil: a guess
     for number, arc_ in enumerate(nodes[: int(habit["leaves"])]):
         azimuth -= GOLDEN_ANGLE + rng.normal(0, np.radians(8))
         grown = min((number + 1) / (head + 2), 1.0) ** 0.8
         size = float(np.clip(habit["leaf"] * grown * rng.uniform(0.9, 1.1), 0.05, 0.5))
         segment = int(axis.segment(arc_))
         grow_leaf(growth, segment, azimuth, size, float(np.clip(1 - number / 18, 0.1, 1)))
-        if head < number and rng.uniform() < SIDE_SHOOT:
+        if head < number and rng.uniform() < shoot_share:
             _grow_side_shoot(growth, segment, azimuth + 0.3)
     return azimuth
 
@@ -421,21 +411,25 @@ def _twine_mesh(
     line: Axis, top: float, hook: Array, habit: Mapping[str, float], rng: np.random.Generator
 ) -> list[tuple[Mesh, RGB, NDArray[np.intp]]]:
     """Return the meshes of a string up to its hook and of its clips, with colour and segments (n,) they ride on."""
-    clipped = rng.uniform() < CLIPPED
+    clipped_share = 0.5  # of strings; the others are wound about. Growers do either (facts: rows D)
+    clipped = rng.uniform() < clipped_share
     along = np.arange(min(0.15, 0.3 * top), top, 0.012)
     turn = rng.uniform(0, 2 * np.pi) + (0 * along if clipped else 2 * np.pi * along / habit["turn"])
     points = line.at(along)
     first = transport(points, [0.8, 0.6, 0.1])
     second = np.cross(unit(np.gradient(points, axis=0)), first)
     around = np.cos(turn)[:, None] * first + np.sin(turn)[:, None] * second
-    beside = points + (line.radius(along) + 1.2 * TWINE_RADIUS)[:, None] * around
+    twine = 0.001  # m, its radius: an estimate, as `evaluation.perception.scene_plants` has it
+    beside = points + (line.radius(along) + 1.2 * twine)[:, None] * around
     string = np.vstack([beside, np.linspace(beside[-1], hook, 12)[1:]])
     rides = np.repeat(np.concatenate([line.segment(along), np.full(11, -1)]), 5)
-    found = [(tube(string, np.full(len(string), TWINE_RADIUS), sides=5, tip=False), TWINE_WHITE, rides)]
+    twine_white = (232, 230, 222)
+    found = [(tube(string, np.full(len(string), twine), sides=5, tip=False), twine_white, rides)]
+    clip_white = (198, 208, 210)
     for arc_ in np.arange(top - 0.006, 0.3, -habit["clips"]) if clipped else ():
-        width = float(line.radius(arc_)) + 2.5 * TWINE_RADIUS
+        width = float(line.radius(arc_)) + 2.5 * twine
         ring = tube(line.at(arc_ + np.array([-0.006, 0.006])), [width, width], sides=10, tip=False)
-        found.append((ring, CLIP_WHITE, np.full(20, line.segment(arc_))))
+        found.append((ring, clip_white, np.full(20, line.segment(arc_))))
     return found
 
 
@@ -465,7 +459,8 @@ def hung(
         meshes += _twine_mesh(line, float(line.ends[top]), hook, habit, rng)
         length = float(np.linalg.norm(hook - points[top + 1]))
         twines.append(Twine(hook, int(segments[top]), tension, habit["twine"] / length))
-    return replace(with_meshes(plant, meshes, rng), twines=tuple(twines), bend_over_twist=BEND_OVER_TWIST)
+    bend_over_twist = 4.0  # EI/GJ: between a round bar's 1.5 and a petiole's 12 (facts: pollination 2); a guess
+    return replace(with_meshes(plant, meshes, rng), twines=tuple(twines), bend_over_twist=bend_over_twist)
 
 
 def with_meshes(

@@ -175,7 +175,7 @@ def build(
     planned = views_at(distance, views, arm)
     plant = grow(species, seed, viewpoint, distance, truth)
     noise = int(np.random.default_rng([seed, int(viewpoint), 2 + 10 * visit]).integers(1 << 31))
-    coil = arm_model.COIL_FORCE if actuator == "gripper" else 0.0
+    coil = arm_model.COIL.force if actuator == "gripper" else 0.0
     mujoco = world.Cell(plant, arm.waiting, world.Params(coil_force=coil), truth, arm)
     return around(mujoco, Scene.of_plant(plant), place, planned, arm.waiting, noise, (seed, viewpoint, visit), tap)
 

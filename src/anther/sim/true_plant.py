@@ -22,9 +22,6 @@ from anther.sim.truth import NOMINAL, Truth
 
 FOLIAGE = (Organ.PETIOLE, Organ.RACHIS, Organ.LEAF)
 STALKS = (Organ.PEDUNCLE, Organ.PEDICEL)
-SLOWEST = 0.3
-"""A plant that swings more slowly than this [Hz] would hang down or twist over in a breath of air (facts: pollination
-2 has 1.1 and 1.4 Hz)."""
 
 
 def as_true(plant: SimPlant, truth: Truth) -> SimPlant:
@@ -139,7 +136,7 @@ def _support(plant: SimPlant, truth: Truth, rng: np.random.Generator) -> SimPlan
     """Return the plant with the self-support of the truth, tied to a stake where that is little: below 1.5.
 
     A plant on strings is held up by them. A cane of 1 cm in a pot holds the stem with 20-200 N/m (a guess). Plants
-    slower than `SLOWEST` are made stiffer.
+    slower than 0.3 Hz are made stiffer.
     """
     share, strength = rng.uniform(0.55, 0.85), np.exp(rng.uniform(*np.log((20.0, 200.0))))
     if plant.twines:
@@ -159,6 +156,7 @@ def _support(plant: SimPlant, truth: Truth, rng: np.random.Generator) -> SimPlan
 
 def _is_stable(plant: SimPlant) -> bool:
     try:
-        return bool(alone(plant, Params(twist_every=1)).frequencies[0] >= SLOWEST)
+        slowest = 0.3  # Hz: a slower plant would twist over in a breath of air (facts: pollination 2)
+        return bool(alone(plant, Params(twist_every=1)).frequencies[0] >= slowest)
     except StageFailure:
         return False

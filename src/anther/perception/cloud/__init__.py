@@ -48,8 +48,6 @@ __all__ = ["Cloud", "Params", "Support", "fuse", "likely_cause"]
 
 Progress = Callable[[int, int], None]
 """Called with the number of steps done and of all."""
-OBSTACLE_VOXEL = 0.01
-"""Spacing of the obstacle points [m]."""
 SUPPORT = 3
 """Label of a support's points in a PLY file, beside the masks' `PLANT` and `FLOWER`."""
 
@@ -218,7 +216,8 @@ def fuse(
     """
     params = params or Params()
     box = workspace or viewed_box(capture)
-    box.cells(OBSTACLE_VOXEL, 1e8)  # of 28 bytes each
+    obstacle_voxel = 0.01  # m
+    box.cells(obstacle_voxel, 1e8)  # of 28 bytes each
     labels = check_array("mask labels", masks.labels, capture.depth.shape, dtype="uint8")
     report = _steps(progress, 5)
     pixels = plant_pixels(capture, labels, box)
@@ -242,7 +241,7 @@ def fuse(
     _require(len(fused.points), "connected points")
     report()
     obstacles = _background_cells(
-        capture, labels, poses, box, plant=fused.points, voxel=OBSTACLE_VOXEL, used=np.flatnonzero(used)
+        capture, labels, poses, box, plant=fused.points, voxel=obstacle_voxel, used=np.flatnonzero(used)
     )
     report()
     return Cloud(

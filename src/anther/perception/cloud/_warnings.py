@@ -113,9 +113,6 @@ def _left_out(points: Array, kept: NDArray[np.bool_]) -> tuple[str, ...]:
     )
 
 
-MOST_SEEN_THROUGH = 0.12
-"""Views disagree where they see through a larger share of each other's points: between right captures, 0.065 at most,
-and focal lengths 20 % off, 0.20 at least (docs/reports/confidence.md)."""
 JUDGED = 600
 """At most so many points of a view are judged: more take time."""
 
@@ -154,14 +151,15 @@ def find_disagreement(
     depth = [capture.depth[v] for v in views]  # no copy
     share, count = seen_through(points, poses[views], depth, capture.intrinsics)
     enough = count >= 200  # judgements; fewer are no evidence
-    if enough and share <= MOST_SEEN_THROUGH:
+    most = 0.12  # between right captures 0.065, with focal lengths 20 % off 0.20 (docs/reports/confidence.md)
+    if enough and share <= most:
         return (), 0.0
     cause = likely_cause(capture, points_cam if enough else None)
     if not enough:
         return ((f"the views hardly see the same of the plant: none confirms another. {cause}",) if cause else ()), 0.0
     return (
         f"the views disagree: where one sees the plant, others see through it in {share:.0%} of all cases; at most "
-        f"{MOST_SEEN_THROUGH:.0%} where intrinsics and poses are right. "
+        f"{most:.0%} where intrinsics and poses are right. "
         f"{cause or 'Check the intrinsics, and that every image has its own pose.'}",
     ), share
 

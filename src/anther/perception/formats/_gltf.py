@@ -25,19 +25,17 @@ from anther.perception.skeleton import Skeleton
 SIDES = 12
 """Vertices of a ring. Every node has one ring of its own radius, centred on it; ends are closed by a fan."""
 
-Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-"""(x, y, z) with z up -> (x, z, -y) with y up."""
-
-_COLORS = {"stem": (92, 138, 58), "branch": (139, 186, 92), "truss": (214, 160, 40), "leaf": (52, 110, 60)}
-_OTHERS = ((214, 160, 62), (70, 140, 150), (170, 95, 130), (120, 120, 120))
-
 
 def write_glb(path: Path | str, skeleton: Skeleton, labels: Sequence[str] | None = None) -> None:
     """Write a skeleton as .glb: one mesh an organ name, "skeleton" without labels."""
     scene = trimesh.Scene(base_frame="world")
-    scene.graph.update(frame_to="z_up", frame_from="world", matrix=Y_UP)
+    # (x, y, z) with z up -> (x, z, -y) with y up
+    y_up = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+    scene.graph.update(frame_to="z_up", frame_from="world", matrix=y_up)
+    colors = {"stem": (92, 138, 58), "branch": (139, 186, 92), "truss": (214, 160, 40), "leaf": (52, 110, 60)}
+    others = ((214, 160, 62), (70, 140, 150), (170, 95, 130), (120, 120, 120))
     for i, (name, mesh) in enumerate(tubes(skeleton, labels).items()):
-        color = _COLORS.get(name, _OTHERS[i % len(_OTHERS)] if labels is not None else _COLORS["stem"])
+        color = colors.get(name, others[i % len(others)] if labels is not None else colors["stem"])
         material = PBRMaterial(
             name=name, baseColorFactor=[*color, 255], metallicFactor=0.0, roughnessFactor=0.8, doubleSided=False
         )

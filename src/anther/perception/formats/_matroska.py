@@ -13,22 +13,26 @@ import zlib
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from enum import IntEnum
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from anther.core.errors import AntherError, bad_input
 from anther.core.files import LARGEST_TEXT, existing, understood
 
-_EBML, _SEGMENT, _CLUSTER = 0x1A45DFA3, 0x18538067, 0x1F43B675
-_TRACK, _ATTACHMENT, _COMPRESSION, _ENCRYPTION = 0xAE, 0x61A7, 0x5034, 0x5035
-_MASTERS = {
-    _EBML, _SEGMENT, _CLUSTER, _TRACK, _ATTACHMENT, _COMPRESSION, _ENCRYPTION,
-    0x1549A966, 0x1654AE6B, 0xE0, 0x6D80, 0x6240, 0xA0, 0x1941A469, 0x1254C367, 0x7373, 0x67C8,
-}  # fmt: skip
-"""Info, Tracks, Video, ContentEncodings and one of them, BlockGroup, Attachments, Tags, Tag, SimpleTag too."""
-_BLOCKS = (0xA3, 0xA1)
-_ZLIB, _STRIPPED = 0, 3
-"""Matroska's numbers of how frames are packed: zlib, and with a beginning that all share left out."""
+
+class _Id(IntEnum):
+    """Matroska's numbers of elements that hold others and mean something here."""
+
+    EBML, SEGMENT, CLUSTER = 0x1A45DFA3, 0x18538067, 0x1F43B675
+    TRACK, ATTACHMENT = 0xAE, 0x61A7
+    COMPRESSION, ENCRYPTION = 0x5034, 0x5035
+
+
+class _Packing(IntEnum):
+    """Matroska's numbers of how frames are packed: zlib, and with a beginning that all share left out."""
+
+    ZLIB, STRIPPED = 0, 3
 
 
 class Place(NamedTuple):
@@ -90,7 +94,7 @@ class Matroska:
     def frame(self, track: Track, frame: Frame, most: int) -> bytes:
         """Return a frame's bytes, unpacked, at most so many and one."""
         data = self.read(frame.place)
-        if track.packing == _ZLIB:
+        if track.packing == _Packing.ZLIB:
             return zlib.decompressobj().decompress(data, most + 1)
         return track.shared + data
 
@@ -103,7 +107,7 @@ def read_matroska(path: Path | str) -> Matroska:
     """
     path = existing(path)
     with understood(path, "a Matroska file", "Copy it again."), path.open("rb") as stream:
-        if stream.read(4) != _EBML.to_bytes(4, "big"):
+        if stream.read(4) != _Id.EBML.to_bytes(4, "big"):
             raise bad_input(str(path), given="no Matroska file", allowed="an .mkv", do="Is it the right file?")
         try:
             with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
@@ -126,14 +130,16 @@ class _CutOffError(Exception):
 
 def _elements(path: Path, data: Any) -> Iterator[_Element]:
     """Yield each element's kind and where its content stands, masters before what is in them."""
+    # besides: Info, Tracks, Video, ContentEncodings and one of them, BlockGroup, Attachments, Tags, Tag, SimpleTag
+    masters = {*_Id, 0x1549A966, 0x1654AE6B, 0xE0, 0x6D80, 0x6240, 0xA0, 0x1941A469, 0x1254C367, 0x7373, 0x67C8}
     at, closed = 0, True
     while at < len(data):
         kind, at = _number(data, at, 4, marked=True)
         size, at = _number(data, at, 8)
         end = at + size if size >= 0 else len(data)
-        if size < 0 and kind not in (_SEGMENT, _CLUSTER):
+        if size < 0 and kind not in (_Id.SEGMENT, _Id.CLUSTER):
             raise ValueError(f"element {kind:X} of no size")
-        if kind == _SEGMENT:
+        if kind == _Id.SEGMENT:
             closed = size >= 0
         if end > len(data):
             if not closed:
@@ -141,7 +147,7 @@ def _elements(path: Path, data: Any) -> Iterator[_Element]:
             given, do = f"a file cut off at {len(data)} of {end} bytes or more", "Copy it again."
             raise bad_input(str(path), given=given, allowed="a whole recording", do=do)
         yield _Element(kind, at, end)
-        at = at if kind in _MASTERS else end
+        at = at if kind in masters else end
 
 
 def _number(data: Any, at: int, longest: int, *, marked: bool = False) -> tuple[int, int]:
@@ -169,14 +175,14 @@ def _index(path: Path, data: Any) -> Matroska:
             match element.kind:
                 case 0x2AD7B1:
                     held.tick = 1e-9 * _unsigned(data, content)
-                case kind if kind == _TRACK:
+                case _Id.TRACK:
                     held.tracks.append(Track())
                 case 0xE7:
                     cluster = _unsigned(data, content)
-                case kind if kind in _BLOCKS:
+                case 0xA3 | 0xA1:
                     number, frame = _block(data, content, cluster)
                     held.frames[number].append(frame)
-                case kind if kind == _ATTACHMENT:
+                case _Id.ATTACHMENT:
                     attached = {}
                 case 0x466E | 0x465C as kind:  # its name and its content, in either order
                     attached[kind] = content
@@ -208,15 +214,15 @@ def _describe(track: Track, kind: int, data: Any, content: Place) -> None:
             track.width = _unsigned(data, content)
         case 0xBA:
             track.height = _unsigned(data, content)
-        case kind if kind == _COMPRESSION:
-            track.packing = _ZLIB  # where nothing else is said
+        case _Id.COMPRESSION:
+            track.packing = _Packing.ZLIB  # where nothing else is said
         case 0x4254:
             track.packing = _unsigned(data, content)
-            if track.packing not in (_ZLIB, _STRIPPED):
+            if track.packing not in (_Packing.ZLIB, _Packing.STRIPPED):
                 raise ValueError(f"track {track.name} packed by method {track.packing}")
         case 0x4255:
             track.shared = _bytes(data, content)
-        case kind if kind == _ENCRYPTION:
+        case _Id.ENCRYPTION:
             raise ValueError(f"track {track.name} is encrypted")
 
 

@@ -23,8 +23,6 @@ from anther.perception.cloud import ply
 from anther.perception.formats._raw_points import MOST_POINTS, RawPoints, unit_of, unused_note
 
 INSTALL = "pip install 'anther[scans]'"
-_GEO_LINEAR, _GEO_UNITS = 3076, {9001: "m", 9002: "ft", 9003: "ft"}
-"""GeoTIFF's key of the linear unit, and EPSG's codes of units (US survey feet are feet to 2e-6)."""
 _RGB, _XYZ = ("red", "green", "blue"), ("X", "Y", "Z")
 
 
@@ -50,10 +48,12 @@ def read_las(path: Path) -> RawPoints:
 
 def _las_unit(vlrs: Any) -> Units | None:
     """Return the unit that a LAS file's coordinate system states."""
+    linear_unit = 3076  # GeoTIFF's key
+    names = {9001: "m", 9002: "ft", 9003: "ft"}  # EPSG's codes; US survey feet are feet to 2e-6
     for vlr in vlrs:
         for key in getattr(vlr, "geo_keys", ()):
-            if key.id == _GEO_LINEAR:
-                return unit_of(_GEO_UNITS.get(key.value_offset, ""))
+            if key.id == linear_unit:
+                return unit_of(names.get(key.value_offset, ""))
         stated = re.findall(r'UNIT\["(?:US survey )?(\w+)"', str(getattr(vlr, "string", "")), re.IGNORECASE)
         units: set[Units] = {unit for word in stated if (unit := unit_of(word.lower().replace("_us", "")))}
         if len(units) == 1:

@@ -37,21 +37,10 @@ from anther.perception.images import is_intact
 from anther.perception.transforms import scaled, without_rounding
 
 _RECORD = "k4arecorder --depth-mode NFOV_UNBINNED --color-mode 1080p FILE.mkv"
-_SENSOR = 1024
-"""Of the depth camera, both ways [px]."""
-_DEPTH_MODES = {(640, 576): (1, 192, 180), (320, 288): (2, 96, 90), (1024, 1024): (1, 0, 0), (512, 512): (2, 0, 0)}
-"""Width and height -> binning, and where the image begins on the binned sensor [px]."""
-_COLOUR_SIZES = {(1280, 720), (1920, 1080), (2560, 1440), (2048, 1536), (3840, 2160), (4096, 3072)}
-"""All show the whole width of a sensor of 4 to 3, and the middle of its height."""
 _LOCATIONS = {"DEPTH": ("D0", "Depth"), "COLOR": ("PV0", "PhotoVideo")}
 """Track -> how the calibration ends the Location and the Purpose of its camera."""
-_WIDEST = 1.7
-"""Where the calibration tells no radius in which its lens holds [of the focal length]: the SDK's."""
-_MM = np.float32(1e-3)
 _DEPTH_KINDS = {b"b16g": ">u2", b"YUY2": "<u2"}
 """How 16 bits are written; YUY2 is what the first recorders called them."""
-_COLOUR_KINDS = {b"MJPG": None, b"NV12": 1.5, b"YUY2": 2, b"BGRA": 4}
-"""And bytes a pixel."""
 
 
 class _Camera(NamedTuple):
@@ -152,7 +141,8 @@ def _camera(what: str, track: Track, told: list[dict[str, Any]]) -> _Camera:
     D = _distortion(str(lens["ModelType"]), numbers)
     radius = check_range("MetricRadius", float(found[0].get("MetricRadius", 0)), 0, 3, "of the focal length")
     camera = _pinhole(what, track, sensor, numbers)
-    straight, maps = _straight(what, camera, D, radius if radius > 1e-4 else _WIDEST, wider=track.name == "DEPTH")
+    widest = 1.7  # of the focal length: the SDK's, where the calibration tells no radius in which its lens holds
+    straight, maps = _straight(what, camera, D, radius if radius > 1e-4 else widest, wider=track.name == "DEPTH")
     T_camera_rig[:3, :3] = check_array("Rotation", pose["Rotation"], (9,)).reshape(3, 3)
     T_camera_rig[:3, 3] = check_array("Translation", pose["Translation"], (3,))
     return _Camera(straight, maps, without_rounding("Rt", T_camera_rig))
@@ -175,14 +165,19 @@ def _pinhole(what: str, track: Track, sensor: tuple[int, int], numbers: Array) -
     """Return the camera of a mode's images, with its lens: cx, cy, fx, fy are in units of the whole sensor."""
     size, (cx, cy, fx, fy) = (track.width, track.height), numbers[:4].tolist()
     if track.name == "DEPTH":
-        if size not in _DEPTH_MODES or sensor != (_SENSOR, _SENSOR):
-            raise _other_mode(what, size, sensor, f"{sorted(_DEPTH_MODES)} of {_SENSOR} x {_SENSOR}")
-        binning, left, top = _DEPTH_MODES[size]
-        whole = _SENSOR / binning, _SENSOR / binning
+        # width and height -> binning, and where the image begins on the binned sensor [px]
+        modes = {(640, 576): (1, 192, 180), (320, 288): (2, 96, 90), (1024, 1024): (1, 0, 0), (512, 512): (2, 0, 0)}
+        side = 1024  # px, both ways, of the depth camera's sensor
+        if size not in modes or sensor != (side, side):
+            raise _other_mode(what, size, sensor, f"{sorted(modes)} of {side} x {side}")
+        binning, left, top = modes[size]
+        whole = side / binning, side / binning
     else:
         shape = Fraction(*sensor)
-        if size not in _COLOUR_SIZES or shape not in (Fraction(4, 3), Fraction(16, 9)):
-            raise _other_mode(what, size, sensor, f"{sorted(_COLOUR_SIZES)} of 4 to 3 or 16 to 9")
+        # all show the whole width of a sensor of 4 to 3, and the middle of its height
+        sizes = {(1280, 720), (1920, 1080), (2560, 1440), (2048, 1536), (3840, 2160), (4096, 3072)}
+        if size not in sizes or shape not in (Fraction(4, 3), Fraction(16, 9)):
+            raise _other_mode(what, size, sensor, f"{sorted(sizes)} of 4 to 3 or 16 to 9")
         if shape == Fraction(16, 9):  # of the first devices: the middle of the sensor
             cy, fy = cy * 0.75 + 0.125, fy * 0.75
         whole = size[0], 0.75 * size[0]
@@ -271,13 +266,14 @@ def _depth(held: Matroska, track: Track, frame: Frame) -> NDArray[np.float32]:
     """Return (H, W) z-depth [m], 0 where there is none."""
     order = _DEPTH_KINDS[_kind(track, _DEPTH_KINDS)]
     data = _raw(held, track, frame, 2 * track.width * track.height)
-    return np.frombuffer(data, order).reshape(track.height, track.width).astype(np.float32) * _MM
+    return np.frombuffer(data, order).reshape(track.height, track.width).astype(np.float32) * np.float32(1e-3)
 
 
 def _colour(held: Matroska, track: Track, frame: Frame) -> NDArray[np.uint8]:
     """Return (H, W, 3) RGB."""
-    kind, width, height = _kind(track, _COLOUR_KINDS), track.width, track.height
-    share = _COLOUR_KINDS[kind]
+    kinds = {b"MJPG": None, b"NV12": 1.5, b"YUY2": 2, b"BGRA": 4}  # and bytes a pixel
+    kind, width, height = _kind(track, kinds), track.width, track.height
+    share = kinds[kind]
     if share is None:
         data, flags = held.frame(track, frame, LARGEST_TEXT), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
         image = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if is_intact(data) else None

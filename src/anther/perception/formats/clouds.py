@@ -51,8 +51,6 @@ __all__ = [
 ]
 
 SUFFIXES = (".ply", ".pcd", ".las", ".laz", ".e57", ".xyz", ".txt", ".csv", ".asc", ".pts", ".npz")
-DOUBT = 2.0
-"""An axis whose stem is at most this many times worse than the best may be up (docs/formats.md)."""
 
 _CUT = "Is it truncated, or another format?"
 
@@ -158,7 +156,8 @@ def axis_notes(points: Array) -> tuple[str, ...]:
     size = float(np.linalg.norm(np.ptp(points, axis=0)))
     thin = np.asarray(voxelgrid_sampling(points, size / 120).points())[:, :3]
     worth = {axis: stem_worth(thin[:, order]) for axis, order in TO_Z_UP.items()}
-    likely = [axis for axis, value in worth.items() if DOUBT * value >= max(worth.values())]
+    doubt = 2.0  # an axis whose stem is at most this many times worse may be up (docs/formats.md)
+    likely = [axis for axis, value in worth.items() if doubt * value >= max(worth.values())]
     if len(likely) > 1:
         return (f"the up axis is uncertain ({' or '.join(likely)}): check it, and set --up",)
     return () if likely == ["z"] else (f"{likely[0]} seems to be up: try --up {likely[0]}",)

@@ -27,7 +27,6 @@ from anther.perception.images import is_intact
 from anther.perception.transforms import OPENGL_TO_OPENCV, PIXEL_CENTRE, brought_to_one, check_views, same_shape
 
 INSTALL = "pip install 'anther[phones]'"
-T_Z_UP_ARKIT = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 _ZLIB, _LZFSE = b"\x78", b"bvx"
 
 
@@ -79,7 +78,8 @@ def _views(path: str, archive: zipfile.ZipFile, meta: dict[str, Any], views: int
     rgb = np.stack([_colour(path, archive, frame, size) for frame in frames])
     camera = brought_to_one(cameras, depth, rgb)
     poses = np.stack([_pose(path, meta, frame) for frame in frames])
-    return Capture(depth, camera, T_Z_UP_ARKIT @ poses @ OPENGL_TO_OPENCV, rgb), tuple(notes)
+    T_z_up_arkit = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+    return Capture(depth, camera, T_z_up_arkit @ poses @ OPENGL_TO_OPENCV, rgb), tuple(notes)
 
 
 def _camera(meta: dict[str, Any], frame: int) -> Intrinsics:

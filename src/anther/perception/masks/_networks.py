@@ -23,12 +23,8 @@ from anther.core.errors import InputError, bad_input
 
 SAM2_MEAN, SAM2_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 """Of red, green, blue, 0..1: ImageNet's, which SAM 2's image processor uses."""
-SPECIAL_TOKENS, PHRASE_ENDS = (101, 102, 1012, 1029), (1012, 1029)
-"""BERT's [CLS] [SEP] . ? in Grounding DINO's vocabulary; transformers has the same numbers in its model code."""
 SAM3_MEAN = SAM3_STD = (0.5, 0.5, 0.5)
 """Of red, green, blue, 0..1, as in SAM 3's image processor."""
-TEXT_LENGTH = 32
-"""Tokens that SAM 3's processor pads every text to."""
 
 
 def load_network(kind: Any, folder: Path) -> Any:
@@ -196,8 +192,10 @@ class GroundedSam2:
 
 def words_of_tokens(ids: Tensor) -> Tensor:
     """Return which of the words each token (T,) belongs to; -1 for [CLS], [SEP] and the dots that end the words."""
-    word = torch.cumsum(torch.isin(ids, torch.tensor(PHRASE_ENDS)), 0)
-    return torch.where(torch.isin(ids, torch.tensor(SPECIAL_TOKENS)), -1, word)
+    ends = (1012, 1029)  # . and ?
+    word = torch.cumsum(torch.isin(ids, torch.tensor(ends)), 0)
+    special = (101, 102, 1012, 1029)  # BERT's [CLS] [SEP] . ? in Grounding DINO's vocabulary
+    return torch.where(torch.isin(ids, torch.tensor(special)), -1, word)
 
 
 def chosen_boxes(
@@ -257,10 +255,11 @@ class Sam3:
 
     def _outlines(self, seen: Any, word: str, shape: tuple[int, ...]) -> list[NDArray[np.bool_]]:
         """Return the masks (K, H, W) of each of the B images for one word. The score: transformers' own decoding."""
+        tokens = 32  # that SAM 3's processor pads every text to
         text = self._tokenizer(
             [word.rstrip(".")] * shape[0],
             padding="max_length",
-            max_length=TEXT_LENGTH,
+            max_length=tokens,
             truncation=True,
             return_tensors="pt",
         ).to(self.device)

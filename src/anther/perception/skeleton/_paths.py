@@ -23,9 +23,6 @@ from anther.core.geometry import Array
 from anther.perception.skeleton.raw_tree import RawTree, chains, with_extents
 from anther.perception.skeleton.voxel_solid import Voxels, components, nearest
 
-DETOUR = 3.0
-"""A way across a blade, or along a surface, costs as many times its length more than one through a stem's middle."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LevelSets:
@@ -54,7 +51,8 @@ def geodesic_tree(voxels: Voxels, source: int, levels: LevelSets, shortest: floa
     No path but the first has less than `shortest` [m] of its own.
     """
     at_surface = np.minimum(voxels.off_middle / 0.4, 1) ** 2  # at the edge of a half plane `off_middle` is 0.42
-    cost = 1 + DETOUR * (voxels.flatness + at_surface)
+    detour = 3.0  # times its length: a way across a blade or along a surface, against one through a stem's middle
+    cost = 1 + detour * (voxels.flatness + at_surface)
     distance, before = shortest_paths(voxels.points, voxels.edges, cost, source)
     chosen = covering_paths(distance, before, levels, shortest)
     rank = np.full(len(voxels.points), -1)

@@ -40,19 +40,8 @@ _FINEST = 100
 """Voxels along the scene's height: stems a thirtieth of it apart keep apart."""
 _BRIDGE = 0.15
 """Gaps up to this share of the scene's height are bridged, as within one plant."""
-_GAP = 7.0
-"""A way across a gap costs as much as one across the middle of a blade."""
-_BASIN = 0.04
-"""Lowest rise of a basin, of the scene's height: less is roughness of a cut stem or of a blade."""
 _NEAR = 0.08
 """How far from the nearest point a named root may be, of the scene's height: the foot may be hidden."""
-_KNOWN = 20.0
-"""Odds by which a place that somebody names is likelier a stem's foot than one that nobody names: a guess."""
-_TURN = 3.0
-"""What a right angle on the way costs, of the scene's height: with 0, 0.3, 1 and 3 the right plant has 78, 80, 82 and
-84 % of the points of five scenes (three pots with two grown stems, two of real seedlings)."""
-_FOOT = 0.15
-"""How far up the way from a minimum is looked at, of the scene's height."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,7 +169,8 @@ def _named(graph: _Graph, root: Array, minima: NDArray[Any], chance: Array) -> i
         if below[feet[order[0]]]:
             return int(feet[order[0]])
         lowest = np.flatnonzero(below[minima])[:1]
-        if len(lowest) and (chance[lowest[0]] >= 1 / (1 + _KNOWN) or (on_it and len(feet) > 1)):
+        odds = 20.0  # a named place is likelier a foot than one that nobody names: a guess
+        if len(lowest) and (chance[lowest[0]] >= 1 / (1 + odds) or (on_it and len(feet) > 1)):
             return int(minima[lowest[0]])
         if aside[order[0]] <= _NEAR * graph.height and not between:
             return int(feet[order[0]])
@@ -220,7 +210,8 @@ def _grown_from(graph: _Graph, feet: NDArray[Any]) -> NDArray[np.int64]:
     onward = steps.head[other] != steps.tail[one]
     one, other = one[onward], other[onward]
     turn = 1 - np.sum(steps.along[one] * steps.along[other], axis=1)  # 1 for a right angle
-    cost = steps.cost[other] + _TURN * graph.height * np.maximum(turn, 0)
+    right_angle = 3.0  # what it costs on the way, of the scene's height
+    cost = steps.cost[other] + right_angle * graph.height * np.maximum(turn, 0)
     links = sparse.coo_matrix((cost, (one, other)), (len(count), len(count))).tocsr()
     begin = np.concatenate(begins)
     cost, _, source = dijkstra(links, indices=begin, return_predecessors=True, min_only=True)
@@ -295,7 +286,8 @@ def _graph(points: Array) -> _Graph:
     flat, off_middle = surroundings(index, reach=4)
     flat = np.minimum(2 * flat, 1)
     dear = 1 + 3 * (flat + np.minimum(off_middle / 0.4, 1) ** 2)
-    factor = np.concatenate([dear[edges].mean(axis=1), np.full(len(links), _GAP)])
+    across_gap = 7.0  # a way across a gap costs as much as one across the middle of a blade
+    factor = np.concatenate([dear[edges].mean(axis=1), np.full(len(links), across_gap)])
     both = np.concatenate([edges, links])
     length = np.linalg.norm(centres[both[:, 0]] - centres[both[:, 1]], axis=1)
     return _Graph(centres, voxel, both, length * factor, flat, height)
@@ -338,7 +330,8 @@ def _minima(graph: _Graph) -> NDArray[Any]:
         low, high = sorted((basin(one), basin(two)), key=lambda voxel: (heights[voxel], voxel))
         depth[high] = height + z.min() - 1.0 - heights[high]
         lowest[high] = low
-    found = np.flatnonzero(depth >= _BASIN * graph.height)
+    least_rise = 0.04  # of the scene's height: less is roughness of a cut stem or of a blade
+    found = np.flatnonzero(depth >= least_rise * graph.height)
     return found[np.argsort(z[found], kind="stable")]
 
 
@@ -350,7 +343,8 @@ def _evidence(graph: _Graph, feet: NDArray[Any]) -> Array:
     the plant rises, of the scene's height; how low the foot is.
     """
     _, before, owner = graph.ways(feet)
-    z, reach, rows = graph.points[:, 2], _FOOT * graph.height, []
+    z, reach, rows = graph.points[:, 2], 0.15 * graph.height, []
+    ball = np.ones(3), np.eye(3)
     for foot in feet:
         own = np.flatnonzero(owner == foot)
         top = own[z[own].argmax()]
@@ -360,11 +354,8 @@ def _evidence(graph: _Graph, feet: NDArray[Any]) -> Array:
         start = [v for v in way if np.linalg.norm(graph.points[v] - graph.points[foot]) <= reach]
         near = own[np.linalg.norm(graph.points[own] - graph.points[foot], axis=1) <= reach]
         solid = (1 - graph.flatness[near]) ** 2 + 1e-6
-        values, axes = np.linalg.eigh(np.cov(graph.points[near].T, aweights=solid)) if len(near) > 3 else _BALL
+        values, axes = np.linalg.eigh(np.cov(graph.points[near].T, aweights=solid)) if len(near) > 3 else ball
         line = (values[2] - values[1]) / max(values[2], 1e-12) * abs(axes[2, 2])
         rise, low = (z[top] - z[foot]) / graph.height, 1 - (z[foot] - z.min()) / graph.height
         rows.append([line, 1 - graph.flatness[start].mean(), rise, low])
     return np.clip(np.array(rows).reshape(-1, 4), 0, 1)
-
-
-_BALL = np.ones(3), np.eye(3)

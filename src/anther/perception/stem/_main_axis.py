@@ -15,17 +15,7 @@ from anther.perception.stem._organs import BRANCH, PLANAR_BLADE, SPUR, stem_brea
 
 SHORTEST = 0.05
 """A shorter stem is no stem (share of the plant's size)."""
-_WINDOW = 0.06  # length over which a step is judged (share of the plant's size)
-_BROADEST = 1.5
-"""A step broader than the narrowest below it by this factor, and than most below it, is no stem, which does not broaden
-upward; a leaf does after the neck at its base. Below the last limb it must be planar as well: leaves touch."""
-_THINNEST = 0.35  # nor is one thinner than this share of the median radius so far
-_LEAFLET = 0.2
-"""A side line shorter than this, relative to the longest limb, is a leaflet: larger shares shorten simulated stems."""
 _TURN = 45.0  # degrees: a step that turns from the growth axis by more, or a fork that leans more, is not stem-like
-_FORK_SHARE = 0.6
-"""A branch forks the stem when it is this share as thick as the stem beyond it and rises this share as high: branches
-rise 0.85 times as high or more, petioles 0.48 times at most (docs/reports/skeletons.md)."""
 _ROUND = 1.5  # sections up to this much broader than thick count as round: noise and one-sided views do that
 
 
@@ -42,13 +32,14 @@ def fork_at(skeleton: Skeleton, path: NDArray[Any], organ: NDArray[Any], at: int
         return None
     rise = float(skeleton.nodes[beyond, 2].max() - base[2])
     forks = []
+    share = 0.6  # as thick, as high: branches rise 0.85 times as high, petioles 0.48 (docs/reports/skeletons.md)
     for child in np.flatnonzero((skeleton.parent == path[at]) & (organ == BRANCH)):
         limb = _highest_path(skeleton, int(child))
         axis = limb[organ[limb] == BRANCH]
         lean = _angle(skeleton.nodes[axis[-1]] - base, np.array([0.0, 0.0, 1.0]))
-        higher = skeleton.nodes[limb[-1], 2] - base[2] >= _FORK_SHARE * rise
+        higher = skeleton.nodes[limb[-1], 2] - base[2] >= share * rise
         thick = np.median(skeleton.radius[beyond[: len(axis)]])
-        thicker = np.median(skeleton.radius[axis]) >= _FORK_SHARE * thick
+        thicker = np.median(skeleton.radius[axis]) >= share * thick
         if higher and thicker and lean < _TURN:
             forks.append(at + _side_by_side(skeleton, path[at:], axis))
     return min(forks, default=None)
@@ -94,7 +85,8 @@ def growth_end(skeleton: Skeleton, path: NDArray[Any], size: float) -> int:
     nodes = skeleton.nodes[path]
     length = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
     arc = np.concatenate([[0], np.cumsum(length)])
-    straight, slim, solid = _stem_like(skeleton, path, arc, _WINDOW * size)
+    window = 0.06  # over which a step is judged, of the plant's size
+    straight, slim, solid = _stem_like(skeleton, path, arc, window * size)
     gain = np.cumsum(length * np.where(straight & (slim | solid), 1.0, -2.0))
     end = int(np.argmax(gain)) + 2
     limbs, further, longest = _limbs(skeleton, path, end)
@@ -115,7 +107,8 @@ def _limbs(skeleton: Skeleton, path: NDArray[Any], end: int) -> tuple[NDArray[np
     side = np.isin(skeleton.parent, path[1:]) & (way > SPUR * stem_breadth(skeleton, path[:end]))
     at, way = np.searchsorted(path, skeleton.parent[side]), way[side]  # a child's number is larger than its parent's
     longest = float(way[at < end].max(initial=0))
-    limbs = at[way > _LEAFLET * longest]
+    leaflet = 0.2  # of the longest limb: larger shares shorten simulated stems
+    limbs = at[way > leaflet * longest]
     return np.union1d(0, limbs[limbs < end]), int(np.sum(limbs >= end)), longest
 
 
@@ -132,11 +125,13 @@ def _stem_like(
     breadth = np.array([np.median(width[there]) for there in coming])
     narrowest = np.minimum.accumulate(breadth)
     straight, slim, solid = np.ones((3, len(path) - 1), dtype=bool)
+    broadest = 1.5  # times the narrowest below: a stem does not broaden upward, a leaf does after its neck
+    thinnest = 0.35  # of the median radius so far
     for i in np.flatnonzero(arc[:-1] >= window):
         turned = _angle(nodes[i] - nodes[0], nodes[coming[i]][-1] - nodes[i]) > _TURN
-        thin = np.median(radius[coming[i]]) < _THINNEST * np.median(radius[: i + 1])
+        thin = np.median(radius[coming[i]]) < thinnest * np.median(radius[: i + 1])
         straight[i] = not (turned or thin)
-        slim[i] = breadth[i] <= max(_BROADEST * narrowest[i], np.median(width[: i + 1]))
+        slim[i] = breadth[i] <= max(broadest * narrowest[i], np.median(width[: i + 1]))
         round_ = breadth[i] <= _ROUND * np.median(radius[coming[i]])  # the wall of a thick trunk is a plane, and round
         solid[i] = round_ or np.median(flatness[coming[i]]) < PLANAR_BLADE
     return straight, slim, solid

@@ -28,7 +28,6 @@ ORGAN_NAMES = ("stem", "branch", "truss", "leaf")
 
 PLANAR_BLADE = 0.68
 """Flatness at which a node is as likely on a blade as on an axis (read off the development plants)."""
-_NARROW = 4.0  # a section as broad as the main stem is no evidence, one narrower by this factor certainly an axis
 SPUR = 2.5
 """Shorter limbs, relative to the stem's half width, are no axis; shorter leaves are not attached to the stem."""
 PEDICEL, LONGEST_PEDICEL = 0.015, 0.025
@@ -82,7 +81,8 @@ def _axes(skeleton: Skeleton, main: NDArray[Any], breadth: Array) -> NDArray[np.
     if skeleton.width is None or skeleton.flatness is None:  # of another program: its leaves are unknown
         return np.ones(len(breadth), dtype=bool)
     length = edge_lengths(skeleton.nodes, skeleton.parent)
-    narrow = -np.log(breadth) / np.log(_NARROW)
+    narrowest = 4.0  # times narrower than the main stem: certainly an axis
+    narrow = -np.log(breadth) / np.log(narrowest)
     gain = length * np.clip(narrow + 4 * (PLANAR_BLADE - skeleton.flatness), -1, 1)
     axis = np.isin(np.arange(len(gain)), main)
     for j in range(len(gain) - 1, 0, -1):

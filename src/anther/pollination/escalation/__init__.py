@@ -45,15 +45,8 @@ __all__ = ["SHORTEST", "WORDS", "Escalation", "Foresight", "Params", "foresee", 
 DEFAULTS = Params()
 RAMP = 0.5
 """Shortest time of an amplitude change [s]; half a period of the slowest frequency if that is longer."""
-PERIODS, LOOK = 2.0, 0.6
-"""Least observation of a step, in periods and in seconds."""
-PROBE_PERIODS, SHORTEST_PROBE, LONGEST_PROBE = 8.0, 0.5, 1.4
-"""Length of a probe, in periods of its slowest frequency, and its bounds [s]."""
-WORSE = 1.5
-"""Largest loss of frequency separation, relative to the fastest frame rate, that a slower rate may cost."""
-PROBE_SHARE = 0.3
-"""Root mean square of a probe's loads over those of the planned shake; between 0.22 and 0.55 the final flower
-acceleration of 53 simulated plants is the same within 3 %."""
+LOOK = 0.6
+"""Least observation of a step [s]."""
 OUT_OF_SIGHT, NO_TIME = "no flower is in sight", "no time is left"
 UNPROVEN = "what was seen does not move as the gripper does"
 RAISED, HOLD = 2.0, 1.2
@@ -62,9 +55,6 @@ the time constant of pollen release."""
 BETTER = 1.25
 """Least ratio of predicted worths that justifies another shake: a change takes seconds, and the largest of many
 predictions is biased upwards."""
-ENOUGH = 1.05
-"""Least ratio of amplitudes or worths that justifies another step."""
-LOST = 0.5  # the shake ends when a smaller share of the points tracked in the probe is still tracked
 
 
 class NextPiece(NamedTuple):
@@ -149,10 +139,11 @@ class Escalation:
         ]
         looks.append((self._probe_seconds, np.unique(self._frequencies)))
         best = [likeness(max(rates), *observation) for observation in looks]
-        return min(r for r in rates if all(likeness(r, *a) <= WORSE * b for a, b in zip(looks, best, strict=True)))
+        worse = 1.5  # times the fastest rate's loss of frequency separation, that a slower rate may cost
+        return min(r for r in rates if all(likeness(r, *a) <= worse * b for a, b in zip(looks, best, strict=True)))
 
     def begin(self, frame: Frame) -> Swing:
-        """Return the probe along the planned direction: all K frequencies, each at `PROBE_SHARE` / sqrt(K) times its
+        """Return the probe along the planned direction: all K frequencies, each at 0.3 / sqrt(K) times its
         modelled amplitude."""
         intrinsics, T_world_cam = self._camera
         self._sight = sight(frame, intrinsics, T_world_cam, *self._rest_points)
@@ -189,9 +180,10 @@ class Escalation:
         predictions = [self._predict(n, one) for n, one in zip(active, answers, strict=True)]
         shaken = list(zip(piece.amplitudes[active].tolist(), active, predictions, strict=True))
         shares = {k: sum(a * one.loads[k] / self._limits[n][k] for a, n, one in shaken) for k in WORDS}
+        lost = 0.5  # the shake ends when a smaller share of the points tracked in the probe is still tracked
         if self._holding:
             follows = NextPiece(np.zeros(len(self._frequencies)), 0.0, "Held long enough.")
-        elif observation.followed < LOST * self._visible_count:
+        elif observation.followed < lost * self._visible_count:
             words = f"Only {observation.followed} of {self._visible_count} points are still followed: ended."
             follows = NextPiece(np.zeros(len(self._frequencies)), 0.0, words)
         elif self._probing:
@@ -254,7 +246,8 @@ class Escalation:
 
     @property
     def _probe_seconds(self) -> float:
-        return min(LONGEST_PROBE, max(PROBE_PERIODS / float(self._frequencies.min()), SHORTEST_PROBE))
+        periods, shortest, longest = 8.0, 0.5, 1.4  # of its slowest frequency, and s
+        return min(longest, max(periods / float(self._frequencies.min()), shortest))
 
     @property
     def _probing(self) -> bool:
@@ -264,7 +257,8 @@ class Escalation:
     def _probe_along(self, line: int, gentler: float = 1.0) -> NextPiece:
         tones = self.plan.tones
         alone = np.minimum(tones.amplitudes[:, line], tones.reach[:, line])
-        size = PROBE_SHARE / gentler * alone / np.sqrt(len(alone))
+        share = 0.3  # rms of a probe's loads over those of the planned shake; 0.22 to 0.55 decide the same
+        size = share / gentler * alone / np.sqrt(len(alone))
         size /= max(1.0, float(np.sum(size / tones.reach[:, line])))  # peaks add up
         amplitudes = np.where(self._direction_index == line, size[self._frequency_index], 0.0)
         return NextPiece(amplitudes, self._probe_seconds, "Probed across that line as well.")
@@ -359,14 +353,15 @@ class Escalation:
             higher, why = min(max(self._proven_amplitude, option.planned), higher), doubt
         if not self._has_time(shake):
             higher, why = min(now, higher), NO_TIME
-        if higher > ENOUGH * now:
+        enough = 1.05  # least ratio of amplitudes or worths that justifies another step
+        if higher > enough * now:
             return self._excite(shake, higher, self._watch_seconds(shake), f"Raised to {1e3 * higher:.2g} mm.")
         if doubt and not self._repeated and why != NO_TIME:
             return self._repeat(shake, higher, why)
         self._holding = True
         done = [one.worth_at(one.tolerated) for one in self._options]
         best = int(np.argmax(done))
-        if best != shake and done[best] > ENOUGH * option.worth_at(now):
+        if best != shake and done[best] > enough * option.worth_at(now):
             why = f"{why}; {self._frequencies[best]:.3g} Hz was worth more"
             shake, higher = best, self._options[best].tolerated
         else:
@@ -386,4 +381,5 @@ class Escalation:
         return float(np.max(0.5 / self._frequencies[shakes], initial=RAMP))
 
     def _watch_seconds(self, shake: int) -> float:
-        return max(LOOK, PERIODS / float(self._frequencies[shake]))
+        periods = 2.0  # of a step that are observed at least
+        return max(LOOK, periods / float(self._frequencies[shake]))

@@ -18,23 +18,14 @@ from anther.pollination.shake.observables import ComplexArray, semi_major
 from anther.pollination.shake.pads import PADS, Pads, friction_force, grip_rows, pad_nodes
 from anther.pollination.shake.search import held_radius, motions, scenarios
 
-MEMBERS = 32
-"""Ensemble size; a larger ensemble changes the updated loads by less than the camera's errors do."""
-BRANCH_SPREAD = 0.5
-"""Standard deviation of ln of a branch's stiffness, as in `learning.Params`."""
 MISFIT = 0.2
 """Relative model error of a tracked point: a model node is not exactly the tracked patch, and motion along a stem is
 invisible; measured on simulated plants."""
-STILL = 0.1
-"""Share of the predicted motion that the hypothesis of a still plant assumes (`evidence`); a judgement."""
 SIGNIFICANCE = 3.0
 """Detection limit of a motion, in standard deviations; a weaker one only updates the ensemble."""
 FLOWER_SPREAD = 0.65
 """Standard deviation of ln(true over modelled amplitude) of a flower about its plant's mean, measured by us on 16
 simulated plants at 5 and 10 Hz (docs/reports/response.md)."""
-STILL_DEVIATIONS = 2.0
-"""Deficit of flower motion against stem and leaf motion, in standard deviations, from which the tracked flowers are
-taken for still background; the largest deficit in simulated observations was 1.4."""
 MOST_POINTS = 60
 """Largest number of tracked points other than flowers."""
 
@@ -96,7 +87,9 @@ def foresee(
         pads: prior of the pads.
     """
     grip = pad_nodes(plant, grip_rows(plant, point[None]), pads.width)
-    members = scenarios(plant, MEMBERS, pads=pads, branch_spread=BRANCH_SPREAD)
+    count = 32  # a larger ensemble changes the updated loads by less than the camera's errors do
+    branch_spread = 0.5  # standard deviation of ln of a branch's stiffness, as in `learning.Params`
+    members = scenarios(plant, count, pads=pads, branch_spread=branch_spread)
     found = [motions(member, grip, frequencies, like=plant, points=seen)[0] for member in members]
     ends = np.cumsum([0, *(part.shape[2] for part in found[0].values())])
     where = {kind: slice(int(a), int(b)) for kind, a, b in zip(found[0], ends[:-1], ends[1:], strict=True)}
@@ -154,12 +147,13 @@ def misfit(members: ComplexArray, motion: ComplexArray, std: Array, axes: Array)
 
 
 def evidence(members: ComplexArray, motion: ComplexArray, std: Array, axes: Array) -> float:
-    """Return the ln likelihood ratio of two hypotheses: the plant moves as predicted, or `STILL` times as far.
+    """Return the ln likelihood ratio of two hypotheses: the plant moves as predicted, or a tenth as far.
 
     The ratio is low if tracked points stand still, move at another phase than the pads, or are too few. Arguments as
     of `update_members`.
     """
-    return misfit(STILL * members, motion, std, axes) - misfit(members, motion, std, axes)
+    still = 0.1  # share of the predicted motion that a still plant is taken to show; a judgement
+    return misfit(still * members, motion, std, axes) - misfit(members, motion, std, axes)
 
 
 def flowers_stand_still(members: ComplexArray, motion: ComplexArray, std: Array, axes: Array, count: int) -> bool:
@@ -177,7 +171,8 @@ def flowers_stand_still(members: ComplexArray, motion: ComplexArray, std: Array,
     more = np.log(np.maximum(np.linalg.norm(upper, axis=1), 1e-12)) - predicted.mean(axis=0)
     alike = float(predicted[:, :count][:, flowers].mean(axis=1).std())
     spread = np.hypot(FLOWER_SPREAD, alike)  # flowers of one plant may all be off alike
-    return bool(np.median(more[:count][flowers]) - np.median(more[count:][points]) < -STILL_DEVIATIONS * spread)
+    deviations = 2.0  # from which tracked flowers are taken for background; simulated plants had 1.4 at most
+    return bool(np.median(more[:count][flowers]) - np.median(more[count:][points]) < -deviations * spread)
 
 
 def repeats_motion(

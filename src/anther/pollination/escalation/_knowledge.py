@@ -31,28 +31,8 @@ from anther.pollination.shake.observables import ComplexArray, semi_major
 from anther.pollination.shake.params import FAST
 from anther.robot.devices import ArmSample
 
-LARGEST_EXCESS = 4.0
-"""A flower whose observed over predicted motion exceeds that of the others by so many `FLOWER_SPREAD` (a factor of 13)
-is rejected as an outlier."""
-
-LEAST_LOG_ODDS = 3.0
-"""Least ln odds (20 to 1) that an observation shows the plant (`evidence`)."""
-
-LARGEST_JUMP = 4.0
-"""A flower is also rejected if its motion per metre exceeds the detection limit of the previous observation by this
-factor; in simulation only wrong tracks did, by 5 to 12."""
-
-DAMPING = 0.03
-"""Damping ratio for the extrapolation of growth: branching alone dissipates 0.028 (facts: pollination 2), and lighter
-damping lets a swing grow for longer."""
-MOST_GROWTH = 3.0
-"""Largest ratio of an extrapolated swing to the observed one; a guess."""
-
 LEAST_DEPTH_MOTION = 0.001
 """Least depth motion used above `FAST` [m]: several times the depth error of 0.1 to 0.3 mm; a judgement."""
-
-DELAYS = np.arange(-0.005, 0.0451, 0.0025)
-"""Candidate delays of the camera's clock against the robot's [s]; the best fit is taken."""
 
 
 class Prediction(NamedTuple):
@@ -132,28 +112,32 @@ class Answer(NamedTuple):
 def predict_growth(swings: Swings, hertz: float) -> float:
     """Return the relative growth still to come of a swing at a frequency [Hz]; negative: decay.
 
-    After a change of the shake a mode approaches its steady swing as exp(-`DAMPING` omega t).
+    After a change of the shake a mode approaches its steady swing as exp(-0.03 omega t).
     """
-    return swings.growing / (2 * np.pi * hertz * DAMPING)
+    # branching alone dissipates 0.028 (facts: pollination 2); lighter damping lets a swing grow for longer
+    damping = 0.03
+    return swings.growing / (2 * np.pi * hertz * damping)
 
 
 def extrapolate_growth(swings: Swings, hertz: float) -> Swings:
     """Return the steady swings at a frequency [Hz] that growing swings approach; decaying swings are unchanged."""
-    times = float(np.clip(1 + predict_growth(swings, hertz), 1.0, MOST_GROWTH))
+    most = 3.0  # times the observed swing; a guess
+    times = float(np.clip(1 + predict_growth(swings, hertz), 1.0, most))
     return swings._replace(phasors=times * swings.phasors, std=times * swings.std, overtones=times * swings.overtones)
 
 
 def fit_camera_delay(foresight: Foresight, observation: Observation) -> float:
-    """Return the delay of the camera's clock [s]: the one of `DELAYS` that the members explain best."""
+    """Return the delay of the camera's clock [s]: the one of -5 to 45 ms that the members explain best."""
     members = [_predict_members(foresight, observation, i) for i in range(len(observation.frequency_indices))]
+    delays = np.arange(-0.005, 0.0451, 0.0025)  # s, of the camera's clock against the robot's
     off = [
         sum(
             misfit(m, *_align_phase(foresight, observation, i, delay), observation.swings.axes)
             for i, m in enumerate(members)
         )
-        for delay in DELAYS
+        for delay in delays
     ]
-    return float(DELAYS[int(np.argmin(off))])
+    return float(delays[int(np.argmin(off))])
 
 
 def shows_plant(
@@ -174,7 +158,8 @@ def shows_plant(
         )
         odds += evidence(members[:, points], motion[points], std[points], axes[points])
         stands |= flowers_stand_still(members, motion, std, axes, count)
-    return odds > LEAST_LOG_ODDS and not stands and not _repeats_earlier(foresight, observation, delay, before)
+    least = 3.0  # ln of 20 to 1
+    return odds > least and not stands and not _repeats_earlier(foresight, observation, delay, before)
 
 
 def _repeats_earlier(
@@ -225,7 +210,8 @@ def update_answer(
             np.linalg.norm(motion[own][:, :2], axis=1),
             2 * np.pi * foresight.frequencies[observation.frequency_indices[i]],
         )
-        mistaken |= _measured(motion[own], std[own]) & (omega**2 * across > LARGEST_JUMP * before.detectable)
+        largest = 4.0  # times the detection limit of the previous observation; only wrong tracks did, by 5 to 12
+        mistaken |= _measured(motion[own], std[own]) & (omega**2 * across > largest * before.detectable)
     motion[own][mistaken] = std[own][mistaken] = np.nan
     found = update_members(members, motion, std, observation.swings.axes, observation.number)
     return Answer(
@@ -297,7 +283,8 @@ def _agrees_with_others(members: ComplexArray, motion: ComplexArray, std: Array,
     more = shown / np.maximum(np.linalg.norm(predicted, axis=1), 1e-12)
     others = [np.delete(more, k)[np.delete(seen, k)] for k in range(len(more))]
     usual = np.array([max(1.0, float(np.median(rest))) if len(rest) else 1.0 for rest in others])
-    return ~seen | (more <= usual * np.exp(LARGEST_EXCESS * FLOWER_SPREAD))
+    largest = 4.0  # of `FLOWER_SPREAD`: beyond a factor of 13 a flower is an outlier
+    return ~seen | (more <= usual * np.exp(largest * FLOWER_SPREAD))
 
 
 def _infer_depth_motion(members: ComplexArray, across: ComplexArray) -> ComplexArray:

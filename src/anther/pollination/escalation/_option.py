@@ -40,8 +40,8 @@ WORDS = {
 """The kinds of load, for people."""
 
 ACTUATOR, DEARER = "what the actuator can do", "more would cost more than it adds"
-AMPLITUDE_COUNT, LEAST_SHARE = 60, 1e-3
-"""Number of amplitudes compared, on a logarithmic scale; the least as a share of the actuator's reach."""
+AMPLITUDE_COUNT = 60
+"""Number of amplitudes compared, on a logarithmic scale."""
 
 
 class Allowed(NamedTuple):
@@ -117,7 +117,8 @@ class Option:
     @property
     def _amplitudes(self) -> Array:
         """The amplitudes compared [m]."""
-        return self.reach * np.geomspace(LEAST_SHARE, 1.0, AMPLITUDE_COUNT)
+        least = 1e-3  # of the actuator's reach
+        return self.reach * np.geomspace(least, 1.0, AMPLITUDE_COUNT)
 
     def _worth(self, amplitudes: Array) -> Worth:
         prediction = self.prediction

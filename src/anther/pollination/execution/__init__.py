@@ -58,14 +58,6 @@ __all__ = [
 ]  # fmt: skip
 
 Progress = Callable[[int, int, str], None]  # called with (phases done, phases in all, the phase that begins)
-THERE = 1e-3  # rad; within this of the start of the approach the reach is skipped (simulated servos: 4e-6)
-BESIDE = 0.002
-"""Extent of a petiole beyond the stem (`Grasp.squeezed`) from which the pads touch it [m]; an unknown extent counts as
-touching."""
-SETTLE = 0.6
-"""Wait before the shake for touched leaves to come to rest [s]."""
-CALM = 2.0
-"""The same for a petiole that the pads touch [s]."""
 _KINDS: dict[type, FailureKind] = {InputError: "limits_exceeded", KeyboardInterrupt: "interrupted"}
 
 
@@ -195,7 +187,8 @@ def _execute_phases(work: _Work) -> None:
             shake = work.planner.swing(grasp.joints, p.direction, pieces, p.amplitude)
         check_idle(work.robot.gripper.move(work.plan.grasp.opening))
     with work.phase("reach"):
-        if np.abs(arm.joints() - outward.positions[-1]).max() > THERE:
+        there = 1e-3  # rad, from which the reach is skipped (simulated servos: 4e-6)
+        if np.abs(arm.joints() - outward.positions[-1]).max() > there:
             work.follow(work.planner.move(arm.joints(), outward.positions[-1]))
     with work.phase("approach"):
         work.in_plant = True
@@ -339,5 +332,8 @@ def _recover(work: _Work) -> None:
 
 def _wait_after(grasp: Grasp) -> float:
     """Return the wait after closing for touched organs to come to rest [s]; longer with a petiole between the pads."""
-    free = grasp.squeezed is not None and grasp.squeezed < BESIDE
-    return SETTLE if free else CALM
+    beside = 0.002  # m that a petiole reaches beyond the stem, from which the pads touch it
+    free = grasp.squeezed is not None and grasp.squeezed < beside
+    settle = 0.6  # s for touched leaves to come to rest
+    calm = 2.0  # s for a petiole that the pads touch
+    return settle if free else calm

@@ -7,31 +7,18 @@ from anther.pollination.grasp import Grasp
 from anther.robot.devices import Gripper, GripperState
 from anther.robot.safety import IDLE, check_let_go
 
-LOOSE = 0.0005
-"""Closing begins at the measured stem diameter and this [m]: where a gripper's force cannot be set (facts: sawyer 3),
-its position is the gentleness."""
 STEP = 0.0005
 """Closing goes on in such steps [m] until it presses as the plan asks."""
 THINNEST = 0.002
 """The pads are not sent nearer to each other [m]."""
-TOO_THICK = 0.0045
-"""By which a depth camera may see a stem too thick [m]: two pixels at either edge, 1.1 mm each on a D455 at 0.7 m."""
-HELD_OFF = 0.00015
-"""Pads that stop so far short of where they were sent are held off [m]: less than half a count of a Robotiq."""
-THICKEST = 0.012
-"""What is wider than the measured diameter by this [m] is not the stem."""
 ENOUGH = 0.95
 """Share of the force asked for with which the pads press enough: a gripper at its holding force reads a little less."""
-
-SLID = 0.00075
-"""Pads that have come nearer by this [m] lost what they held, whatever the gripper says of it: in nineteen trials
-through a Robotiq's protocol it was one of its counts (0.38 mm) or none, in the one that lost the stem 1.1 mm, twice."""
 
 
 def close(gripper: Gripper, grasp: Grasp, press: float) -> GripperState:
     """Close to the measured diameter and on in steps until the pads press with a force [N]; verify the grip.
 
-    Depth sensors see thin stems too thick (facts: perception), but none by more than `TOO_THICK`: nearer the pads do
+    Depth sensors see thin stems too thick (facts: perception), but none by more than 4.5 mm: nearer the pads do
     not come, and what they hold there is nothing. A stem that was measured too thin is pressed hard at once: the pads
     let go a little and close again from where they met it.
 
@@ -40,11 +27,14 @@ def close(gripper: Gripper, grasp: Grasp, press: float) -> GripperState:
             cannot press so hard.
         DeviceError: the force does not fit the way of the pads.
     """
-    expected, thinnest = max(grasp.stem_diameter + LOOSE, THINNEST), max(grasp.stem_diameter - TOO_THICK, THINNEST)
+    loose = 0.0005  # m around the stem: where a force cannot be set (facts: sawyer 3), position is the gentleness
+    too_thick = 0.0045  # m: two pixels at either edge, 1.1 mm each on a D455 at 0.7 m
+    expected, thinnest = max(grasp.stem_diameter + loose, THINNEST), max(grasp.stem_diameter - too_thick, THINNEST)
     state = _press(gripper, expected, press, thinnest)
-    if expected + STEP < state.opening < expected + THICKEST:
+    thickest = 0.012  # m: what is wider than the measured diameter by this is not the stem
+    if expected + STEP < state.opening < expected + thickest:
         state = _press(gripper, state.opening + STEP, press, thinnest)
-    if state.is_gripping and thinnest - STEP < state.opening <= grasp.stem_diameter + THICKEST:
+    if state.is_gripping and thinnest - STEP < state.opening <= grasp.stem_diameter + thickest:
         if state.force >= ENOUGH * press:
             return state
         given = f"the pads press with {state.force:.1f} N; the plan asks for {press:.1f} N"
@@ -60,7 +50,8 @@ def lost_grip(before: GripperState, after: GripperState) -> str:
     if not (after.is_gripping and after.force > IDLE):
         return "the pads hold nothing any more"
     nearer = before.opening - after.opening
-    return f"the pads came {1e3 * nearer:.1f} mm nearer: what they held slipped out" if nearer > SLID else ""
+    slid = 0.00075  # m: two counts of a Robotiq (0.38 mm each)
+    return f"the pads came {1e3 * nearer:.1f} mm nearer: what they held slipped out" if nearer > slid else ""
 
 
 def _press(gripper: Gripper, width: float, press: float, thinnest: float) -> GripperState:
@@ -77,7 +68,8 @@ def _press(gripper: Gripper, width: float, press: float, thinnest: float) -> Gri
     while not enough(state) and width - STEP > THINNEST - 1e-9 and state.opening > thinnest:
         width -= STEP
         before, state = state.force, gripper.move(width)
-    if enough(state) and (state.opening < width + HELD_OFF or before >= ENOUGH * press):
+    held_off = 0.00015  # m short of where the pads were sent: less than half a count of a Robotiq
+    if enough(state) and (state.opening < width + held_off or before >= ENOUGH * press):
         check_let_go(state, gripper.move(width + STEP))
         state = gripper.move(width)
     return state

@@ -40,8 +40,6 @@ __all__ = [
     "save_grasps",
 ]  # fmt: skip
 
-STROKE_MARGIN = 0.008
-"""The stem must be thinner than the stroke by this [m]."""
 STAND_OFF = 0.12
 """The straight way in begins this far back along the approach axis [m]."""
 
@@ -62,20 +60,7 @@ class Params:
 
 OFF_BY = 0.002
 """How far a closing gripper may pull the stem aside [m]: what is left of calibration and registration errors."""
-ROOT_STRAIN = 0.01
-"""Bending strain a stem bears (facts: pollination 6); pulled aside by d at height L, its root sees 3 r d / L^2."""
 
-SPACING, DIRECTIONS = 0.005, 24
-"""Of the stations along the stem [m], and approach directions at each; with an arm, those that lead away from it."""
-STRAIGHT = 0.014
-"""Half length of the stem piece that gives its direction [m]: little more than the pads hold. With 30 mm the pads bent
-stems that change direction at a node nearly twice as much (measured)."""
-ROOT_MARGIN, TOP_MARGIN = 0.065, 0.05
-"""Stem left out at its root and its tip [m]; each at most a quarter of the stem."""
-TOWARD_TIPS = 0.006
-"""The stem stands this far from the pads' middle towards their tips [m], so that less of them reaches into the petioles
-behind it. With 8 mm closing strained the stem by 0.65 instead of 0.72 % in the mean (61 grasps of eight dense peppers,
-simulated), but lost it in 6 of 32 instead of 2 of 29."""
 OPENINGS = 1.0, 0.576
 """Of the pads on the way in, shares of the stroke, all tried: wide open forgives errors, half open fits between
 petioles."""
@@ -83,14 +68,8 @@ DOUBT = 0.003
 """How far skeleton and cloud may lie beside the truth [m]: of petioles 1.8 to 3.2 mm in 90 of 100 places (measured on
 peppers); what comes this near the closing pads counts as between them."""
 
-WANTED = 3
-"""Grasps that the arm must confirm."""
 ASKED = 150
-"""So often is the arm asked before what it has confirmed is enough; `PATIENCE` times as often while that is nothing."""
-PATIENCE = 4
-"""A tomato with every leaf twice: the arm reached none of the 150 best, and asking on found one that succeeded."""
-NEAR_FORK = 0.025
-"""So far below a fork [m] the skeleton cuts the corner: 5 mm below, by 6 mm and 11 to 15 degrees (two peppers)."""
+"""So often is the arm asked before what it has confirmed is enough; four times as often while that is nothing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,7 +145,7 @@ def plan_grasps(
     Args:
         stem, skeleton, cloud: the plant and, in the cloud, pot and bench.
         params: see `Params`.
-        reach: the arm, asked down the ranking until `WANTED` grasps are confirmed; None asks no arm.
+        reach: the arm, asked down the ranking until three grasps are confirmed; None asks no arm.
 
     Raises:
         StageFailure: "no_grasp_found" (no candidate is clear of pot, bench and stem) or "unreachable" (the arm
@@ -226,14 +205,18 @@ class _Ranking:
 
 def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, toward_base: bool) -> _Ranking:
     gripper, length = params.gripper, float(stem.arc_length[-1])
+    spacing = 0.005  # m between stations along the stem
+    straight = 0.014  # m, half of the piece that gives the stem's direction: little more than the pads hold
+    root, top = 0.065, 0.05  # m left out at the stem's ends, each at most a quarter of it
+    toward_tips = 0.006  # m from the pads' middle to the stem, so that less of them reaches into petioles behind it
     candidates = candidates_along(
         stem,
         skeleton,
-        directions=DIRECTIONS,
-        spacing=max(SPACING, length / 60),
-        window=min(STRAIGHT, length / 8),
-        ends=(min(ROOT_MARGIN, length / 4), min(TOP_MARGIN, length / 4)),
-        depth=gripper.depth + TOWARD_TIPS,
+        directions=24,
+        spacing=max(spacing, length / 60),
+        window=min(straight, length / 8),
+        ends=(min(root, length / 4), min(top, length / 4)),
+        depth=gripper.depth + toward_tips,
     )
     if toward_base:
         few = (candidates.arc_length <= stem.arc_length[stem.fork]) | (candidates.station % 4 == 0)
@@ -251,7 +234,8 @@ def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, towar
     refusals = _refusals(candidates, met, confidence, params, string=string)
     costs = _costs(candidates, met, cloud, params, length)
     below = stem.arc_length[stem.fork] - candidates.arc_length  # above its first fork it is no longer the main stem
-    costs["near or above a fork"] = 10.0 * np.clip(1 - below / NEAR_FORK, 0, 1)
+    near_fork = 0.025  # m below a fork where the skeleton cuts the corner
+    costs["near or above a fork"] = 10.0 * np.clip(1 - below / near_fork, 0, 1)
     if confidence is not None:
         costs["perhaps not the main stem"] = 6.0 * (1 - confidence)
     if toward_base:
@@ -270,8 +254,6 @@ STEM_CLEARANCE, OBSTACLE_CLEARANCE = 0.003, 0.015
 """Least distance of the open fingers from the stem's surface, and of the gripper from pot, soil and bench [m]."""
 SUPPORT_CLEARANCE = OFF_BY + DOUBT
 """Of the gripper from a string, stake or pole [m]: these are seen as well as the stem is."""
-APART = 0.012
-"""Along the stem, so that the next grasp differs when one fails [m]; at most a twentieth of the stem."""
 SLACK = 0.6
 """A grasp whose score is lower than the best's by more is a last resort: it is tried when the better ones failed."""
 DOUBTED = "probably not the main stem"
@@ -283,9 +265,10 @@ def _refusals(
     """Return per criterion which candidates (C,) can never be taken; `string` is the thickest string's diameter [m]."""
     doubtful = np.zeros(len(c.station), dtype=bool) if confidence is None else confidence < 0.5
     held = 2 * c.radius + np.where(met.enclosed[:, STRING] > 0, string, 0)
+    margin = 0.008  # m by which the stem must be thinner than the stroke
     return {
         DOUBTED: doubtful,
-        "thicker than the stroke": held > params.gripper.stroke - STROKE_MARGIN,
+        "thicker than the stroke": held > params.gripper.stroke - margin,
         "a support between the pads": met.enclosed[:, RIGID] > 0,
         "would hit a support": met.distance[:, [RIGID, STRING]].min(axis=1) < SUPPORT_CLEARANCE,
         "would hit pot or bench": met.distance[:, OBSTACLE] < OBSTACLE_CLEARANCE,
@@ -300,16 +283,18 @@ def _costs(c: Candidates, met: Clearance, cloud: Cloud, params: Params, length: 
     squeezed = met.squeezed(c.radius)
     aside = OFF_BY + np.minimum(squeezed / 2, 0.004)
     pushed = met.push * c.arc_length / (np.pi / 4 * np.maximum(c.radius, 1e-4) ** 3)  # strain at the root, M r / (E I)
+    # a stem bears it (facts: pollination 6); pulled aside by d at height L, its root sees 3 r d / L^2
+    root_strain = 0.01
     return {
         "brushes leaves": np.minimum(met.touched[:, LEAF] / 60, 1.5),  # they press with 0.5 N at most (measured)
         "brushes a flower": met.touched[:, FLOWER_POINT] / 3,
         "near a petiole": 0.7 * np.clip(1 - met.distance[:, BRANCH] / DOUBT, 0, 1),
-        "pushes a petiole": np.minimum(4.0 * pushed / ROOT_STRAIN, 6),
+        "pushes a petiole": np.minimum(4.0 * pushed / root_strain, 6),
         "a branch between the fingers": np.minimum(squeezed / 0.002, 6),
         "crowded with petioles": met.enclosed[:, BRANCH] / 6,  # 18 mm of them, in balls 3 mm apart
         "leaves between the fingers": np.minimum(met.enclosed[:, LEAF] / 10, 1),
         "near a flower": np.exp(-flower_distance / 0.03),
-        "near the root": 4.0 * (3 * c.radius * aside / np.maximum(c.arc_length, 1e-3) ** 2) / ROOT_STRAIN,
+        "near the root": 4.0 * (3 * c.radius * aside / np.maximum(c.arc_length, 1e-3) ** 2) / root_strain,
         "near an attachment": 0.3 * np.exp(-c.attachment_distance / 0.015),
         "bent stem": c.bend / 0.0007,
         "a string between the fingers": 1.0 * (met.enclosed[:, STRING] > 0),
@@ -320,12 +305,15 @@ def _costs(c: Candidates, met: Clearance, cloud: Cloud, params: Params, length: 
 
 
 def _first_reached(ranking: _Ranking, reach: Reach | None) -> list[Grasp]:
-    """Return the best candidates, `APART` from each other, that the arm confirms, until enough are found."""
+    """Return the best candidates, 12 mm from each other, that the arm confirms, until enough are found."""
     found, asked, refused = list[Grasp](), 0, set[bytes]()
     along = ranking.candidates.arc_length
-    apart, near_one = min(APART, float(along.max(initial=0)) / 20) - 1e-9, np.zeros(len(along), dtype=bool)
+    least_apart = 0.012  # m along the stem, so that the next grasp differs when one fails
+    apart, near_one = min(least_apart, float(along.max(initial=0)) / 20) - 1e-9, np.zeros(len(along), dtype=bool)
+    wanted = 3  # grasps that the arm must confirm
+    patience = 4  # times as often is the arm asked while it has confirmed nothing
     for i in ranking.order:
-        if reach is not None and (len(found) == WANTED or asked >= ASKED * (1 if found else PATIENCE)):
+        if reach is not None and (len(found) == wanted or asked >= ASKED * (1 if found else patience)):
             break
         if near_one[i]:
             continue

@@ -150,10 +150,6 @@ def flange_pose(point: Array, tangent: Array, approach: Array, depth: float) -> 
 FITTED = (-6.67, 8.66, 1.13, 1.26, 3.08)
 """Constant and weights of `place_evidence` in the log-odds: `python -m evaluation.perception.fit_confidence`."""
 
-LITTLE, LITTLE_RIGHT = 0.1, 0.4
-"""A stem that rises by less than this share of the plant's height is a leaf's tip, or too short to be held for sure: of
-twelve such grasps on the development plants five were right."""
-
 
 def place_confidence(stem: Stem, skeleton: Skeleton, arcs: Array) -> Array | None:
     """Return (K,) the probability that what stands at these arc lengths [m] is the main stem.
@@ -164,7 +160,9 @@ def place_confidence(stem: Stem, skeleton: Skeleton, arcs: Array) -> Array | Non
     if skeleton.confidence is None:
         return None
     sure = probability(FITTED, place_evidence(stem, skeleton, arcs))
-    return np.minimum(sure, LITTLE_RIGHT) if rise_share(skeleton, stem.node_ids) < LITTLE else sure
+    little = 0.1  # of the plant's height: a leaf's tip, or too short to be held for sure
+    most = 0.4  # so many such grasps on the development plants were right
+    return np.minimum(sure, most) if rise_share(skeleton, stem.node_ids) < little else sure
 
 
 def place_evidence(stem: Stem, skeleton: Skeleton, arcs: Array) -> Array:

@@ -20,22 +20,7 @@ from anther.perception.stem import Stem
 
 LEAF, FLOWER_POINT, BRANCH, STEM, OBSTACLE, RIGID, STRING = range(7)
 KINDS = 7
-STEM_FUZZ = 0.004
-"""Surface points this near the stem's surface are its own [m]: 99 % of them lie within 3.3 mm (measured on peppers)."""
-STIFF_LENGTH = 0.1
-"""Piece of a branch next to the stem that pushes back [m]. The petioles that swayed peppers were met 5 to 6 cm out."""
-STALK_LENGTH = 0.06
-"""The same of what looks like leaf from its base on [m]: it has a stalk all the same; our judgement."""
-PETIOLE_RADIUS = 0.002
-"""Of every petiole near the stem [m]: depth cameras make thin ones too thick. Our estimate, for peppers."""
-LEAST_LEVER = 0.015
-"""Nearer to the stem than this [m] a petiole is taken to be no stiffer: it swells and turns with its node."""
-LEAF_SIZE = 0.006
-"""Leaves are counted as pieces of this size [m]."""
-TOUCH = 0.002
-"""A piece nearer than this to the way in counts as touched [m]."""
 FAR = 0.03  # m, distances beyond are not told apart
-CELL = 0.03  # m, edge of the cubes in which balls are looked up; only speed depends on it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,15 +73,17 @@ def surroundings_of(stem: Stem, skeleton: Skeleton, cloud: Cloud) -> Surrounding
     """Return stem, petioles, leaves, flowers, obstacles and supports as balls.
 
     The stem is taken from the skeleton, not from its surface points, which a depth camera makes too thick; points on
-    it are left out. A branch is stiff for its first `STIFF_LENGTH`, a leaf for `STALK_LENGTH`; everywhere the surface
-    points count as leaf, merged in cubes of `LEAF_SIZE`.
+    it are left out. A branch is stiff for its first 10 cm, a leaf for 6 cm; everywhere the surface
+    points count as leaf, merged in cubes of 6 mm.
 
     Args:
         stem, skeleton, cloud: the plant, pot and bench.
     """
     outward = _distance_from_stem(stem, skeleton)
     stem_balls = _balls_along(skeleton, stem.node_ids[1:], 0.003, outward)
-    stiff = (outward > 0) & (outward < np.where(stem.organ == ORGAN_LEAF, STALK_LENGTH, STIFF_LENGTH))
+    stalk = 0.06  # m, of what looks like leaf from its base on: it has a stalk all the same; our judgement
+    stiff_length = 0.1  # m of a branch next to the stem that push back
+    stiff = (outward > 0) & (outward < np.where(stem.organ == ORGAN_LEAF, stalk, stiff_length))
     branch_balls = _balls_along(skeleton, np.flatnonzero(stiff), 0.003, outward)
     line = KDTree(stem_balls[:, :3])
     free = lambda points, margin: points[_outside(points, line, stem_balls[:, 3], margin)]  # noqa: E731
@@ -104,17 +91,21 @@ def surroundings_of(stem: Stem, skeleton: Skeleton, cloud: Cloud) -> Surrounding
     supports = {
         kind: _support_balls([s for s in cloud.supports if s.soft == (kind == STRING)]) for kind in (RIGID, STRING)
     }
+    fuzz = 0.004  # m: points this near the stem's surface are its own
+    piece = 0.006  # m: leaves are counted as pieces of this size
     parts = [
-        (LEAF, free(thin_out(cloud.points[~is_flower], LEAF_SIZE), STEM_FUZZ)),
-        (FLOWER_POINT, thin_out(cloud.points[is_flower], LEAF_SIZE)),
+        (LEAF, free(thin_out(cloud.points[~is_flower], piece), fuzz)),
+        (FLOWER_POINT, thin_out(cloud.points[is_flower], piece)),
         (BRANCH, branch_balls[:, :3]),
         (STEM, stem_balls[:, :3]),
-        (OBSTACLE, thin_out(cloud.obstacles, LEAF_SIZE)),
+        (OBSTACLE, thin_out(cloud.obstacles, piece)),
         *((kind, balls[:, :3]) for kind, balls in supports.items()),
     ]
     radius = {BRANCH: np.minimum(branch_balls[:, 3], 0.005), STEM: stem_balls[:, 3]}
     radius |= {kind: balls[:, 3] for kind, balls in supports.items()}
-    stiffness = {BRANCH: 0.75 * np.pi * PETIOLE_RADIUS**4 / np.maximum(branch_balls[:, 4], LEAST_LEVER) ** 3}  # 3 I/s^3
+    petiole = 0.002  # m, its radius: depth cameras make thin ones too thick; our estimate, for peppers
+    least_lever = 0.015  # m: nearer to the stem a petiole is no stiffer, it swells and turns with its node
+    stiffness = {BRANCH: 0.75 * np.pi * petiole**4 / np.maximum(branch_balls[:, 4], least_lever) ** 3}  # 3 I/s^3
     of = lambda values: np.concatenate([values.get(k, np.zeros(len(points))) for k, points in parts])  # noqa: E731
     centers = np.concatenate([points for _, points in parts])
     kind = np.concatenate([np.full(len(points), k) for k, points in parts])
@@ -188,17 +179,19 @@ def clearance(poses: Array, surroundings: Surroundings, boxes: Array, closing: A
         balls = (s.centers[order], s.radius[order], s.kind[order], s.stiffness[order])
         lower, upper = boxes[:, :3].min(axis=0, initial=np.inf), boxes[:, 3:].max(axis=0, initial=-np.inf)
         found = distance, touched, enclosed, spread, push
-        _meet(poses, *balls, start, cells, boxes, closing, TOUCH, *found, lower, upper, np.empty(3))
+        touch = 0.002  # m: a piece nearer than this to the way in counts as touched
+        _meet(poses, *balls, start, cells, boxes, closing, touch, *found, lower, upper, np.empty(3))
     return Clearance(distance, touched, enclosed, spread, push)
 
 
 def _cells(s: Surroundings) -> tuple[NDArray[Any], NDArray[Any], Array]:
-    """Return the balls' order by cubes of `CELL`, where each cube begins in it, and balls (L, 4) about the cubes' own.
+    """Return the balls' order by cubes of 3 cm, where each cube begins in it, and balls (L, 4) about the cubes' own.
 
     A gripper is near few cubes, so that most balls need not be looked at.
     """
-    cells, cell, count = np.unique(np.floor(s.centers / CELL), axis=0, return_inverse=True, return_counts=True)
-    middle = CELL * (cells + 0.5)
+    edge = 0.03  # m, of the cubes in which balls are looked up; only speed depends on it
+    cells, cell, count = np.unique(np.floor(s.centers / edge), axis=0, return_inverse=True, return_counts=True)
+    middle = edge * (cells + 0.5)
     far = np.zeros(len(cells))
     np.maximum.at(far, cell, np.linalg.norm(s.centers - middle[cell], axis=1) + s.radius)
     start = np.concatenate([[0], np.cumsum(count)])

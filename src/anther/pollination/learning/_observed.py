@@ -120,14 +120,8 @@ class ObservedShake:
         return ""
 
 
-STEADY_SHARE = (0.3, 0.9)
-"""Start and end of the steady part of a shake, as shares of its length: free vibrations have decayed."""
-
 LEAST_READINGS = 16
 """Least number of readings for a fit."""
-
-SIGNIFICANCE = 3.0
-"""Detection limit of a force, in standard deviations."""
 
 
 def measure_grip(trial: Trial, shake: ShakePlan, forward: Callable[[Array], Array]) -> GripMeasurement:
@@ -160,7 +154,8 @@ def measure_grip(trial: Trial, shake: ShakePlan, forward: Callable[[Array], Arra
 
 def _select_steady(times: Array, trial: Trial) -> slice:
     begin, end = trial.steady
-    shares = (0.0, 1.0) if trial.steps else STEADY_SHARE
+    steady = (0.3, 0.9)  # shares of a shake's length between which free vibrations have decayed
+    shares = (0.0, 1.0) if trial.steps else steady
     return slice(*np.searchsorted(times, [begin + share * (end - begin) for share in shares]))
 
 
@@ -179,7 +174,8 @@ def _fit_force(trial: Trial, omega: float, start: float) -> tuple[float, float, 
     parts = np.linalg.solve(gram, basis.T @ square)
     noise = np.sqrt(np.sum((square - basis @ parts) ** 2) / (len(times) - len(parts)) * np.linalg.inv(gram)[4, 4])
     twice = complex(-2 * parts[4], 2 * parts[5])  # F . F
-    if abs(twice) <= SIGNIFICANCE * 2 * noise:
+    significance = 3.0  # standard deviations, the detection limit of a force
+    if abs(twice) <= significance * 2 * noise:
         return nothing
     size = float(np.sqrt(abs(twice)))
     return size, float(noise / size), float(np.angle(twice) / 2)

@@ -24,8 +24,8 @@ from anther.rods import Array
 CLOCK_ERROR = 0.02
 """Standard deviation of the camera's clock against the gripper's [s]; frames are stamped on arrival, up to a frame
 late at 30 Hz. It is learned with the plant."""
-STEPS, SEED = 4, 1
-"""Number of assimilation steps, each with error variances enlarged by that number; seed of the draws."""
+STEPS = 4
+"""Number of assimilation steps, each with error variances enlarged by that number."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,8 +108,9 @@ def refine(
             given = f"{len(one.amplitude)} flowers"
             raise bad_input("response", given=given, allowed=f"the plant's {flowers}", do="Use its own response.")
     believed, useful = Version(plant, pads), [one for one in observed if not one.useless]
-    drawn = draw_deviates(plant, params.members, SEED)
-    rng = np.random.default_rng([SEED, 1])
+    seed = 1
+    drawn = draw_deviates(plant, params.members, seed)
+    rng = np.random.default_rng([seed, 1])
     first, z = _build_standing_members(
         believed, np.concatenate([drawn, rng.normal(size=(len(drawn), 1))], axis=1), params
     )

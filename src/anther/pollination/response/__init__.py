@@ -31,9 +31,6 @@ from anther.robot.devices import Frame
 
 __all__ = ["Response", "StemMotion", "StemNear", "measure_response", "stem_near"]
 
-BLURRED = 0.5
-"""A shutter open for a larger share of the period shows less than 0.64 of the swing: too little to make up for."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Response(Stored):
@@ -113,11 +110,12 @@ def measure_response(
         stem: where to look for the main stem beside the pads; None: nowhere.
 
     Raises:
-        InputError: fewer than 8 frames, frames of another size, or an exposure of more than `BLURRED` of a period.
+        InputError: fewer than 8 frames, frames of another size, or an exposure of more than half a period.
     """
     _check(frames, intrinsics)
     check_range("frequency_hint", frequency_hint, 1e-3, 1e3, "Hz")
-    check_range("exposure", exposure, 0, BLURRED / frequency_hint, "s")
+    blurred = 0.5  # of the period: a shutter open for longer shows less than 0.64 of the swing
+    check_range("exposure", exposure, 0, blurred / frequency_hint, "s")
     sharp = float(np.sinc(frequency_hint * exposure))
     T = check_transform("T_world_cam", T_world_cam)
     times = np.array([f.time for f in frames])
@@ -172,25 +170,8 @@ _NUMBERS = tuple(name for name in _Motion._fields if name != "direction")
 _UNSEEN = _Motion(np.full(3, np.nan), *[float("nan")] * len(_NUMBERS))
 
 
-LEAST_ERROR, RELATIVE_ERROR = 0.0003, 0.1
-"""An amplitude whose standard deviation is larger than both the former [m] and the latter's share of it counts as not
-measured."""
-
-LEAST_PIXELS = 0.2
-"""Swings smaller than this in the image are not measured [px]."""
-
 SIGNIFICANCE = 3.0
 """Nor are those smaller than this many standard deviations."""
-
-MEMBER_SPREAD = 0.15
-"""`SPREAD` of flowers that may be mixed up."""
-
-PHASE_ERROR = 0.05
-"""Of each flower, beside what the fit's residual tells [rad]; so that 98 % of the phases measured in films of
-development plants lay within two deviations."""
-
-DEPTHLESS = 0.2
-"""Standard deviation of the whole amplitude relative to its sideways part, where depth is not sure."""
 
 
 def _motion(times: Array, one: Followed, hint: float) -> _Motion | str:
@@ -207,17 +188,20 @@ def _motion(times: Array, one: Followed, hint: float) -> _Motion | str:
     if np.isfinite(clean[:, 0]).mean() < SEEN_SHARE:
         return lost
     amplitude, noise = swing.amplitude, swing.amplitude_std
-    limit = max(SIGNIFICANCE * noise, LEAST_PIXELS * one.pixel)
+    least_pixels = 0.2  # of a swing in the image
+    limit = max(SIGNIFICANCE * noise, least_pixels * one.pixel)
     sideways = float(np.linalg.norm(np.nanstd(clean - swing.at(times), axis=0)[:2]))
     jumps = sideways > max(RESIDUAL_PIXELS * one.pixel, RELATIVE_RESIDUAL * amplitude)
-    if jumps or noise > max(LEAST_ERROR, RELATIVE_ERROR * amplitude):
+    if jumps or noise > _most_noise(amplitude):
         return "did not swing with the shake: partly hidden or confused. Shake less, or move the side camera"
     if amplitude < limit:
         return _UNSEEN._replace(at_most=limit)
     weight = 1 / np.maximum(swing.axis_std, 0.3 * swing.axis_std.max())  # the surer an axis, the more it tells
     frequency, span = find_frequency(times, clean * weight, hint), float(np.ptp(times))
-    usual = amplitude * (MEMBER_SPREAD if one.mixed else SPREAD)
+    mixed_up = 0.15  # `SPREAD` of flowers that may be mixed up
+    usual = amplitude * (mixed_up if one.mixed else SPREAD)
     spread = float(np.linalg.norm([noise, LEAST_SPREAD, usual, np.hypot(amplitude, unseen) - amplitude]))
+    phase_error = 0.05  # rad, beside what the residual tells: 98 % of phases in films lay within two deviations
     return _Motion(
         direction=swing.direction,
         amplitude=amplitude,
@@ -225,11 +209,16 @@ def _motion(times: Array, one: Followed, hint: float) -> _Motion | str:
         frequency=frequency,
         frequency_std=float(np.sqrt(3) / np.pi * noise / amplitude / span),
         phase=swing.phase,
-        phase_std=float(np.hypot(noise / amplitude, PHASE_ERROR)),
+        phase_std=float(np.hypot(noise / amplitude, phase_error)),
         # in depth noise passes for overtones
         acceleration_peak=swing.acceleration(limit, axes=2) * (frequency / hint) ** 2,
         at_most=float("nan"),
     )
+
+
+def _most_noise(amplitude: float) -> float:
+    """Return the standard deviation [m] up to which an amplitude [m] counts as measured: 0.3 mm, or a tenth of it."""
+    return max(0.0003, 0.1 * amplitude)
 
 
 def _without_noisy_depth(times: Array, track: Array, hint: float, deep: bool) -> tuple[Array, float]:
@@ -240,10 +229,11 @@ def _without_noisy_depth(times: Array, track: Array, hint: float, deep: bool) ->
     flat = track * (np.nanmedian(track[:, 2]) / track[:, 2:])
     swing, across = fit_swing(times, track, hint), fit_swing(times, flat, hint).amplitude
     size, noise = float(np.linalg.norm(swing.coefficients[:2, 2])), float(swing.axis_std[2])
-    sure = deep and noise <= max(LEAST_ERROR, RELATIVE_ERROR * across)
+    sure = deep and noise <= _most_noise(across)
     if sure and size >= SIGNIFICANCE * noise:
         return track, 0.0
-    unseen = SIGNIFICANCE * noise if sure else across * np.sqrt((1 + DEPTHLESS) ** 2 - 1)
+    depthless = 0.2  # spread of the whole amplitude relative to its sideways part, where depth is not sure
+    unseen = SIGNIFICANCE * noise if sure else across * np.sqrt((1 + depthless) ** 2 - 1)
     return flat, float(unseen)
 
 

@@ -10,12 +10,6 @@ from anther.core.geometry import Array
 from anther.pollination.response._petals import Patch
 from anther.robot.devices import Frame
 
-POWERS = tuple((i, j) for i in range(4) for j in range(4 - i) if i + j)
-"""Of a cubic in the two offsets from a flower's middle; without a constant, which is the flower's own depth."""
-
-LEAST_SPREAD = 0.001
-"""Robust deviation of the readings never taken to be less than this [m]: twice a D455's noise at 0.5 m."""
-
 
 def depth_along(frames: Sequence[Frame], patch: Patch, path: Array, swing: Array, depth: Array, gap: float) -> Array:
     """Return a flower's depth (T,) [m] along its path; NaN where fewer than 3 of its own pixels are read.
@@ -37,15 +31,18 @@ def depth_along(frames: Sequence[Frame], patch: Patch, path: Array, swing: Array
     rest = float(np.mean(depth))
     number, across, down, z = _readings(frames, patch, path, np.broadcast_to(depth, len(frames)), gap).T
     frame, weight = number.astype(int), np.ones(len(z))
-    basis = np.column_stack([swing[frame], *(across**i * down**j for i, j in POWERS)])
+    # of a cubic in the two offsets from a flower's middle; its constant is the flower's own depth
+    powers = tuple((i, j) for i in range(4) for j in range(4 - i) if i + j)
+    basis = np.column_stack([swing[frame], *(across**i * down**j for i, j in powers)])
     if len(z) < 2 * basis.shape[1]:
         return np.full(len(frames), np.nan)
     fitted, miss = np.zeros(basis.shape[1]), np.zeros(len(z))
+    least = 0.001  # m: twice a D455's noise at 0.5 m
     for _ in range(12):  # rounds of reweighting, to convergence on films of simulated plants
         weighted = (basis * weight[:, None]).T
         fitted = np.linalg.solve(weighted @ basis + 1e-6 * np.eye(basis.shape[1]), weighted @ (z - rest))
         miss = z - rest - basis @ fitted
-        spread = max(1.4826 * float(np.median(np.abs(miss))), LEAST_SPREAD)
+        spread = max(1.4826 * float(np.median(np.abs(miss))), least)
         weight = np.clip(1 - (miss / (2.0 * spread)) ** 2, 1e-6, 1) ** 2
     used, share = (np.bincount(frame, w, len(frames)) for w in (weight > 1e-3, weight))
     more = np.bincount(frame, weight * miss, len(frames)) / np.maximum(share, 1e-9)

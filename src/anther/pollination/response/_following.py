@@ -41,11 +41,6 @@ from anther.robot.devices import Frame
 FLOWER_RADIUS = 0.007
 """Of a flower [m]."""
 
-CROWD = 2.0
-"""Flowers closer than this many radii are placed by projection, not by the centre of the petals."""
-
-WIDE = 2.0
-"""Radius of the patch with surroundings that is tracked first, in flower radii."""
 
 NEAR_SWING = 3
 """A flower is matched again within so many pixels of its fitted swing."""
@@ -140,7 +135,8 @@ def _begin(frames: Sequence[Frame], intrinsics: Intrinsics, rest: Array) -> _Beg
     first = int(np.argmax([fit for fit, _ in fits]))
     radius = FLOWER_RADIUS * per_metre
     pixels = pixels + fits[first][1]
-    crowd = np.concatenate([np.zeros(0, int), *_overlapping(pixels, CROWD * radius, np.arange(len(pixels)))])
+    crowded = 2.0  # radii between flowers that are placed by projection, not by the centre of the petals
+    crowd = np.concatenate([np.zeros(0, int), *_overlapping(pixels, crowded * radius, np.arange(len(pixels)))])
     for k in np.setdiff1d(np.arange(len(pixels)), crowd):  # in a crowd the petals' centre is that of the crowd
         pixels[k] = centre_of_petals(petals[first], pixels[k], float(radius[k]))
     images = [smoothed(frame) for frame in frames]
@@ -151,7 +147,8 @@ def _begin(frames: Sequence[Frame], intrinsics: Intrinsics, rest: Array) -> _Beg
             for pixel, r, z in zip(pixels, radius, rest[:, 2], strict=True)
         ]
 
-    return _Begin(first, pixels, radius, patches(1.0), patches(WIDE), images)
+    wide = 2.0  # flower radii, of the patch with surroundings that is tracked first
+    return _Begin(first, pixels, radius, patches(1.0), patches(wide), images)
 
 
 def placed(frame: Frame, intrinsics: Intrinsics, rest: Array) -> tuple[Array, list[Patch]]:

@@ -33,9 +33,6 @@ from anther.pollination.response.thresholds import (
 )
 from anther.robot.devices import Frame
 
-NEAREST, FARTHEST = 0.015, 0.06
-"""Between these distances from the grasp along the stem [m]: beyond the pads, and where the grip still rules."""
-
 MARGIN = 2
 """Pixels beside the stem that are looked at with it: without them it has no edges."""
 
@@ -75,7 +72,9 @@ class StemNear(NamedTuple):
 def stem_near(nodes: Array, arc_length: Array, radii: Array, grasp: float) -> StemNear:
     """Return the nodes of a stem (N, 3) that lie beside pads at an arc length `grasp` [m]."""
     apart = np.abs(arc_length - grasp)
-    chosen = np.flatnonzero((apart >= NEAREST) & (apart <= FARTHEST))
+    nearest = 0.015  # m from the grasp: beyond the pads
+    farthest = 0.06  # m from the grasp, where the grip still rules
+    chosen = np.flatnonzero((apart >= nearest) & (apart <= farthest))
     along = np.gradient(nodes, axis=0)
     tangents = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
     return StemNear(nodes[chosen], tangents[chosen], np.asarray(radii)[chosen])

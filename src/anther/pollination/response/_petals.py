@@ -14,9 +14,6 @@ from anther.robot.devices import Frame
 
 Image = NDArray[np.float32]
 
-LEAFY = 0.06
-"""(2 green - red - blue) / (red + green + blue) above which a pixel counts as leaf or stem [-]; set on ten plants."""
-
 
 def petal_weight(frame: Frame, nearest: float, farthest: float) -> Image:
     """Return (H, W) in 0..1 how much a pixel looks like a petal: yellow or white, not green, and at the right distance.
@@ -143,7 +140,8 @@ def cut_patch(
 
 def _leafy(rgb: NDArray[Any]) -> NDArray[np.bool_]:
     red, green, blue = np.moveaxis(rgb.astype(np.float32), 2, 0)
-    return (2 * green - red - blue) / (red + green + blue + 1) > LEAFY
+    leafy = 0.06  # (2 green - red - blue) / (red + green + blue) of leaves and stems
+    return (2 * green - red - blue) / (red + green + blue + 1) > leafy
 
 
 def flower_weight(frame: Frame, petals: Image, nearest: float, farthest: float) -> Image:

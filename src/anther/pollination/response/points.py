@@ -22,16 +22,10 @@ from anther.pollination.response.thresholds import DEPTH_GATE, LEAST_COVER, OUTL
 from anther.pollination.shake.observables import ComplexArray
 from anther.robot.devices import Frame
 
-WINDOW = 15
-"""Side of the compared square [px]: two flowers wide at 0.55 m from a D455."""
 NEAR = 0.02
 """A point is visible where the measured depth agrees with its own within this [m]."""
-BRIGHT = 100.0
-"""Median grey of compared pictures: a camera's exposure and gain change from frame to frame."""
 SLOW = 4
 """Number of Legendre polynomials fitted for slow motion: wind and decaying swings."""
-SPARE = 5
-"""Least number of degrees of freedom of a fit."""
 LEAST_ERROR = 0.03
 """Least error of a position [px]: a guess, about the noise in films without motion."""
 NO_OVERTONES = np.zeros((0, 0, 3), np.complex128)
@@ -179,13 +173,14 @@ def likeness(rate: float, seconds: float, tones: Array) -> float:
 
     It is the variance of the tone that is told worst over what it would be beside no other and no slow motion. Tones
     above half the rate seem slower than they are; known ones may (stroboscope), as long as no two seem alike. Infinite
-    where there are not `SPARE` more frames than numbers that are fitted.
+    where there are not five more frames than numbers that are fitted.
     """
     return _alike(np.arange(int(seconds * rate)) / rate, tones)
 
 
 def _alike(times: Array, tones: Array) -> float:
-    if len(times) < 2 * len(tones) + SLOW + SPARE:
+    spare = 5  # least number of degrees of freedom of a fit
+    if len(times) < 2 * len(tones) + SLOW + spare:
         return float("inf")
     _, inverse_gram = _solved(_basis(times, tones), times[:, None])
     return float(inverse_gram.diagonal()[:-SLOW].max()) * len(times) / 2
@@ -208,9 +203,10 @@ def _own_depth(depth: Any, pixels: Array, expected: Array, inside: NDArray[np.bo
 
 
 def _gain(frame: Frame) -> float:
-    """Return what brings the median grey of a frame, of every 16th pixel, to `BRIGHT`."""
+    """Return what brings the median grey of a frame, of every 16th pixel, to 100."""
     some = np.ascontiguousarray(frame.rgb[::4, ::4])
-    return BRIGHT / max(float(np.median(cv2.cvtColor(some, cv2.COLOR_RGB2GRAY))), 1.0)
+    bright = 100.0  # median grey: a camera's exposure and gain change from frame to frame
+    return bright / max(float(np.median(cv2.cvtColor(some, cv2.COLOR_RGB2GRAY))), 1.0)
 
 
 def _picture(frame: Frame, gain: float) -> NDArray[np.uint8]:
@@ -271,8 +267,9 @@ def _paths(at: Sight, pictures: Sequence[NDArray[np.uint8]]) -> Array:
     home = at.pixels[at.shown].astype(np.float32)[:, None]
     out = np.full((len(pictures), len(home), 2), np.nan)
     place, before = home.copy(), home.copy()
+    side = 15  # px: two flowers wide at 0.55 m from a D455
     options: dict[str, Any] = {
-        "winSize": (WINDOW, WINDOW),
+        "winSize": (side, side),
         "maxLevel": 2,  # image pyramid: a search range of about 25 px
         "flags": cv2.OPTFLOW_USE_INITIAL_FLOW,
         "criteria": (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01),

@@ -47,12 +47,6 @@ class Actuator:
     delivers: Delivery = exactly
 
 
-_HERTZ = np.array([1, 2, 3, 5, 8, 10, 15, 20, 30.0])
-_LATERAL = np.array([180, 45, 20, 7.2, 2.8, 1.8, 0.80, 0.45, 0.20]) * 1e-3
-_APPROACH = np.array([111, 28, 12, 4.4, 1.7, 1.1, 0.49, 0.28, 0.12]) * 1e-3
-_VERTICAL = np.array([122, 30, 13.5, 4.9, 1.9, 1.2, 0.54, 0.30, 0.14]) * 1e-3
-
-
 def sawyer_limit(grasp: Grasp, direction: Array, frequencies: Array) -> Array:
     """Return the amplitude (Q,) [m] that a Sawyer manages at the paper's grasp, whatever the grasp's joints are.
 
@@ -65,23 +59,25 @@ def sawyer_limit(grasp: Grasp, direction: Array, frequencies: Array) -> Array:
     vertical /= max(float(np.linalg.norm(vertical)), 1e-6)  # straight down there is none: all else is lateral
     along, up = abs(float(direction @ grasp.approach)), abs(float(direction @ vertical))
     aside = float(np.sqrt(max(direction @ direction - along**2 - up**2, 0.0)))
-    shares = ((along, _APPROACH), (up, _VERTICAL), (aside, _LATERAL))
+    lateral = np.array([180, 45, 20, 7.2, 2.8, 1.8, 0.80, 0.45, 0.20]) * 1e-3
+    approach = np.array([111, 28, 12, 4.4, 1.7, 1.1, 0.49, 0.28, 0.12]) * 1e-3
+    upward = np.array([122, 30, 13.5, 4.9, 1.9, 1.2, 0.54, 0.30, 0.14]) * 1e-3
+    shares = ((along, approach), (up, upward), (aside, lateral))
     return 1 / np.maximum(np.sum([share / _amplitude(table, f) for share, table in shares], axis=0), 1e-9)
 
 
 def _amplitude(table: Array, frequencies: Array) -> Array:
-    inside = np.exp(np.interp(np.log(frequencies), np.log(_HERTZ), np.log(table)))
-    return inside * np.minimum(1, (_HERTZ[-1] / frequencies) ** 2)
-
-
-_TONES = np.array([3.0, 7.0, 12.0, 17.0, 23.5, 31.0])
-_DELIVERED = np.array([[0.15, 0.23, 0.13, 0.01, -0.26, -0.58], [0.03, 0.12, 0.29, 0.36, 0.41, 0.47]])
+    hertz = np.array([1, 2, 3, 5, 8, 10, 15, 20, 30.0])
+    inside = np.exp(np.interp(np.log(frequencies), np.log(hertz), np.log(table)))
+    return inside * np.minimum(1, (hertz[-1] / frequencies) ** 2)
 
 
 def _arm_delivers(frequencies: Array) -> tuple[Array, Array]:
     """Servos ring and links hang on springs: 12 simulated Sawyers that hold nothing, whose truth is drawn wide
     (evaluation/trials/arm_readings.py)."""
-    mean, spread = (np.interp(np.log(frequencies), np.log(_TONES), row) for row in _DELIVERED)
+    tones = np.array([3.0, 7.0, 12.0, 17.0, 23.5, 31.0])
+    delivered = np.array([[0.15, 0.23, 0.13, 0.01, -0.26, -0.58], [0.03, 0.12, 0.29, 0.36, 0.41, 0.47]])
+    mean, spread = (np.interp(np.log(frequencies), np.log(tones), row) for row in delivered)
     return mean, spread
 
 
@@ -102,12 +98,11 @@ def arm_shaker(limit: Limit = sawyer_limit) -> Actuator:
 STROKE, ACCELERATION = 1.5e-3, 50.0
 """Largest amplitude of the gripper's motor, half of peak to peak [m]; what it gives [m/s2]: that moves a flower with 50
 m/s2 at gain 1, 0.51 mm at 50 Hz (facts: pollination 1b)."""
-RAMPS = 0.97
-"""Share of a motor's limits that a steady shake may take: a ramp over half a second adds 1 % at 10 Hz."""
 
 
 def _motor_limit(_: Grasp, __: Array, frequencies: Array) -> Array:
-    return RAMPS * np.minimum(STROKE, ACCELERATION / (2 * np.pi * np.asarray(frequencies, dtype=float)) ** 2)
+    ramps = 0.97  # share of a motor's limits: a ramp over half a second adds 1 % at 10 Hz
+    return ramps * np.minimum(STROKE, ACCELERATION / (2 * np.pi * np.asarray(frequencies, dtype=float)) ** 2)
 
 
 def _motor_delivers(frequencies: Array) -> tuple[Array, Array]:

@@ -27,17 +27,14 @@ from anther.robot.pressing import Pressing
 Place = tuple[int, int, int]
 """(q, g, d): one shake of the search."""
 
-HEIGHTS, DIRECTIONS = 8, 8
-"""Grip heights of the response map, beside the grasps; directions over half a turn of the horizontal plane: the best of
-eight is at most 11 degrees off."""
+DIRECTIONS = 8
+"""Over half a turn of the horizontal plane: the best of eight is at most 11 degrees off."""
 PRESS = "force of the pads, against slip [N]"
 """The limit of what holds the stem: pads press as hard as it bears and the gripper can."""
 MOST_SPEED = 0.3
 """Of the grip [m/s]."""
 FLOWER_ACCELERATION = 200.0
 """Of the flowers on average; more than this is not useful [m/s2]."""
-SHOWN = 40
-"""Amplitudes in the picture of a decision."""
 SIZES = 14
 """Amplitudes that are weighed of each shake, evenly on a logarithmic scale: worth changes little from one to the
 next."""
@@ -87,7 +84,8 @@ def find_grips(
     """
     held = grip_rows(plant, np.array([g.point for g in grasps]))
     usable = np.flatnonzero(~np.isin(plant.stem_nodes, plant.clamp.nodes))
-    others = usable[np.unique(np.linspace(0, len(usable) - 1, HEIGHTS).round().astype(int))]
+    heights = 8  # beside the grasps
+    others = usable[np.unique(np.linspace(0, len(usable) - 1, heights).round().astype(int))]
     rows = np.concatenate([held, others])
     nodes, arc = pad_nodes(plant, rows, params.pads.width), plant.arc_length[rows]
     nearest = np.abs(arc[len(held) :, None] - arc[: len(held)]).argmin(axis=1)
@@ -175,10 +173,6 @@ def best(found: Search, *, avoid: Place | None = None) -> Place:
     return int(q), int(g), int(d)
 
 
-QUICK = 2.0
-"""Slower frequencies are not tried beside the plan's own [Hz]: watching one takes two seconds and more."""
-ROOM = 1e-5
-"""A line along which the actuator can move less than this [m] is none."""
 APART = 1.15
 """Frequencies worth trying are this factor from each other: responses lose their likeness within 40 %."""
 
@@ -191,7 +185,8 @@ def find_candidates(found: Search, at: Place, most: int, earlier: EarlierShake |
     """
     q, g, d = at
     reach = _reach(found.bounds)[:, g]
-    lines = np.roll(np.arange(reach.shape[1]), -d) if reach.min() >= ROOM else np.array([d])
+    least = 1e-5  # m that the actuator can move along a line
+    lines = np.roll(np.arange(reach.shape[1]), -d) if reach.min() >= least else np.array([d])
     reach = reach[:, lines]
     directions, size = found.grips.directions[g, lines], found.amplitude[:, g, lines]
     if earlier is not None:
@@ -199,15 +194,12 @@ def find_candidates(found: Search, at: Place, most: int, earlier: EarlierShake |
         return CandidateShakes(found.frequencies[[q]], directions[:1], np.minimum(earlier.amplitude, own), own)
     promise = found.score[:, g, lines].max(axis=1)
     chosen = [q]
+    slowest = 2.0  # Hz beside the plan's own: watching a slower one takes two seconds and more
     for k in np.argsort(-promise, kind="stable"):
         far = np.abs(np.log(found.frequencies[chosen] / found.frequencies[k])).min() >= np.log(APART)
-        if far and found.frequencies[k] >= QUICK and promise[k] > 0 and len(chosen) < most:
+        if far and found.frequencies[k] >= slowest and promise[k] > 0 and len(chosen) < most:
             chosen.append(int(k))
     return CandidateShakes(found.frequencies[chosen], directions, size[chosen], reach[chosen])
-
-
-SAME_PLACE = 0.02
-"""A grip is the one of an earlier visit up to this along the stem [m]: the pads are 16 mm wide."""
 
 
 def predicted_at(found: Search, at: Place) -> tuple[Array, Array]:
@@ -225,7 +217,8 @@ def worth_curve_at(found: Search, at: Place, params: Params) -> WorthCurve:
     """Return what a shake is worth by its amplitude, up to what the machine manages."""
     q, g, _ = at
     reach = float(_reach(found.bounds)[at])
-    tried = np.geomspace(found.least, max(reach, 1.01 * found.least), SHOWN)
+    shown = 40
+    tried = np.geomspace(found.least, max(reach, 1.01 * found.least), shown)
     alone = Answer(*(part[(slice(None), *at)] for part in found.answer))
     held, delivered = (
         params.held(float(found.grips.press[g, 0])),
@@ -240,7 +233,8 @@ def match_earlier(found: Search, earlier: EarlierShake) -> Search | None:
     score, q = np.full_like(found.score, -1.0), int(ratio.argmin())
     if ratio[q] > 0.5 * np.log(APART):
         return None
-    for g in np.flatnonzero(np.abs(found.grips.arc_length - earlier.arc_length) <= SAME_PLACE):
+    same_place = 0.02  # m along the stem: the pads are 16 mm wide
+    for g in np.flatnonzero(np.abs(found.grips.arc_length - earlier.arc_length) <= same_place):
         d = int(np.abs(found.grips.directions[g] @ earlier.direction).argmax())
         score[q, g, d] = found.score[q, g, d]
     return found._replace(score=score) if np.any(score >= 0) else None

@@ -81,10 +81,6 @@ def semi_major(vectors: ComplexArray) -> Array:
     return np.sqrt(0.5 * (square + np.abs(np.sum(vectors * vectors, axis=-1))))
 
 
-STRAIGHT = 0.999
-"""Cosine of the kink up to which an edge goes straight on, 2.6 degrees: of a twisting moment 4.5 % bends beyond it."""
-
-
 Blocks = tuple[int, NDArray[Any], NDArray[Any], Array]
 """Vectors that are sums of (3, 3) blocks times vectors of nodes or joints: how many, then of each block which vector
 (B,) and which node or joint (B,), and the blocks (B, 3, 3)."""
@@ -114,7 +110,8 @@ def _bending(plant: PlantModel, moments: Array, like: PlantModel) -> tuple[Any, 
     jointed, on_stem = np.isin(edge, j), np.isin(edge, plant.stem_nodes)
     stem = on_stem & on_stem[rods.parent] & (edge > 0)
     weaker = strength[j] >= strength[p] * (1 - 1e-9)
-    follows = weaker & (np.sum(along[j] * along[p], axis=1) > STRAIGHT)
+    straight = 0.999  # cosine of 2.6 degrees: of a twisting moment 4.5 % bends beyond it
+    follows = weaker & (np.sum(along[j] * along[p], axis=1) > straight)
     goes_on = np.isin(edge, p) & ~((np.bincount(p, minlength=len(edge)) == 1) & np.isin(edge, p[follows]))
     parts, edges = [], []
     for chosen, ends in ((stem, True), (plant.is_pedicel, True), (np.isin(edge, plant.branch_bases), False)):

@@ -24,7 +24,6 @@ from anther.robot.arm.sawyer import SAWYER
 from anther.robot.devices import JointTrajectory
 from anther.robot.swing import Swing
 
-SHAKE_SHARE = 0.85  # of the local limit; the rest covers ramps and the bend of the joint path
 SHAKE_CAP = 0.02  # m, beyond which the local limit means little
 SEARCH_TIME = 2.0  # s for a path around obstacles in each of them
 BLENDS = (0.3, 0.05)  # rad, how far a corner may be rounded, in order of preference
@@ -349,14 +348,15 @@ class Planner:
 
 
 def shake_limit(arm: ArmModel, q: ArrayLike, direction: ArrayLike, frequencies: ArrayLike) -> Array:
-    """Return the amplitudes (Q,) [m] that `Planner.swing` can do at joints (J,): `SHAKE_SHARE` of the local limits.
+    """Return the amplitudes (Q,) [m] that `Planner.swing` can do at joints (J,): 0.85 of the local limits.
 
     The limits are the joints' velocities, accelerations and torques.
     """
     q = check_array("joints", q, (arm.count,))
     quick = shaking.amplitude_limit(arm, q, direction, frequencies)
     strong = motions.shake_amplitude(arm, q, shaking.joint_rates(arm, q, direction, frequencies), frequencies)
-    return np.minimum(SHAKE_SHARE * np.minimum(quick, strong), SHAKE_CAP)
+    share = 0.85  # of the local limit; the rest covers ramps and the bend of the joint path
+    return np.minimum(share * np.minimum(quick, strong), SHAKE_CAP)
 
 
 def _shake_rank(arm: ArmModel, branches: Array) -> Array:

@@ -14,12 +14,8 @@ import numpy as np
 from anther.core.checks import check_range
 from anther.core.errors import bad_input
 
-LARGEST_ANGLE = 13.0
-"""A joint's limits are no farther from zero [rad]: two turns, more than its cables bear; 18 are degrees."""
 LARGEST_SPEED = 30.0
 """Of a joint [rad/s]: half as much again as the quickest wrists turn (Stäubli TX2-40: 20)."""
-LARGEST_EFFORT = 1e5
-"""Of a joint [N m]: holds 2 t at 5 m."""
 LONGEST_REACH = 5.0
 """Of the flange [m]: desk-top arms reach 0.2 m, the largest 4.7 m (Fanuc M-2000iA)."""
 FARTHEST = 2 * LONGEST_REACH
@@ -34,11 +30,13 @@ def check_joint(joint: str, lower: float, upper: float, velocity: float, effort:
     Raises:
         InputError: no arm has such a joint.
     """
-    if not -LARGEST_ANGLE <= lower < upper <= LARGEST_ANGLE:
-        allowed = f"-{LARGEST_ANGLE:g} <= lower < upper <= {LARGEST_ANGLE:g} rad"
+    largest = 13.0  # rad: two turns, more than a joint's cables bear; 18 are degrees
+    if not -largest <= lower < upper <= largest:
+        allowed = f"-{largest:g} <= lower < upper <= {largest:g} rad"
         raise bad_input(f"{joint}: range", given=f"{lower:g} .. {upper:g} rad", allowed=allowed, do=do)
     _check_above_zero(f"{joint}: velocity", velocity, LARGEST_SPEED, "rad/s", do)
-    _check_above_zero(f"{joint}: effort", effort, LARGEST_EFFORT, "N m", do)
+    strongest = 1e5  # N m: holds 2 t at 5 m
+    _check_above_zero(f"{joint}: effort", effort, strongest, "N m", do)
 
 
 def check_acceleration(joint: str, acceleration: float) -> None:

@@ -98,8 +98,6 @@ FEW_FOR_NOISE = 6
 """With fewer views the arm's errors are `ARM_ERRORS`; with more they are where the estimate begins."""
 ARM_ERRORS = float(np.deg2rad(0.1)), 0.001
 """Of rotation [rad] and translation [m] in one view, per axis."""
-LEAST_TURN = float(np.deg2rad(3))
-"""The flange must turn about two different axes by at least this [rad]."""
 LOOSE = 0.002
 """Standard error of the camera's place from which on the views are called too poor, and how far a board of another size
 than was said may move it [m]."""
@@ -172,7 +170,7 @@ def _calibrate(
         raise bad_input("hand-eye method", given=method, allowed=", ".join(METHODS), do="Choose one of these.")
     board = check_transform("T_cam_board", views.T_cam_board, len(views.images))
     names = images or tuple(str(number) for number in views.images)
-    check_motions(flange, LEAST_TURN)
+    check_motions(flange)
     centre = np.concatenate(views.corners.points).mean(axis=0)
     X, Z, misfit = robust_estimate(flange, board, centre, ARM_ERRORS, method)
     _refuse_strangers(flange, board, centre, (X, Z, misfit), eye_to_hand)
@@ -219,7 +217,7 @@ def _without_outliers(
     limit = float(np.sqrt(chi2.isf(2 * norm.sf(4.0), 6)))  # as likely as four standard deviations of a normal one
     rounds = 0
     while True:
-        check_motions(flange[used], LEAST_TURN)
+        check_motions(flange[used])
         fit = refine(problem, X, Z, noise, used)
         if used.sum() >= FEW_FOR_NOISE:
             noise = estimate_noise(problem, fit, pixel, used)

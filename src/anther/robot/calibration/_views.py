@@ -213,12 +213,11 @@ def flange_motions(T_base_flange: Array) -> Motions:
     return Motions(turns, float(angles.max()), float(second.max()))
 
 
-def check_motions(T_base_flange: Array, least_turn: float) -> None:
+def check_motions(T_base_flange: Array) -> None:
     """Refuse motions about one axis only: they leave the camera's position along that axis open (Tsai, Lenz 1989).
 
     Args:
         T_base_flange: (V, 4, 4).
-        least_turn: the flange must turn about two different axes by at least this [rad].
 
     Raises:
         InputError: fewer than three views, or turns about one axis only.
@@ -228,6 +227,7 @@ def check_motions(T_base_flange: Array, least_turn: float) -> None:
         raise bad_input(
             "hand-eye calibration", given=f"{count} usable views", allowed="3 or more", do="Take 15 to 20 views."
         )
+    least_turn = float(np.deg2rad(3))  # about each of two different axes
     second = flange_motions(T_base_flange).second
     if second < least_turn:
         raise bad_input(

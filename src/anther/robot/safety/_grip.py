@@ -16,8 +16,6 @@ IDLE = 1.0
 """What a gripper may read with nothing between its pads, either way [N]: its sensor's noise and friction. A guess."""
 SOFTEST = 500.0
 """The least stiffness between the pads of what is held [N/m]. A guess; simulated stems have 6000."""
-SEVERAL = 1.5e-3
-"""Over so much of the pads' way a force must change [m]: three steps of a closing."""
 DO = "Check the gripper's force signal before it closes on a plant."
 
 
@@ -57,7 +55,7 @@ def check_closing(closing: Sequence[GripperState], sent: float) -> None:
 
     Raises:
         DeviceError: a pull; a firm force and yet nothing held, twice; or pads that are said to press on something and
-            were sent nearer by `SEVERAL`, and either came nearer while the force did not change, or did not and yet
+            were sent nearer by 1.5 mm, and either came nearer while the force did not change, or did not and yet
             press with nothing.
     """
     last = closing[-1]
@@ -67,7 +65,8 @@ def check_closing(closing: Sequence[GripperState], sent: float) -> None:
     # half of what a Sawyer's gripper gives [N]
     if len(closing) > 1 and all(s.force > 5 and not s.is_gripping for s in closing[-2:]):
         raise DeviceError(f"{given}, and yet the gripper says that it holds nothing. {DO}")
-    several = SEVERAL - 1e-5  # the steps of the pads may fall short of it
+    # m of the pads' way over which a force must change: three steps of a closing, which may fall short of it
+    several = 1.5e-3 - 1e-5
     if last.is_gripping and last.force < IDLE and last.opening - sent >= several:
         raise DeviceError(f"{given}, held off by something {1e3 * (last.opening - sent):.1f} mm before the goal. {DO}")
     pressing = list[GripperState]()

@@ -25,10 +25,6 @@ def placed(T: Array) -> tuple[Any, Any]:
     return T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
 
 
-VIEW_FROM = np.array([0.4, -0.6, 0.2])
-"""From where the plant is seen first, from its middle [m]: across the arm, which comes along +x."""
-
-
 @dataclass
 class Handles:
     """What the scene holds that can be shown, hidden, moved or asked.
@@ -90,7 +86,8 @@ def build_scene(server: viser.ViserServer, results: RunResults, most_points: int
     if len(points):
         middle = points.mean(axis=0)
         server.initial_camera.look_at = tuple(middle)
-        server.initial_camera.position = tuple(middle + VIEW_FROM)
+        view_from = np.array([0.4, -0.6, 0.2])  # m from the plant's middle: across the arm, which comes along +x
+        server.initial_camera.position = tuple(middle + view_from)
     return handles
 
 
