@@ -43,7 +43,7 @@ COMMAND_LINES = (
     f"identify {STEM}", "identify --density 1000 --profile stem/profile.csv --deflection stem/deflection.csv --json",
     "history history.sqlite", "history history.sqlite --export o.csv", "history history.sqlite --add run",
     "history fruit-set history.sqlite --json", "history outcome a --flowers 9 --fruit 4 --history history.sqlite",
-    "trial --plant tomato --out trial", "row --simulate tomato", "doctor",
+    "trial --plant tomato --out trial", "row --simulate tomato --plants 2", "doctor",
 )  # fmt: skip
 """What is run, each in a folder of its own with all inputs; one of its inputs or options is spoilt."""
 NOT_TRIED = {"sweep", "cell"}

@@ -264,6 +264,7 @@ def test_a_plan_leaves_ctrl_c_to_those_who_hold_the_arm() -> None:
     code = """if True:
         import os, signal
         from anther.history._shift_plan import Leg, RobotNow, assign_legs
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background processes would ignore Ctrl-C
         assign_legs([Leg(0, "0", 10, 100, ((0, 900),))], [RobotNow("a", 0, 1500, 4000, 600, (), None)], 1)
         try:
             os.kill(os.getpid(), signal.SIGINT)

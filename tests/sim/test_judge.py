@@ -71,9 +71,9 @@ def test_a_stem_in_the_middle_is_held_through_the_shake() -> None:
     y = sawyer.forward(trial.measured)[:, 1, 3]
     assert np.ptp(y) / 2 == pytest.approx(0.001, rel=0.1)
     assert verdict.flower_amplitude[0] > 0.0005
-    # a sinusoid of that amplitude needs about this much acceleration
+    # a sinusoid of that amplitude needs about this much acceleration; the pedicel rings as well
     steady = verdict.flower_amplitude[0] * (2 * np.pi * 5) ** 2
-    assert verdict.flower_acceleration_peak[0] == pytest.approx(steady, rel=0.5)
+    assert verdict.flower_acceleration_peak[0] == pytest.approx(steady, rel=0.6)
     # held and unharmed, and yet it freed next to nothing: 3.7 m/s2
     assert (verdict.flowers_moved, verdict.success) == (False, False)
 
@@ -151,8 +151,7 @@ def test_a_petiole_between_the_pads_beside_the_stem_is_told() -> None:
 
 def test_a_stem_too_slippery_to_hold_has_slipped() -> None:
     cell = near_plant(GRASP.joints)  # type: ignore[arg-type]
-    for side in ("left_pad", "right_pad"):
-        cell.model.geom(side).friction[0] = 0.005
+    cell.model.pair_friction[:, :2] = 0.005
     up = Plan(amplitude=0.01, frequency=2.0, duration=1.5, direction=np.array([0, 0, 1.0]))
     trial, verdict = trial_of(cell, up)
     assert trial.finished, trial.stop_reason

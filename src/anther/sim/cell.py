@@ -352,7 +352,7 @@ def _world(timestep: float, plant: SimPlant, solids: Sequence[Box], obstacles: S
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     option.cone, option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10
-    bits = {"contype": _Bit.SCENERY, "conaffinity": _Bit.ROBOT}
+    bits: dict[str, int] = {"contype": _Bit.SCENERY, "conaffinity": _Bit.ROBOT}
     if plant.pot.radius:
         _add_pot(spec.worldbody, plant, bits)
     for i, box in enumerate(solids):

@@ -423,9 +423,10 @@ def _twine_mesh(
     beside = points + (line.radius(along) + 1.2 * twine)[:, None] * around
     string = np.vstack([beside, np.linspace(beside[-1], hook, 12)[1:]])
     rides = np.repeat(np.concatenate([line.segment(along), np.full(11, -1)]), 5)
-    twine_white = (232, 230, 222)
-    found = [(tube(string, np.full(len(string), twine), sides=5, tip=False), twine_white, rides)]
-    clip_white = (198, 208, 210)
+    twine_white, clip_white = (232, 230, 222), (198, 208, 210)
+    found: list[tuple[Mesh, RGB, NDArray[np.intp]]] = [
+        (tube(string, np.full(len(string), twine), sides=5, tip=False), twine_white, rides)
+    ]
     for arc_ in np.arange(top - 0.006, 0.3, -habit["clips"]) if clipped else ():
         width = float(line.radius(arc_)) + 2.5 * twine
         ring = tube(line.at(arc_ + np.array([-0.006, 0.006])), [width, width], sides=10, tip=False)
