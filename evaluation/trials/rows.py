@@ -30,8 +30,8 @@ from anther.core import StageFailure
 from anther.plant import Crop
 from anther.plant.limits import MOVED
 from anther.pollination import visit_row_stem
-from anther.sim import SimulatedCell, build_row, grow_row, mapped_hook
-from anther.sim.cell import BENCH, NEIGHBOUR, POT
+from anther.sim import build_row, grow_row, mapped_hook
+from anther.sim.cell import BENCH, NEIGHBOUR, POT, CellLog
 from anther.sim.judge import LETS_GO, string_pull
 from evaluation.harness import CROPS, by_turns, failed, finish, options, run_cases
 from evaluation.statistics import bootstrap, interval, median
@@ -71,7 +71,8 @@ def one(row: Row, folder: Path) -> Row:
         return {"success": False, "failure": failure.kind, "message": str(failure)}
     hook = mapped_hook(grown, cell.world.arm)
     found, done = performed(cell, lambda: visit_row_stem(cell.robot_side, case.species, hook, run))
-    found |= touched(cell) | {"string_pull": string_pull(cell.world), "plants": len(grown.plants)}
+    log = cell.world.log()
+    found |= touched(log) | {"string_pull": string_pull(cell.world, log), "plants": len(grown.plants)}
     found |= {"views_s": cell.capture_seconds, "first": len(_begun) == 1, "notes": notes_of(run)}
     if done is not None:
         found |= asked_times(found, run)
@@ -102,9 +103,8 @@ def asked_times(row: Row, run: Brief) -> dict[str, float]:
     }
 
 
-def touched(cell: SimulatedCell) -> dict[str, float]:
+def touched(log: CellLog) -> dict[str, float]:
     """Return the largest force of the robot on a neighbour or a string, and on a post, pipe or gutter [N]; 0: none."""
-    log = cell.world.log()
 
     def most(*others: int) -> float:
         return float(log.contact_force[np.isin(log.contact_other, others)].max(initial=0.0))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import fields, replace
 from functools import cache
-from types import SimpleNamespace
+from types import SimpleNamespace as Namespace
 
 import numpy as np
 import pytest
@@ -207,14 +207,12 @@ def test_an_arm_that_strikes_a_neighbour_is_seen_to() -> None:
 
 @pytest.mark.parametrize("fallen", [0.0, 0.02])
 def test_a_string_pulls_harder_the_farther_its_stem_is_pulled_off(fallen: float) -> None:
-    plant = pulled(1.0, 0.006, 1e8, 0.2, 20.0)
+    plant, log = pulled(1.0, 0.006, 1e8, 0.2, 20.0), Namespace(qpos=np.zeros((11, 1)))
     pose = np.tile(transform(np.eye(3), [0, 0, -fallen]), (len(plant.end), 1, 1))
-    cell = SimpleNamespace(
-        plant=plant, log=lambda: SimpleNamespace(qpos=np.zeros((11, 1))), segment_poses=lambda _: pose
-    )
+    cell, free = (Namespace(plant=p, segment_poses=lambda _: pose) for p in (plant, replace(plant, twines=())))
     twine = plant.twines[0]
-    assert string_pull(cell) == pytest.approx(1 + twine.stiffness * fallen / twine.tension, rel=1e-3)  # type: ignore[arg-type]
-    assert string_pull(SimpleNamespace(**{**vars(cell), "plant": replace(plant, twines=())})) == 0  # type: ignore[arg-type]
+    assert string_pull(cell, log) == pytest.approx(1 + twine.stiffness * fallen / twine.tension, rel=1e-3)  # type: ignore[arg-type]
+    assert string_pull(free, log) == 0  # type: ignore[arg-type]
 
 
 def test_leaves_were_cut_below_and_the_head_is_young() -> None:

@@ -244,7 +244,7 @@ def judge(
     segment, share = _find_grasped(log, holding)
     organ, *beside = _organs(cell, log, holding, segment)
     slip, height = _slip(cell, log, shaking, segment)
-    push, pull = _push(log, shake), string_pull(cell)
+    push, pull = _push(log, shake), string_pull(cell, log)
     poses = np.stack([cell.segment_poses(q) for q in log.qpos[shaking]]) if shake else None
     leaf = _leaf_acceleration(cell, log.times[shaking], poses)
     strains, *stalks = _strain(cell, log, shaking)
@@ -349,9 +349,9 @@ def _slip(cell: Cell, log: CellLog, shaking: NDArray[np.bool_], segment: int) ->
     return float(wander.max()), float(rest[2] - cell.plant.pot.soil_z)
 
 
-def string_pull(cell: Cell) -> float:
+def string_pull(cell: Cell, log: CellLog) -> float:
     """Return the hardest pull of a string of the plant, as a share of what it hangs with [-]; 0 without a string."""
-    log, most = cell.log(), 0.0
+    most = 0.0
     for pose in map(cell.segment_poses, log.qpos[::10] if cell.plant.twines else ()):  # 20 ms: they sway at 0.8 Hz
         for twine in cell.plant.twines:
             T, at = pose[twine.segment], cell.plant.end[twine.segment]
