@@ -159,6 +159,29 @@ def _once_beyond(start: Array, do: Callable[[], Any]) -> Watch:
     return watch
 
 
+def _stops(
+    arm: Arm, start: Array, do: Callable[[], Any], what: str, kind: type[BaseException] = DeviceError
+) -> BaseException:
+    """Require that what is done in midst of a motion ends it with an error of `kind`, and return that.
+
+    Raises:
+        kind: as the driver raised it, where the motion ended before anything was done.
+    """
+    done: list[bool] = []
+
+    def strike() -> None:
+        done.append(True)
+        do()
+
+    try:
+        arm.follow(_motion(start), _once_beyond(start, strike))
+    except kind as error:
+        if not done:
+            raise
+        return error
+    raise AssertionError(f"follow, where {what}: got no error; allowed: {kind.__name__}")
+
+
 def _check_smooth(rig: ArmRig) -> None:
     """Check that the arm never jumped nor went back, and is at rest."""
     rig.sleep(0.2)
@@ -218,9 +241,8 @@ def check_watcher_error(rig: ArmRig) -> None:
             def fail(error: BaseException = error) -> None:
                 raise error
 
-            with _raises(type(error), "follow, where its watcher raises") as caught:
-                arm.follow(_motion(start), _once_beyond(start, fail))
-            _require(str(caught[0]) == str(error), f"follow raised {caught[0]!r}; allowed: the watcher's {error!r}")
+            caught = _stops(arm, start, fail, "its watcher raises", type(error))
+            _require(str(caught) == str(error), f"follow raised {caught!r}; allowed: the watcher's {error!r}")
             rig.sleep(0.15)
             there = arm.joints()
             gone = float(np.abs(there - start).max())
@@ -289,8 +311,7 @@ def check_pause(rig: ArmRig) -> None:
             rig.sleep(PAUSE)
             woke.append(rig.clock())
 
-        with _raises(DeviceError, f"follow, where nothing runs for {PAUSE:g} s"):
-            arm.follow(_motion(start), _once_beyond(start, pause))
+        _stops(arm, start, pause, f"nothing runs for {PAUSE:g} s")
         _check_smooth(rig)
         times, joints = _need(rig.history, "history")()
         moved = float(np.ptp(joints[times >= woke[0]], axis=0).max())
@@ -306,8 +327,7 @@ def check_delayed_stop(rig: ArmRig) -> None:
             rig.sleep(0.02)
             raise DeviceError("enough")
 
-        with _raises(DeviceError, "follow, where its watcher raises"):
-            arm.follow(_motion(start), _once_beyond(start, fail))
+        _stops(arm, start, fail, "its watcher raises")
         _check_smooth(rig)
 
 
@@ -316,8 +336,7 @@ def check_clock_jump(rig: ArmRig) -> None:
     jump = _need(rig.faults.get("clock jump"), "fault 'clock jump'")
     with _connect(rig.connect) as arm:
         start = arm.joints()
-        with _raises(DeviceError, "follow, where the machine's clock jumps"):
-            arm.follow(_motion(start), _once_beyond(start, jump))
+        _stops(arm, start, jump, "the machine's clock jumps")
         _check_smooth(rig)
 
 
@@ -354,8 +373,7 @@ def check_stale_readings_in_motion(rig: ArmRig) -> None:
             since.append(rig.clock())
             silence()
 
-        with _raises(DeviceError, "follow, where joints are no longer told"):
-            arm.follow(_motion(start), _once_beyond(start, strike))
+        _stops(arm, start, strike, "joints are no longer told")
         _check_stopped(rig, since[0])
 
 
@@ -384,8 +402,7 @@ def check_refusal(rig: ArmRig) -> None:
     stop, commands = _need(rig.faults.get("stop"), "fault 'stop'"), _need(rig.commands, "commands")
     with _connect(rig.connect) as arm:
         start = arm.joints()
-        with _raises(DeviceError, "follow, where the machine stops"):
-            arm.follow(_motion(start), _once_beyond(start, stop))
+        _stops(arm, start, stop, "the machine stops")
         rig.sleep(0.2)
         before = commands()
         with _raises(DeviceError, "follow, after the machine stopped"):
