@@ -720,3 +720,38 @@ def test_a_shake_that_is_planned_too_far_is_taken_back_even_by_what_proves_nothi
     world.share = 5 * ANY_PHASE
     steps = single(shaken(world))
     assert steps[-1].amplitudes[0] < 0.5 * world.plan.tones.amplitudes.max()
+
+
+class Stiffer(World):
+    """A plant that does a share of what it did in the probe, at one tone, once that is shaken alone."""
+
+    stiff: int = 0
+    share = 0.03
+
+    def swings(self, _: Any, frames: Any, tones: Any, expected: Any = None) -> Any:
+        found = super().swings(_, frames, tones, expected)
+        alone = len(tones) == 1 and tones[0] == TONES[self.stiff]
+        return found._replace(phasors=self.share * found.phasors) if alone else found
+
+
+def test_a_shake_seen_twice_to_move_nothing_is_left_for_what_the_model_allows_elsewhere(
+    shaken: Shaken, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It proves nothing of this plant, and is not worth going on with."""
+    monkeypatch.setattr(foresight_module, "MISFIT", 0.2)
+    foresight = made_foresight(1)
+    world, usual = (
+        kind(foresight, foresight.vectors[4], plan=made_plan((0.002,) * 3, (0.03,) * 3), noise=3e-5)
+        for kind in (Stiffer, World)
+    )
+    world.params = Params(most_seconds=30)
+    world.stiff = int(np.abs(TONES - single(shaken(usual))[0].frequencies[0]).argmin())
+    watched = shaken(world)
+    steps = single(watched)
+    tones = [int(np.abs(TONES - step.frequencies[0]).argmin()) for step in steps]
+    doubted = tones.count(world.stiff)
+    assert tones[:doubted] == [world.stiff] * 2, "it is watched once more, and not turned back to"
+    assert len(set(tones)) > 1
+    assert steps[doubted].amplitudes[0] <= 0.002 * 1.0001, "what follows begins as the model alone allows"
+    assert steps[-1].median > 10 * steps[1].median
+    check_pieces(world, watched)

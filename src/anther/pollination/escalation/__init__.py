@@ -315,6 +315,11 @@ class Escalation:
             best = self._best()
             if self._options[best].predicted_worth > BETTER * option.predicted_worth and self._has_time(best):
                 return self._switch_to(best)
+        elif why == UNPROVEN and self._repeated:  # what is doubted twice may be left, for no more than the plan allows
+            worths = [one.planned_worth for one in self._options]
+            best = int(np.argmax(worths))
+            if worths[best] > BETTER * option.worth_at(amplitude) and best != now and self._has_time(best):
+                return self._switch_to(best, doubted=True)
         return self._raise(now, amplitude, why)
 
     def _excite(self, shake: int, amplitude: float, seconds: float, words: str) -> NextPiece:
@@ -326,16 +331,16 @@ class Escalation:
             shake, amplitude, self._watch_seconds(shake), f"Watched again at {1e3 * amplitude:.2g} mm: {why}."
         )
 
-    def _switch_to(self, shake: int) -> NextPiece:
+    def _switch_to(self, shake: int, doubted: bool = False) -> NextPiece:
+        """Return the first piece of another shake; `doubted`: the looks at the present one prove nothing."""
         option, directions = self._options[shake], self.plan.tones.directions
-        most, seen = (
-            option.allowed,
-            bool(option.prediction.seen.any()) and all(self._proofs[: len(self.plan.tones.probed)]),
-        )
+        probed = all(self._proofs[: len(self.plan.tones.probed)])
+        seen = bool(option.prediction.seen.any()) and probed and not doubted
+        most = option.allowed
         self._proven_amplitude, self._repeated = option.planned, False
         begin = min(most.amplitude, option.planned * (RAISED if seen else 1.0))
         turned = np.degrees(np.arccos(min(abs(float(directions[self._direction_index[shake]] @ directions[0])), 1.0)))
-        words = (
+        words = (f"{UNPROVEN.capitalize()}, watched twice. " if doubted else "") + (
             f"At {self._frequencies[shake]:.3g} Hz, {turned:.0f}° from the plan's line, flowers may reach"
             f" {most.flowers:.3g} m/s² with {1e3 * most.amplitude:.2g} mm, more than otherwise; {most.binds} ends it"
             " there."

@@ -106,6 +106,11 @@ class Option:
         return self.allowed.net
 
     @property
+    def planned_worth(self) -> float:
+        """Worth by the present prediction of no more than the planned amplitude."""
+        return self.worth_at(min(self.planned, self.allowed.amplitude))
+
+    @property
     def tolerated(self) -> float:
         """Largest executed amplitude that the present prediction still allows [m]."""
         return min(self.raised_to, self.allowed.amplitude)
