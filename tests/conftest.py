@@ -11,8 +11,9 @@ import pytest
 from hypothesis import settings
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
-settings.register_profile("busy machines", deadline=None)  # an example that takes long is no failure
-settings.load_profile("busy machines")
+settings.register_profile("default", deadline=None, max_examples=40)  # an example that takes long is no failure
+settings.register_profile("thorough", deadline=None, max_examples=400)  # pytest --hypothesis-profile=thorough
+settings.load_profile("default")
 
 DATA = Path(os.environ.get("ANTHER_DATA", Path(__file__).parents[2] / "shared" / "data"))
 

@@ -405,6 +405,7 @@ def test_a_plant_out_of_reach_is_said_so_and_kept(tmp_path, capfd) -> None:
     assert (out / "10_report.html").exists()
 
 
+@pytest.mark.slow
 def test_a_trial_end_to_end(tmp_path, capsys) -> None:
     """The main job, with fewer views than usual; what it leaves behind is complete and can be read."""
     out = tmp_path / "run"

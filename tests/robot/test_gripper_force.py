@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fake_robot import LIMITS, FakeArm, FakeGripper, fake_robot
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_execution import GRASP, PLANNER, Plan
 
@@ -51,6 +51,7 @@ class ElasticStem(FakeGripper):
         return self.lie(len(self.commands), GripperState(self.opening, self.true, self.true > 0))
 
 
+@settings(max_examples=15)
 @given(st.floats(2.5e3, 2e4), st.floats(0.0, STEP))
 def test_an_honest_gripper_holds_a_stem_of_any_stiffness_and_presses_it_no_harder_than_a_step_more(
     stiffness: float, wider: float
