@@ -32,7 +32,7 @@ from anther.perception import Flowers
 from anther.pollination import measure_response
 from anther.robot import Frame
 from anther.sim import Scene, SimPlant, grow, layout
-from anther.sim.robot import RATES, SIDE
+from anther.sim.robot import SIDE, SimCamera
 from anther.sim.simulated_cell import USUAL_DISTANCE
 from evaluation.harness import CROPS, finish, options, run_cases, save
 from evaluation.prediction.known_plant import filmed
@@ -225,7 +225,7 @@ def main() -> None:
     args = options(__doc__, quick=quick, seed=seed, jobs="cases", out="runs/response", figure=figure, own=own)
     plants = [(crop, args.seed + k) for k in range(1 if args.quick else args.plants) for crop in CROPS]
     plants, shakes = (plants[:1], SHAKES[:2]) if args.quick else (plants, SHAKES)
-    jobs = [(*p, a, f, choose_rate(f, RATES)) for p in plants for a, f in shakes]
+    jobs = [(*p, a, f, choose_rate(f, SimCamera.rates)) for p in plants for a, f in shakes]
     hidden = [(*p, *b) for p in plants[:1] for b in BLIND[: args.blind]]
     names = ("species", "seed", "amplitude", "frequency", "rate")
     cases = [dict(zip(names, job, strict=True)) for job in jobs + hidden]

@@ -18,10 +18,9 @@ from anther.plant import Crop
 from anther.robot import JointTrajectory, Views
 from anther.robot.arm import motions, sawyer
 from anther.robot.arm.motions import USABLE
-from anther.robot.arm.views import SEEN, Params, capture_time, cylinder_points, is_sharp
+from anther.robot.arm.views import Params, capture_time, cylinder_points, is_sharp
 from anther.sim import grow, layout, views_at
 from anther.sim.cell import Cell
-from anther.sim.plant import POT_HEIGHT
 from anther.sim.robot import SimArm
 from anther.sim.simulated_cell import PRESETS, USUAL_DISTANCE
 from evaluation.harness import CROPS, finish, options, progress
@@ -77,7 +76,7 @@ def driven(views: Views, species: Crop, seed: int) -> dict[str, float]:
     motion, arrivals = through_views(views)
     record = SimArm(cell).follow(motion)
     rates = np.gradient(record.measured, record.times, axis=0)
-    points = cylinder_points(layout(USUAL_DISTANCE).region, SEEN)
+    points = cylinder_points(layout(USUAL_DISTANCE).region, 0.08)  # [m] apart, as `Viewpoints.visit` has them
     spans, off = [], []
     for arrival, dwell, T_world_cam in zip(arrivals, views.dwell, views.T_world_cam, strict=True):
         rows = np.flatnonzero(np.abs(record.times - arrival - dwell / 2) < LOOK)
@@ -148,7 +147,7 @@ def main() -> None:
         species = CROPS[len(rows) % 2]
         pot = grow(species, args.seed, 0.0, USUAL_DISTANCE).pot
         width = np.array([pot.radius, pot.radius, 0])
-        body = Box(pot.centre - width - [0, 0, POT_HEIGHT], pot.centre + width)
+        body = Box(pot.centre - width - [0, 0, pot.height], pot.centre + width)
         rows[name] = judged(views, body) | driven(views, species, args.seed)
     far = {what: SIGHT * 1000 if what.startswith("clearance") else np.inf for what in SHOWN}
     lines = [(words, *(_cell(row[what], far[what]) for row in rows.values())) for what, words in SHOWN.items()]

@@ -17,14 +17,14 @@ from anther.pollination.execution import ShakeDirection
 from anther.robot import ArmRecord, ArmSample, Frame, JointTrajectory, SafetyLimits, Swing
 from anther.robot.devices import More, Watch
 from anther.sim.cell import Cell, CellLog, mujoco
-from anther.sim.robot import RATES, SimArm
+from anther.sim.robot import SimArm, SimCamera
 
 
 class ClockCamera:
     """A camera that sees nothing but light that changes, on the cell's clock: no response is measured here."""
 
     intrinsics = Intrinsics(8, 6, 10.0, 10.0, 3.5, 2.5)
-    rates = RATES
+    rates = SimCamera.rates
 
     def __init__(self, cell: Cell) -> None:
         self.cell, self.begun = cell, (0.0, 0.0)

@@ -108,7 +108,7 @@ class Watching(FakeCamera):
 
 def driver(master: str) -> Sawyer:
     """Return the arm's driver, which does not give up where a busy machine makes it late: that is what is measured."""
-    sawyer_ros1.SILENCE = sawyer_ros1.STALE = 1.0
+    Sawyer._longest_silence = sawyer_ros1.STALE = 1.0
     return Sawyer(Node(master, "/anther", types()), mode="trajectory")
 
 

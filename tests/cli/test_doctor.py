@@ -6,6 +6,7 @@ import json
 import tomllib
 from importlib import metadata
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -76,7 +77,7 @@ def test_an_old_python_and_a_full_disk_are_wrong(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(doctor.sys, "version_info", (3, 9, 0))
-    monkeypatch.setattr(doctor, "LEAST_DISK", 1e18)
+    monkeypatch.setattr(doctor.shutil, "disk_usage", lambda folder: SimpleNamespace(free=0.99e9))
     found = findings(capsys, code=1)
     assert [name for name in found if found[name]["state"] == "wrong"] == ["Python", "disk"]
     assert all(found[name]["do"] for name in ("Python", "disk"))

@@ -8,7 +8,6 @@ import sys
 import numpy as np
 import pytest
 
-from anther.core import compiling
 from anther.core.compiling import COMPILED, inlined, njit, read_only
 
 
@@ -19,7 +18,7 @@ def compile_two() -> None:
 
 def test_long_compiling_is_told_once(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(COMPILED, "_told", False)
-    monkeypatch.setattr(compiling, "PATIENCE", 0.0)
+    monkeypatch.setattr(COMPILED, "patience", 0.0)
     before = COMPILED.kernels, COMPILED.seconds
     compile_two()
     assert capsys.readouterr().err.count("compiling for this machine") == 1
@@ -30,7 +29,7 @@ def test_long_compiling_is_told_once(monkeypatch: pytest.MonkeyPatch, capsys: py
 
 def test_short_compiling_is_not_told(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(COMPILED, "_told", False)
-    monkeypatch.setattr(compiling, "PATIENCE", 1e9)
+    monkeypatch.setattr(COMPILED, "patience", 1e9)
     compile_two()
     assert capsys.readouterr().err == ""
 
@@ -38,7 +37,7 @@ def test_short_compiling_is_not_told(monkeypatch: pytest.MonkeyPatch, capsys: py
 def test_a_terminal_sees_how_far_it_is_and_then_nothing(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(compiling, "PATIENCE", 0.0)
+    monkeypatch.setattr(COMPILED, "patience", 0.0)
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     compile_two()
     said = capsys.readouterr().err

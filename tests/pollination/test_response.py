@@ -26,7 +26,7 @@ from anther.pollination.response._petals import (
 )
 from anther.pollination.response.thresholds import LARGE
 from anther.robot.devices import Frame
-from anther.sim.robot import RATES
+from anther.sim.robot import SimCamera
 
 CAMERA = Intrinsics(240, 180, 424.0, 424.0, 119.5, 89.5)
 T_WORLD_CAM = look_at([0.72, -0.55, 0.1], [0.72, 0.0, 0.1])
@@ -65,7 +65,7 @@ def record(
     overtone: float = 0.0,
 ) -> list[Frame]:
     rng = np.random.default_rng(0)
-    rate = choose_rate(frequency, RATES)
+    rate = choose_rate(frequency, SimCamera.rates)
     gain = np.array([1.0, 0.5, 1.5])[:, None]
     frames = []
     for i in range(count):

@@ -85,7 +85,7 @@ def test_the_guard_is_there_too(arm: ArmApart) -> None:
 
 
 def test_readings_that_come_late_were_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(apart, "UNSEEN", 0.2)
+    monkeypatch.setattr(apart._Server, "_patience", 0.2)
     ours, theirs = Pipe()
     server, sample = apart._Server(theirs, os.getppid()), ArmSample(0.0, np.zeros(7), np.zeros(7), 0.0)
     for _ in range(2):

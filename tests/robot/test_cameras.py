@@ -48,7 +48,7 @@ def bench(rs: Any) -> Iterator[Bench]:
 @pytest.fixture(autouse=True)
 def soon(monkeypatch: pytest.MonkeyPatch) -> None:
     """Cameras are tried again soon; on a busy machine they have longer to answer."""
-    monkeypatch.setattr(free_running, "AGAIN", 0.1)
+    monkeypatch.setattr(FreeRunningCamera, "_again", 0.1)
     for module in (free_running, driver):
         monkeypatch.setattr(module, "STALLED", 1.5)
 
@@ -154,7 +154,8 @@ def test_lost_frames_are_counted(bench: Bench) -> None:
 
 
 def test_an_unplugged_realsense_says_so_and_comes_back(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(free_running, "AGAIN", 3.0)  # a busy computer asks late; the next try says something else
+    # a busy computer asks late; the next try says something else
+    monkeypatch.setattr(FreeRunningCamera, "_again", 3.0)
     with realsense(bench) as camera:
         camera.start(RATE)
         camera.read()
@@ -331,7 +332,7 @@ def test_a_recording_is_thinned_to_the_rate_asked_for() -> None:
 
 
 def test_of_a_long_recording_the_end_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(free_running, "MOST_BYTES", 7 * 40 * 30 * 5)
+    monkeypatch.setattr(FreeRunningCamera, "_most_bytes", 7 * 40 * 30 * 5)
     with webcam(FakeWebcam()) as camera:
         camera.start(RATE)
         until(lambda: camera.health().received > 20)

@@ -158,7 +158,7 @@ def machines(write: Write, monkeypatch: pytest.MonkeyPatch) -> Iterator[Machines
     """A cell file, and its fakes. Milliseconds are tested elsewhere: here this machine may be busy."""
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.setattr(sawyer_ros1, "STALE", 1.0)
-    monkeypatch.setattr(sawyer_ros1, "SILENCE", 1.0)
+    monkeypatch.setattr(sawyer_ros1.Sawyer, "_longest_silence", 1.0)
     master = FakeMaster()
     with closing(FakeSawyer(master.uri)) as arm, closing(FakeRobotiq()) as gripper:
         yield write(("MASTER", master.uri), ("GRIPPER", f"tcp://127.0.0.1:{gripper.port}")), arm, gripper

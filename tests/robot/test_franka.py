@@ -27,11 +27,11 @@ from streamed_motions import three_pieces
 
 from anther.core.errors import InputError
 from anther.robot.devices import Arm, ArmSample, DeviceError, JointTrajectory, Watch
-from anther.robot.drivers._franka_loop import BRAKES, CYCLE, FADES, SMOOTH, UNSEEN, Path
+from anther.robot.drivers._franka_loop import CYCLE, Loop, Path
 from anther.robot.drivers.franka import Franka
 
 pytestmark = pytest.mark.flaky(reruns=3, only_rerun=[r"the newest joints are \d+ ms old", "nobody looked at the arm"])
-STANDS = 0.6 / (BRAKES * ACCELERATION) + SMOOTH * CYCLE + 0.015
+STANDS = 0.6 / (Path.brakes * ACCELERATION) + Path.smooth * CYCLE + 0.015
 """An arm at 0.6 rad/s stands so long after whoever moves it is gone [s]."""
 
 
@@ -131,7 +131,7 @@ def test_what_comes_too_late_ends_in_a_braked_hold(arm: Franka, fr3: FakeFranka)
         arm.follow(begin, None, lambda: fr3.sleep(0.6))
     assert stopped_after(fr3, fr3.now) == 0.0
     assert fr3.mode is RobotMode.Idle  # its own braking, no reflex
-    fastest, way = begin.positions[-1], 0.6**2 / (2 * BRAKES * ACCELERATION)
+    fastest, way = begin.positions[-1], 0.6**2 / (2 * Path.brakes * ACCELERATION)
     assert np.abs(fr3.aim - fastest).max() == pytest.approx(way, rel=0.2)
     acceleration, jerk = jerks(np.array([aim for _, aim in fr3.log]))
     assert acceleration < ACCELERATION
@@ -155,7 +155,7 @@ def test_commands_begin_at_the_robots_own_and_keep_its_time() -> None:
     path, other = (Path(aim, motion, np.full(7, 10.0), False) for _ in range(2))
     assert path.step(0) == pytest.approx(aim)
     rows = np.array([path.step(1) for _ in range(1200)])
-    assert np.abs(rows[round(FADES / CYCLE) + SMOOTH :]).max() < 1e-12
+    assert np.abs(rows[round(Path.fades / CYCLE) + Path.smooth :]).max() < 1e-12
     assert jerks(rows)[0] < 1.0
     assert path.over
     told = [other.step(3) for _ in range(400)]  # a robot that lost commands tells how many cycles went by
@@ -316,11 +316,11 @@ def test_readings_that_nobody_looks_at_end_the_motion(arm: Franka, fr3: FakeFran
 
     def hang(sample: ArmSample) -> None:
         since.append(fr3.now)
-        fr3.sleep(UNSEEN + 0.35)
+        fr3.sleep(Loop.unseen + 0.35)
 
     with pytest.raises(DeviceError, match=r"nobody looked at the arm's readings|ms old"):
         arm.follow(far(arm), when(fr3, 0.1, hang))
-    assert stopped_after(fr3, since[0]) < UNSEEN + 0.02 + 2.0 / (BRAKES * ACCELERATION)
+    assert stopped_after(fr3, since[0]) < Loop.unseen + 0.02 + 2.0 / (Path.brakes * ACCELERATION)
     assert fr3.mode is RobotMode.Idle
 
 

@@ -15,7 +15,6 @@ import pytest
 from board_cell import BOARD, CAMERA, EYE, TRUE_FLANGE_CAM, BoardArm, BoardCamera, Truth, start_joints
 from made_board import BOARD_CENTRE, CORNERS, T_BASE_BOARD, errors, jitter
 
-from anther.cli import live_calibration
 from anther.cli.live_calibration import Asking, Eye, first_look, gather
 from anther.cli.main import main
 from anther.core.errors import InputError, StageFailure
@@ -34,7 +33,6 @@ from anther.robot.calibration import (
     flange_motions,
 )
 from anther.robot.calibration.live import (
-    MOST,
     Taken,
     candidates,
     is_steady,
@@ -114,7 +112,7 @@ def test_the_hidden_place_of_the_camera_is_found(calibrated: Path) -> None:
     assert translation < 0.5
     assert max(errors(found.T_base_board, T_BASE_BOARD)) < 0.6
     assert translation < 4e3 * found.translation_error
-    assert 10 <= len(found.images) < MOST
+    assert 10 <= len(found.images) < Taken.most
 
 
 def test_the_views_cover_image_tilt_and_turns(calibrated: Path) -> None:
@@ -288,7 +286,7 @@ def test_candidates_show_the_whole_board_from_all_sides() -> None:
 
 def test_keep_outs_are_respected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A box where the arm went without it; then no part of the arm comes into it, by the arm's own outline."""
-    monkeypatch.setattr(live_calibration, "MOST", 8)
+    monkeypatch.setattr(Taken, "most", 8)
     free, arm = an_eye(write_cell(tmp_path, Truth()))
     first_look(free, (taken := begun(tmp_path / "free")), Asking(True))
     gather(free, taken, Asking(True))
@@ -309,7 +307,7 @@ def test_keep_outs_are_respected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 def test_a_wrong_pose_in_the_file_is_found_out_by_small_motions(
     tmp_path: Path, wrong: list[float], monkeypatch
 ) -> None:
-    monkeypatch.setattr(live_calibration, "MOST", 9)
+    monkeypatch.setattr(Taken, "most", 9)
     told = pose7(TRUE_FLANGE_CAM @ small_transform(wrong, [0.03, 0, 0]))
     eye, _ = an_eye(write_cell(tmp_path, Truth(), (POSE_LINE, f"T_flange_cam = {told.tolist()}")))
     first_look(eye, (taken := begun(tmp_path)), Asking(True))
@@ -321,7 +319,7 @@ def test_a_wrong_pose_in_the_file_is_found_out_by_small_motions(
 
 
 def test_a_lens_that_bends_is_taken_into_account(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(live_calibration, "MOST", 9)
+    monkeypatch.setattr(Taken, "most", 9)
     bend = [-0.12, 0.03, 0.001, -0.001, 0.0]
     eye, _ = an_eye(write_cell(tmp_path, Truth(distortion=bend)))
     first_look(eye, (taken := replace(begun(tmp_path), distortion=np.array(bend))), Asking(True))
@@ -393,7 +391,7 @@ def test_an_interrupt_holds_the_arm_and_loses_no_view(tmp_path: Path, monkeypatc
     assert again.names == taken.names
     assert again.flange == pytest.approx(taken.flange, abs=1e-6)
     assert again.T_cam_board == pytest.approx(taken.T_cam_board, abs=1e-6)
-    monkeypatch.setattr(live_calibration, "MOST", 8)
+    monkeypatch.setattr(Taken, "most", 8)
     eye, _ = an_eye(write_cell(tmp_path, Truth(joints=arm.now.tolist())))
     found = gather(eye, again, Asking(True))
     assert len(again) == 8

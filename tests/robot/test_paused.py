@@ -17,8 +17,6 @@ from fake_ros_master import FakeMaster
 from fake_sawyer import FakeSawyer
 from slow_clock import AGAIN_IF_HELD_UP, SLOWER, clock, sleep
 
-from anther.robot.testing import PAUSE
-
 pytestmark = AGAIN_IF_HELD_UP
 
 
@@ -36,7 +34,7 @@ def test_a_process_that_was_stopped_sends_an_arm_that_stands_nowhere() -> None:
         while np.abs(robot.v).max() < 0.4:
             time.sleep(0.01)
         os.kill(driver.pid, signal.SIGSTOP)
-        time.sleep(SLOWER * PAUSE)
+        time.sleep(SLOWER * 0.3)  # as `anther.robot.testing.check_pause` does
         before, stood = len(robot.commands), robot.q.copy()
         os.kill(driver.pid, signal.SIGCONT)
         said = driver.stderr.read()

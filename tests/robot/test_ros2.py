@@ -29,8 +29,8 @@ from anther.core.errors import InputError, MissingExtra, StageFailure
 from anther.robot.arm.model import outline
 from anther.robot.cells import _parts, read_cell
 from anther.robot.devices import Arm, ArmSample, DeviceError, JointTrajectory
-from anther.robot.drivers import _streamed, ros2
-from anther.robot.drivers._streamed import Reference
+from anther.robot.drivers import ros2
+from anther.robot.drivers._streamed import Reference, StreamedArm
 from anther.robot.safety import GuardedArm
 
 HERE = Path(__file__).parents[1] / "support"
@@ -261,7 +261,7 @@ def test_when_the_network_comes_back_the_way_to_rest_does_not_begin_anew(
 def test_an_arm_with_other_joints_is_not_connected_to(
     wire: FakeNode, robot: FakeController, monkeypatch: pytest.MonkeyPatch, names: list[str], message: str
 ) -> None:
-    monkeypatch.setattr(_streamed, "WAITING", 0.5)
+    monkeypatch.setattr(StreamedArm, "_patience", 0.5)
     robot.names = names
     sleep(0.1)
     with pytest.raises(DeviceError, match=message):

@@ -12,11 +12,11 @@ from anther.core.errors import InputError
 from anther.core.geometry import Box
 from anther.robot.arm import sawyer
 from anther.robot.arm import views as sharpness
-from anther.robot.arm.views import SEEN, Params, Views, capture_time, cylinder_points, plan_views
+from anther.robot.arm.views import Params, Views, capture_time, cylinder_points, plan_views
 from evaluation.robustness.capture_path import through_views
 
 REGION = Box(np.array([0.47, -0.25, -0.3]), np.array([0.97, 0.25, 0.35]))
-POINTS = cylinder_points(REGION, SEEN)
+POINTS = cylinder_points(REGION, 0.08)
 CAMERA = Params()
 HAND_EYE = sawyer.T_FLANGE_CAM
 

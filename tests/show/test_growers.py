@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from anther.core.errors import InputError
-from anther.show.fleet import _LIMITS, Fleet, House, fleet_for
+from anther.show.fleet import Fleet, House, fleet_for
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = (DOCS / "for_growers.md").read_text()
@@ -34,7 +34,7 @@ def on_the_page(house: House) -> dict[str, float]:
 
 
 def houses() -> st.SearchStrategy[House]:
-    ranges = {name: st.floats(max(low, 1e-3), high) for name, (low, high, _) in _LIMITS.items()}
+    ranges = {name: st.floats(max(low, 1e-3), high) for name, (low, high, _) in House.limits.items()}
     return st.builds(House, **ranges)
 
 
@@ -45,7 +45,9 @@ def test_the_page_computes_what_the_function_does(house):
 
 def test_the_page_begins_with_the_same_house_and_limits():
     assert {name: value for name, (*_, value) in INPUTS.items()} == asdict(House())
-    assert {name: ends for name, (*ends, _) in INPUTS.items()} == {n: list(ends[:2]) for n, ends in _LIMITS.items()}
+    assert {name: ends for name, (*ends, _) in INPUTS.items()} == {
+        n: list(ends[:2]) for n, ends in House.limits.items()
+    }
     assert set(FORMULAS) == {field.name for field in fields(Fleet)}
 
 

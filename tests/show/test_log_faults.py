@@ -25,7 +25,6 @@ from anther.cli.run_folder import EARLIER, LOG, TrialLog
 from anther.core.errors import InputError, StageFailure
 from anther.core.runs import Run
 from anther.robot.devices import Frame
-from anther.show import log
 from anther.show.log import Log
 from anther.show.log.live import Tail
 
@@ -86,7 +85,7 @@ def test_a_full_queue_drops_counts_and_says_so(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("room", [0, 3, 3000, 200_000])
 def test_a_full_disk_ends_the_log_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room: int) -> None:
-    monkeypatch.setattr(log, "FLUSH", 0.0)
+    monkeypatch.setattr(Log, "_flushes_every", 0.0)
     book, _ = on_disk(tmp_path / "log.mcap", room)
     robot = tapped(book)
     rng = np.random.default_rng(0)
@@ -116,7 +115,7 @@ def test_a_folder_that_may_not_be_written_costs_only_the_log(tmp_path: Path) -> 
 
 
 def test_a_disk_that_hangs_is_not_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(log, "PATIENCE", 0.2)
+    monkeypatch.setattr(Log, "_patience", 0.2)
     book, disk = on_disk(tmp_path / "log.mcap")
     robot = tapped(book)
     disk.free.clear()
@@ -132,7 +131,7 @@ def test_a_disk_that_hangs_is_not_waited_for(tmp_path: Path, monkeypatch: pytest
 
 
 def test_a_log_grows_no_further_than_it_may(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("anther.show.log._messages.LARGEST", 2000)
+    monkeypatch.setattr("anther.show.log._messages.LogFile.largest", 2000)
     book = Log(tmp_path / "log.mcap")
     robot = tapped(book)
     wait_until(lambda: book._safe > 0)
@@ -215,7 +214,7 @@ def test_a_trial_notes_what_its_log_lost_and_keeps_that_of_an_earlier_process(
     assert not capsys.readouterr().err
     with Run(tmp_path, quiet=True) as run, TrialLog(run, wanted=False) as book:
         assert book.close(None, None) == {"log_messages": 0, "log_dropped": 0, "log_error": None}
-    monkeypatch.setattr("anther.show.log._messages.LARGEST", -1)
+    monkeypatch.setattr("anther.show.log._messages.LogFile.largest", -1)
     with Run(tmp_path, quiet=True) as run, TrialLog(run, wanted=True) as book:
         run.told("phase", "open")
         assert book.close(None, None)["log_dropped"] == 1

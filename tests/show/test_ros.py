@@ -105,9 +105,9 @@ def test_a_cylinder_of_the_scene_ends_where_its_edge_does() -> None:
     assert len(shapes) == 2, "an edge without length has no direction"
     for (kind, (length, radius), T), j in zip(shapes, (1, 2), strict=True):
         ends = np.sort([T[:3, 3] - length / 2 * T[:3, 2], T[:3, 3] + length / 2 * T[:3, 2]], axis=0)
-        assert kind == ros.CYLINDER
+        assert kind == ros.Kind.CYLINDER
         assert ends == pytest.approx(np.sort(nodes[[j - 1, j]], axis=0))
-        assert radius == max(tree.radius[j], ros.THINNEST)
+        assert radius == max(tree.radius[j], 1e-3)
 
 
 def test_moveit_is_told_of_boxes_and_plant(file: CellFile) -> None:

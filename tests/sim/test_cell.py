@@ -15,8 +15,9 @@ from straight_plant import BASE, chain, plant_of, straight_plant, with_blade
 from anther.core.errors import StageFailure
 from anther.robot.arm import sawyer
 from anther.robot.devices import JointTrajectory
-from anther.sim import growth, plant_mechanics
-from anther.sim.cell import FINE, Cell, Params, mujoco
+from anther.sim import plant_mechanics
+from anther.sim.cell import Cell, Params, mujoco
+from anther.sim.growth import Growth
 from anther.sim.pepper import grow_pepper
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.plant_mechanics import leaf_boxes
@@ -170,7 +171,7 @@ def test_a_rod_of_one_piece_bends_under_a_weight_at_its_end_as_beam_theory_says(
 @pytest.mark.parametrize("grow", [grow_tomato, grow_pepper])
 def test_a_grown_plant_is_fine_enough_and_swings_as_one_cut_finer(grow, monkeypatch) -> None:
     coarse = grow(11)
-    monkeypatch.setattr(growth, "LONGEST", 0.015)
+    monkeypatch.setattr(Growth, "longest", 0.015)
     fine = grow(11)
     assert coarse.length.max() <= 0.05 + 1e-9
     assert fine.length.max() <= 0.015 + 1e-9
@@ -261,7 +262,7 @@ def test_a_plant_that_is_held_is_stepped_finely_and_is_damped_less_for_it(
 
     monkeypatch.setattr(Cell, "_step", spied)
     record = SimArm(cell).follow(JointTrajectory.standstill(cell.joints, 0.05))
-    assert set(steps) == {cell.params.timestep / (FINE if held else 1)}
+    assert set(steps) == {cell.params.timestep / (cell.fine if held else 1)}
     assert len(record.times) == pytest.approx((cell.time - before) / cell.params.timestep), "a row for each outer step"
     whole = cell.model.dof_damping[cell.mechanics.dofs].sum()
     assert (damping[0] < 0.9 * whole) == held

@@ -176,13 +176,13 @@ def _find(folder: Path, names: list[str], board: Any) -> tuple[Any, tuple[int, i
 
 def _camera_notes(args: Args, views: Any, intrinsics: Intrinsics, distortion: Array) -> list[str]:
     from anther.robot.calibration import image_coverage, largest_distortion
-    from anther.robot.calibration.live import COVERED
+    from anther.robot.calibration.live import Taken
 
     notes, bend = [], largest_distortion(intrinsics, distortion)
     covered = image_coverage(np.concatenate(views.corners.pixels), intrinsics)
     if bend > 0.3:
         notes.append(f"the lens bends the image's border by {bend:.1f} px: undistort images before anther reconstruct")
-    if args.estimate_intrinsics and covered < COVERED:
+    if args.estimate_intrinsics and covered < Taken.covered:
         notes.append(f"the corners cover {covered:.0%} of the image: move the board into its corners too")
     return notes
 

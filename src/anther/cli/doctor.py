@@ -17,8 +17,6 @@ from packaging.requirements import Requirement
 
 from anther.cli.args.doctor import Args
 
-LEAST_DISK = 1e9
-"""Free space that a few trials take [bytes]: one is some 60 MB."""
 FOR = {
     "cell": "trials: an arm that moves, simulated or real",
     "view": "the 3-D viewer",
@@ -171,6 +169,7 @@ def _disk(folder: Path) -> Examined:
             pass
     except OSError as error:
         return Examined("disk", "wrong", f"{folder}: {error.strerror}", "Go to a folder that you may write.")
-    if free < LEAST_DISK:
-        return Examined("disk", "wrong", found, f"Free some: {LEAST_DISK / 1e9:g} GB hold a few trials.")
+    least = 1e9  # that a few trials take [bytes]: one is some 60 MB
+    if free < least:
+        return Examined("disk", "wrong", found, f"Free some: {least / 1e9:g} GB hold a few trials.")
     return Examined("disk", "ok", found)

@@ -30,9 +30,7 @@ from anther.robot.calibration import (
     read_intrinsics,
 )
 from anther.robot.calibration.live import (
-    ENOUGH,
     INTRINSICS,
-    MOST,
     RESULT,
     Record,
     Taken,
@@ -45,7 +43,7 @@ from anther.robot.calibration.live import (
     spread,
 )  # fmt: skip
 from anther.robot.cells import CellFile, own_cell, read_cell
-from anther.robot.cells.hardware import CALM, motion_params
+from anther.robot.cells.hardware import motion_params, move_and_stand
 from anther.robot.cells.rewriting import point_to_calibration
 from anther.robot.devices import Arm, Camera, DeviceError, JointTrajectory
 from anther.robot.safety import GuardedArm, GuardedCamera
@@ -97,8 +95,7 @@ class Eye:
 
     def go(self, motion: JointTrajectory) -> None:
         """Move, and stand until the arm has calmed down."""
-        self.arm.follow(motion)
-        self.arm.follow(JointTrajectory.standstill(motion.positions[-1], CALM))
+        move_and_stand(self.arm, motion)
 
     def planner(self, T_base_board: Array, centre: Array) -> Planner:
         """Return a planner of slow motions around a board; see `board_planner`."""
@@ -171,12 +168,12 @@ def first_look(eye: Eye, taken: Taken, ask: Asking) -> None:
 def gather(eye: Eye, taken: Taken, ask: Asking, *, by_hand: bool = False) -> HandEye | None:
     """Take views until they are enough and the error of a left-out view is steady; return what they give.
 
-    It ends also when a person says so, when no further view can be reached, and after `MOST`.
+    It ends also when a person says so, when no further view can be reached, and after `Taken.most`.
     """
     found = taken.solve()
     history, missed, in_a_row = [found], list[Array](), 0
     _tell(taken, found)
-    while len(taken) < MOST:
+    while len(taken) < taken.most:
         if not lacks(taken, found) and is_steady(history):
             print("the error of a left-out view is steady: enough")
             break
@@ -271,7 +268,7 @@ def _tell(taken: Taken, found: HandEye | None) -> None:
             left_out = f"{error.left_out_pixel:.2f} px, {turn:.2f} deg, {shift:.1f} mm"
             known = f"a view left out errs by {left_out}; {known}"
         known += "" if found.used[-1] else "; THIS VIEW DISAGREES with the others"
-    print(f"{len(taken):2} of about {ENOUGH}: {seen} | {cover} | {known}")
+    print(f"{len(taken):2} of about {taken.enough}: {seen} | {cover} | {known}")
 
 
 def _conclude(cell: Path, taken: Taken, found: HandEye | None, ask: Asking) -> int:

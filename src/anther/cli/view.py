@@ -93,7 +93,7 @@ def labelled_skeleton(args: Args) -> tuple[Skeleton, list[str] | None, tuple[str
 
 def _show(args: Args) -> None:
     """Serve the trial's log until Ctrl-C."""
-    from anther.show.log.live import PORT, show  # needs the extra `log`
+    from anther.show.log.live import show  # needs the extra `log`
 
     path = args.source / LOG
     if args.to is not None:
@@ -105,4 +105,5 @@ def _show(args: Args) -> None:
         if not path.exists():
             print(f"waiting for {path} ...")
 
-    show(path, args.port or PORT, ready=ready)
+    proposed = 8765  # by Foxglove's app
+    show(path, args.port or proposed, ready=ready)

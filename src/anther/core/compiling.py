@@ -18,9 +18,6 @@ from numpy.typing import ArrayLike, NDArray
 
 __all__ = ["COMPILED", "inlined", "njit", "numba", "read_only"]
 
-PATIENCE = 2.0
-"""Seconds of compiling before it is told; a kernel or two are not worth a line."""
-
 
 class _Compiled(event.Listener):
     """What this process has compiled; numba compiles in one thread at a time.
@@ -28,7 +25,10 @@ class _Compiled(event.Listener):
     Attributes:
         kernels: how many signatures, numba's own included.
         seconds: processor time.
+        patience: of compiling, before it is told [s]; a kernel or two are not worth a line.
     """
+
+    patience = 2.0
 
     def __init__(self) -> None:
         self.kernels, self.seconds, self._depth, self._begin, self._told, self._collects = 0, 0.0, 0, 0.0, False, False
@@ -40,7 +40,7 @@ class _Compiled(event.Listener):
             gc.disable()
         self._depth, self.kernels = self._depth + 1, self.kernels + 1
         spent = self.seconds + time.thread_time() - self._begin
-        if spent < PATIENCE:
+        if spent < self.patience:
             return
         if sys.stderr.isatty():
             line = f"\rcompiling for this machine, once: {self.kernels} kernels, {spent:.0f} s "

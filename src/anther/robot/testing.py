@@ -32,8 +32,6 @@ __all__ = [
 
 WAY = 0.25
 """The checks move every joint so far [rad] in 0.9 s: at most 0.52 rad/s and 1.8 rad/s^2."""
-PAUSE = 0.3
-"""Longer than any time-out of a robot or driver, and the braking after it [s]."""
 
 ArmFault = Literal["silence", "not a number", "clock jump", "force lost", "stop"]
 """The machine tells no joints any more, or NaN; its clock goes back by a second; it tells no force any more; it stops
@@ -306,12 +304,13 @@ def check_pause(rig: ArmRig) -> None:
     """After a pause beyond every time-out a DeviceError ends the motion, and the arm stays where it stands."""
     with _connect(rig.connect) as arm:
         start, woke = arm.joints(), list[float]()
+        seconds = 0.3  # longer than any time-out of a robot or driver, and the braking after it
 
         def pause() -> None:
-            rig.sleep(PAUSE)
+            rig.sleep(seconds)
             woke.append(rig.clock())
 
-        _stops(arm, start, pause, f"nothing runs for {PAUSE:g} s")
+        _stops(arm, start, pause, f"nothing runs for {seconds:g} s")
         _check_smooth(rig)
         times, joints = _need(rig.history, "history")()
         moved = float(np.ptp(joints[times >= woke[0]], axis=0).max())

@@ -15,8 +15,6 @@ Array = NDArray[np.float64]
 
 STIFFEST = 1e9
 """Of supports [N/m, N m/rad]; beyond it rounding eats the stiffness of the rods."""
-TOUCH = 1e-10
-"""Where a one-sided support bears nothing in the scanned shape, it stands off by this [m]: rounding decides nothing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,13 +166,14 @@ def springs_of(supports: tuple[Support, ...], nodes: Array, forces: Array) -> Ar
         nodes: (N, 3) scanned positions [m].
         forces: (S, 3) that they exert there [N].
     """
+    touch = 1e-10  # so far [m] off stands what bears nothing in the scanned shape: rounding decides nothing
     rows = np.zeros((len(supports), 14))
     rows[:, 13] = 1
     for row, support, force in zip(rows, supports, forces, strict=True):
         place, K = nodes[support.node], support.stiffness("translation")
         if support.one_sided:
             along, pressed = support.direction, force @ support.direction / np.trace(K)
-            place = place + (pressed or -max(support.gap, TOUCH)) * along
+            place = place + (pressed or -max(support.gap, touch)) * along
             row[10:13], row[13] = along, 0
         row[0], row[1:4], row[4:10] = support.node, place, upper(K)
     return rows

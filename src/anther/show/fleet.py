@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from typing import ClassVar
 
 from anther.core.checks import check_range
 
@@ -28,8 +29,22 @@ class House:
         years: that it serves; a guess.
         season: days of a year on which robots work; 41 weeks (facts: pollination, manual wand).
         upkeep: per robot and year, as a share of its price; a guess.
+        limits: of each of these, with its unit.
     """
 
+    limits: ClassVar = {
+        "area": (0.01, 1000.0, "ha"),
+        "plants": (100.0, 1e6, "per ha"),
+        "path": (0.3, 10.0, "m"),
+        "hours": (0.1, 24.0, "h"),
+        "days": (0.1, 60.0, "days"),
+        "seconds": (0.1, 3600.0, "s"),
+        "move": (0.0, 3600.0, "s"),
+        "price": (0.0, 1e7, "€"),
+        "years": (0.5, 50.0, "years"),
+        "season": (1.0, 366.0, "days"),
+        "upkeep": (0.0, 10.0, ""),
+    }
     area: float = 2.0
     plants: float = 30000.0
     path: float = 1.6
@@ -44,22 +59,7 @@ class House:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            check_range(field.name, getattr(self, field.name), *_LIMITS[field.name])
-
-
-_LIMITS = {
-    "area": (0.01, 1000.0, "ha"),
-    "plants": (100.0, 1e6, "per ha"),
-    "path": (0.3, 10.0, "m"),
-    "hours": (0.1, 24.0, "h"),
-    "days": (0.1, 60.0, "days"),
-    "seconds": (0.1, 3600.0, "s"),
-    "move": (0.0, 3600.0, "s"),
-    "price": (0.0, 1e7, "€"),
-    "years": (0.5, 50.0, "years"),
-    "season": (1.0, 366.0, "days"),
-    "upkeep": (0.0, 10.0, ""),
-}
+            check_range(field.name, getattr(self, field.name), *self.limits[field.name])
 
 
 @dataclass(frozen=True, slots=True)

@@ -172,7 +172,15 @@ def _shake(results: RunResults) -> str:
     if shake is None:
         return ""
     both = [("Planned", shake)] + ([("Executed", executed)] if executed is not None else [])
-    rows = [[name, *(told(plan) for _, plan in both)] for name, told in SHAKE_ROWS]
+    compared: tuple[tuple[str, Callable[[ShakePlan], str]], ...] = (
+        ("Grip height along the stem", lambda plan: f"{100 * plan.grasp.arc_length:.0f} cm"),
+        ("Amplitude of the grip", lambda plan: quantity(plan.amplitude, "m")),
+        ("Frequency", lambda plan: quantity(plan.frequency, "Hz")),
+        ("Direction", lambda plan: " ".join(f"{x:+.2f}" for x in plan.direction)),
+        ("Force of the pads", lambda plan: quantity(plan.press, "N")),
+        ("Median flower, predicted", lambda plan: quantity(float(np.median(plan.predicted_acceleration)), "m/s2")),
+    )
+    rows = [[name, *(told(plan) for _, plan in both)] for name, told in compared]
     if executed is not None and results.trial is not None and len(results.trial.shake_times):
         lasted = float(np.ptp(results.trial.shake_times))
         rows.append(["Duration", quantity(shake.duration, "s"), quantity(lasted, "s")])
@@ -186,17 +194,6 @@ def _shake(results: RunResults) -> str:
     header = ["Limit", "Planned", "Executed", "Allowed", "Allowed is as in a breeze of", "Used by the plan"]
     heading = "<h2 style='margin-top:16px'>How close each limit is</h2>"
     return f"{text}{picture}{heading}{_table(header, _limits(results, shake))}"
-
-
-SHAKE_ROWS: tuple[tuple[str, Callable[[ShakePlan], str]], ...] = (
-    ("Grip height along the stem", lambda plan: f"{100 * plan.grasp.arc_length:.0f} cm"),
-    ("Amplitude of the grip", lambda plan: quantity(plan.amplitude, "m")),
-    ("Frequency", lambda plan: quantity(plan.frequency, "Hz")),
-    ("Direction", lambda plan: " ".join(f"{x:+.2f}" for x in plan.direction)),
-    ("Force of the pads", lambda plan: quantity(plan.press, "N")),
-    ("Median flower, predicted", lambda plan: quantity(float(np.median(plan.predicted_acceleration)), "m/s2")),
-)
-"""What the planned and the executed shake are compared by -> how it is written."""
 
 
 def _limits(results: RunResults, shake: ShakePlan) -> list[list[str]]:

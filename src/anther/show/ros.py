@@ -11,6 +11,7 @@ import threading
 import time
 from array import array
 from collections.abc import Callable, Iterator
+from enum import IntEnum
 from importlib.util import find_spec
 from typing import Any
 
@@ -35,10 +36,15 @@ from anther.robot.drivers.ros2 import Node
 from anther.robot.safety import check_trajectory
 
 NAME = "anther"
-THINNEST = 1e-3
-"""Radius of the thinnest cylinder of a planning scene [m]."""
-BOX, CYLINDER = 1, 3
-"""As shape_msgs/SolidPrimitive and visualization_msgs/Marker both number them."""
+
+
+class Kind(IntEnum):
+    """As shape_msgs/SolidPrimitive and visualization_msgs/Marker both number them."""
+
+    BOX = 1
+    CYLINDER = 3
+
+
 Shape = tuple[int, tuple[float, ...], Array]
 """Kind, dimensions as shape_msgs/SolidPrimitive has them [m], pose (4, 4) in the base frame."""
 
@@ -119,19 +125,20 @@ def joined(first: JointTrajectory, second: JointTrajectory) -> JointTrajectory:
 
 def cylinders(skeleton: Skeleton) -> Iterator[Shape]:
     """Give a cylinder around each of a skeleton's edges, which ends at node j and is as thick as that."""
+    thinnest = 1e-3  # radius [m]
     for j, (start, end) in enumerate(skeleton.nodes[skeleton.edges], start=1):
         way = end - start
         length = float(np.linalg.norm(way))
         if length > 0:
             turn = Rotation.align_vectors([way / length], [[0.0, 0.0, 1.0]])[0].as_matrix()
-            radius = max(float(skeleton.radius[j]), THINNEST)
-            yield CYLINDER, (length, radius), transform(turn, (start + end) / 2)
+            radius = max(float(skeleton.radius[j]), thinnest)
+            yield Kind.CYLINDER, (length, radius), transform(turn, (start + end) / 2)
 
 
 def boxes(file: CellFile) -> Iterator[Shape]:
     """Give the cell's keep-out boxes."""
     for box in file.keep_out:
-        yield BOX, tuple((box.upper - box.lower).tolist()), transform(np.eye(3), (box.lower + box.upper) / 2)
+        yield Kind.BOX, tuple((box.upper - box.lower).tolist()), transform(np.eye(3), (box.lower + box.upper) / 2)
 
 
 class PlantNode:

@@ -12,7 +12,7 @@ from anther.core.geometry import Array
 from anther.robot.devices import LEAD, ArmRecord, ArmSample, DeviceError, MoreSwing, Watch
 from anther.robot.swing import Swing
 from anther.sim import arm_model
-from anther.sim.cell import FINE, Cell
+from anther.sim.cell import Cell
 from anther.sim.plant_mechanics import mujoco
 
 CYCLE = 0.01
@@ -69,7 +69,7 @@ class SimMotor:
             DeviceError: a piece needs more than the motor's stroke or force, or the coil does not follow; it stops.
         """
         start, measured = self.cell.time, list[Array]()
-        with self.cell.finer(FINE):
+        with self.cell.finer(self.cell.fine):
             try:
                 self._pieces(first, watch, more, measured)
             except BaseException:

@@ -33,7 +33,7 @@ from anther.robot.safety import guard
 from anther.sim import arm_model
 from anther.sim import cell as world
 from anther.sim.capture import camera_errors
-from anther.sim.plant import POT_HEIGHT, SOIL_Z
+from anther.sim.plant import SOIL_Z, Pot
 from anther.sim.render import Scene, d455
 from anther.sim.robot import SIDE, robot_of
 from anther.sim.simulated_cell import SimulatedCell, grow, in_wind, layout, photograph, usual_distance
@@ -146,7 +146,7 @@ def _foot_note(file: CellFile) -> str:
         why = "as [simulation] says"
     elif "region" in file.supposed:
         why = "before the arm"
-    bench = f"its pot stands on a bench at z = {foot[2] - POT_HEIGHT:.2f} m"
+    bench = f"its pot stands on a bench at z = {foot[2] - Pot.height:.2f} m"
     return f"plant: its stem leaves the soil at {_words(foot)} m, {why}; {bench}"
 
 

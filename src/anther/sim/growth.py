@@ -7,7 +7,7 @@ Local frame while growing: the soil surface at the pot's axis is the origin, z u
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,7 +15,7 @@ from scipy.linalg import eigh
 
 from anther.core.geometry import Array, transform, transform_points
 from anther.sim.mesh import Mesh, revolve, tube, unit
-from anther.sim.plant import GRAVITY, POT_HEIGHT, SOIL_Z, Organ, Pot, SimPlant, Twine
+from anther.sim.plant import GRAVITY, SOIL_Z, Organ, Pot, SimPlant, Twine
 
 SELF_SUPPORT = 2.0
 """How many times stiffer a plant is than one that just does not buckle under its own weight; 2 is a height margin of
@@ -23,8 +23,6 @@ SELF_SUPPORT = 2.0
 AREAL_DENSITY = 0.25
 """Mass of a fresh blade per area [kg/m2]: 0.25 mm of tissue that is mostly water (an estimate)."""
 GOLDEN_ANGLE = np.radians(137.5)
-LONGEST = 0.05
-"""Longest segment [m]: `sim.plant_mechanics` bends a plant between its segments only."""
 
 
 def arc(base: Array, azimuth: float, length: float, elevation: tuple[float, float], count: int) -> Array:
@@ -74,8 +72,10 @@ class Growth:
         rng: source of everything random.
         youngs: of the tissue [Pa]; a chain may have its own. 0: drawn, log-uniform over
             30 to 300 MPa (facts: pollination 0).
+        longest: length of a segment [m]: `sim.plant_mechanics` bends a plant between its segments only.
     """
 
+    longest: ClassVar[float] = 0.05
     rng: np.random.Generator
     youngs: float = 0.0
     _segments: list[dict[str, Any]] = field(default_factory=list)
@@ -98,7 +98,7 @@ class Growth:
         sides: int = 8,
         tip: bool = True,
     ) -> list[int]:
-        """Add tapered segments, none over `LONGEST`, along a polyline (n, 3) from the parent's end, and their tube.
+        """Add tapered segments, none over `longest`, along a polyline (n, 3) from the parent's end, and their tube.
 
         Args:
             points: (n, 3) [m].
@@ -117,7 +117,7 @@ class Growth:
         tissue = {"organ": organ, "youngs": youngs or self.youngs, "density": 1000.0}  # an estimate
         first, last = len(self._segments), []
         for i, step in enumerate(np.diff(points, axis=0)):
-            count = int(np.ceil(np.linalg.norm(step) / LONGEST))
+            count = int(np.ceil(np.linalg.norm(step) / self.longest))
             places, widths = (np.linspace(x[i], x[i + 1], count + 1) for x in (points, radii))
             for j in range(count):
                 ends = {"start": places[j], "end": places[j + 1]}
@@ -212,7 +212,7 @@ class Growth:
         """Add a pot with soil under the origin."""
         paints = ((178, 98, 66), (42, 42, 45), (160, 88, 60))  # terracotta, black plastic, darker terracotta
         colour = paints[self.rng.integers(len(paints))]
-        r, h = radius, POT_HEIGHT
+        r, h = radius, Pot.height
         outside = [
             (0, -h),
             (0.74 * r, -h),

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,8 +21,6 @@ from anther.plant.limits import GRAVITY as GRAVITY  # noqa: PLC0414 - its own mo
 
 SOIL_Z = -0.30
 """Height of the soil surface in the cell [m]; the arm's base is at 0."""
-POT_HEIGHT = 0.18
-"""Height of the pot [m]; it stands on the bench at SOIL_Z - POT_HEIGHT."""
 POT_AXIS = (0.72, 0.0)
 """Where the pot stands by default: x, y in front of the arm's base [m]."""
 
@@ -65,10 +63,12 @@ class Pot:
 
     Attributes:
         centre: (3,) on the axis at the height of the soil surface [m].
-        radius: outer, at its rim [m], which is level with the soil surface and `POT_HEIGHT` above the bench; 0: there
-            is neither pot nor bench.
+        radius: outer, at its rim [m], which is level with the soil surface and `height` above the bench; 0: there is
+            neither pot nor bench.
+        height: of every pot [m].
     """
 
+    height: ClassVar[float] = 0.18
     centre: Array
     radius: float
 
@@ -80,7 +80,7 @@ class Pot:
     @property
     def bench_z(self) -> float:
         """Height of the bench the pot stands on [m]."""
-        return self.soil_z - POT_HEIGHT
+        return self.soil_z - self.height
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -28,7 +28,7 @@ from anther.robot.devices import (
 )
 from anther.sim._motor import CYCLE, SimMotor, sensed_force
 from anther.sim.capture import CameraErrors, sensed
-from anther.sim.cell import FINE, Cell, CellLog
+from anther.sim.cell import Cell, CellLog
 from anther.sim.render import Scene, Still, d455
 
 SIDE = Intrinsics(480, 480, 424.0, 424.0, 239.5, 239.5)
@@ -48,9 +48,9 @@ class SimArm:
     def follow(self, trajectory: JointTrajectory, watch: Watch | None = None, more: More | None = None) -> ArmRecord:
         """Follow a trajectory, cubic between its samples; return when it has ended and settled for 0.1 s.
 
-        A plant that is held is stepped `FINE` times as finely.
+        A plant that is held is stepped `Cell.fine` times as finely.
         """
-        parts = FINE if self.cell.held else 1
+        parts = self.cell.fine if self.cell.held else 1
         dt, start, told, ends = self.cell.params.timestep, self.cell.time, more is None, trajectory.duration
         q, v = _references(trajectory, 0.0, dt, last=told)
         measured = np.empty((0, self.cell.arm.count))
@@ -127,12 +127,11 @@ class SimGripper:
         return GripperState(opening, force, force > 1.0 and self.cell.held)
 
 
-RATES = (15.0, 30.0, 60.0, 90.0)  # 1/s; a D455 at 848 x 480 px
-
-
 class SimCamera:
     """An RGB-D camera in the cell. Frames of a recording are rendered, from the log, when it is stopped."""
 
+    rates = (15.0, 30.0, 60.0, 90.0)
+    """Of a D455 at 848 x 480 px [1/s]."""
     _least_reach = 6.0
     """Around the plant in a still [px], rendered again in each frame of a film."""
 
@@ -161,8 +160,7 @@ class SimCamera:
             exposure: of each frame of a recording [s]; what moves visibly in it is blurred.
         """
         self.cell, self.scene, self.pose, self.errors = cell, scene, pose, errors
-        self.intrinsics, self.rates = intrinsics, RATES
-        self._late, self._exposure = late, exposure
+        self.intrinsics, self._late, self._exposure = intrinsics, late, exposure
         self._rng = np.random.default_rng(seed)
         self._recording: tuple[float, float] | None = None
         self._shown: dict[int, Frame] = {}

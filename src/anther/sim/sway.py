@@ -80,8 +80,6 @@ class Air:
 
 
 TIMESTEP = 2e-3
-CALM = 2.0
-"""How long the wind has blown before the clock begins [s]."""
 
 
 def gusts(plant: SimPlant, wind: float) -> Iterator[tuple[PlantMechanics, Any]]:
@@ -124,8 +122,9 @@ def swaying(plant: SimPlant, wind: float, times: ArrayLike) -> Array:
     """
     times, blown = check_array("times", times, (None,)), gusts(plant, wind)
     mechanics, data = next(blown)
+    blows = 2.0  # before the clock begins [s]
     out = np.empty((len(times), len(plant.start), 4, 4))
-    for i, time in enumerate(times + CALM):
+    for i, time in enumerate(times + blows):
         while data.time < time - TIMESTEP / 2:
             next(blown)
         out[i] = mechanics.segment_poses(data)

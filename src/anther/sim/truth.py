@@ -235,9 +235,6 @@ HALF_DOSE = Lognormal(5.0, 80.0)
 that wide (facts: pollination 6)."""
 DOSE_EXPONENT = Spread(1.0, 2.0, log=False)
 """n of the share freed, a^n / (a^n + half^n) [-] (facts: pollination 6)."""
-DOSE_MIDDLE = 12.0
-"""Where every measure of motion frees the same, so that the half dose of one is that of all [Hz]: the geometric middle
-of the 5 and 30 Hz at which tomato flowers answer (KAKEN 19KT0040). A guess."""
 
 
 class Measure(NamedTuple):

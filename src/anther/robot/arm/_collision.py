@@ -12,11 +12,10 @@ from roboplan.core import OcTree, Scene, hasCollisionsAlongPath, loadUrdfSceneDe
 from scipy.spatial.transform import Rotation
 
 from anther.core.geometry import Array, Box, occupied_cells, transform
-from anther.robot.arm.model import ARM_MARGIN, BASE, CAMERA, FLANGE, GRIPPER, ArmModel, Capsule, Link, rpy
+from anther.robot.arm.model import BASE, CAMERA, FLANGE, GRIPPER, ArmModel, Capsule, Link, rpy
 
 GROUP = "arm"
 VOXEL = 0.008  # m, edge of the octree's cubes (facts: libraries, pin + coal: 20 us a check)
-FREE_STEP = 0.0015  # rad, spacing of the last check along a path (facts: libraries, gotchas)
 
 
 class CollisionWorld:
@@ -28,6 +27,9 @@ class CollisionWorld:
         obstacles: (M, 3) points of pot, soil and bench [m].
         boxes: solid boxes, world; the floor is always there.
     """
+
+    free_step = 0.0015
+    """Spacing of the last check along a path [rad] (facts: libraries, gotchas)."""
 
     def __init__(self, arm: ArmModel, plant: Array, obstacles: Array, boxes: Iterable[Box] = ()) -> None:
         self.arm = arm
@@ -48,7 +50,7 @@ class CollisionWorld:
         inside = bool(np.all((q >= self.arm.lower) & (q <= self.arm.upper)))
         return inside and not self.scene.hasCollisions(q)
 
-    def path_free(self, path: Array, step: float = FREE_STEP) -> bool:
+    def path_free(self, path: Array, step: float = free_step) -> bool:
         """Return whether joints (N, J), and the straight ways between them, are free at every `step` [rad]."""
         return self.free(path[0]) and not any(
             hasCollisionsAlongPath(self.scene, a, b, step, bisection=True) for a, b in zip(path, path[1:], strict=False)
@@ -103,7 +105,7 @@ def urdf(arm: ArmModel) -> str:
     camera = Link(CAMERA, still, still, tool.camera_mass, tool.camera[0].center, point, (), tool.camera)
     parts = [_link(base, 0.0)]
     for i, (parent, link) in enumerate(pairwise((base, *arm.links))):
-        parts.append(_link(link, ARM_MARGIN))
+        parts.append(_link(link, arm.margin))
         turn = (
             f'<axis xyz="0 0 1"/><limit lower="{arm.lower[i]}" upper="{arm.upper[i]}" velocity="{arm.velocity[i]}"'
             f' effort="{arm.effort[i]}" acceleration="{arm.acceleration[i]}"/>'

@@ -17,16 +17,13 @@ from anther.core.compiling import inlined, njit, read_only
 from anther.core.geometry import Array
 from anther.robot.arm.model import ArmModel
 
-LIMIT_MARGIN = 0.05  # rad kept free at both ends of every joint's range
-SAME = 0.25  # rad, solutions closer than this in every joint count as one branch
-
 
 def inverse(arm: ArmModel, T_world_flange: ArrayLike, *, near: ArrayLike | None = None, seeds: int = 48) -> Array:
     """Return joint solutions (B, J) [rad] of one flange pose, B = 0 when it is out of reach.
 
     Damped Newton steps (Levenberg-Marquardt) from many seeds at once: those of a fixed table of arm postures whose
     flange is nearest to the pose. With more than six joints the solutions form curves (the elbow turns); they are
-    sampled, `SAME` apart. Joints that turn more than once are tried a full turn either way.
+    sampled, 0.25 rad apart. Joints that turn more than once are tried a full turn either way.
 
     Args:
         T_world_flange: (4, 4).
@@ -49,8 +46,9 @@ def inverse_many(arm: ArmModel, T_world_flange: Array, *, near: Array | None = N
 
 def _useful(arm: ArmModel, q: Array, near: Array | None) -> Array:
     """Return the distinct solutions within limits in order of preference."""
+    margin = 0.05  # kept free at both ends of every joint's range [rad]
     q = _add_full_turns(arm, q)
-    q = q[np.all((q >= arm.lower + LIMIT_MARGIN) & (q <= arm.upper - LIMIT_MARGIN), axis=1)]
+    q = q[np.all((q >= arm.lower + margin) & (q <= arm.upper - margin), axis=1)]
     half = (arm.upper - arm.lower) / 2
     towards_limits = np.max(np.abs(q - (arm.lower + half)) / half, axis=-1)
     cost = towards_limits - 1 if near is None else np.abs(q - near).max(axis=1)
@@ -121,10 +119,11 @@ def _add_full_turns(arm: ArmModel, q: Array) -> Array:
 
 
 def _distinct(q: Array) -> Array:
+    same = 0.25  # solutions closer than this in every joint count as one branch [rad]
     kept = np.empty_like(q)
     count = 0
     for candidate in q:
-        if np.all(np.abs(kept[:count] - candidate).max(axis=1) > SAME):
+        if np.all(np.abs(kept[:count] - candidate).max(axis=1) > same):
             kept[count] = candidate
             count += 1
     return kept[:count]

@@ -15,7 +15,7 @@ from anther.core.errors import bad_input
 from anther.robot.arm import ArmName
 from anther.robot.arm.model import ArmModel, Capsule, Link, complete
 from anther.robot.arm.sawyer import SAWYER
-from anther.robot.arm.urdf import ROTOR, SPRING, WIDEST, from_urdf
+from anther.robot.arm.urdf import WIDEST, from_urdf, usual_drives
 
 
 @cache
@@ -97,6 +97,7 @@ def _xarm7() -> ArmModel:
     degrees/s, and half of 1145 degrees/s^2, the most), effort: xarm_ros; all three remembered.
     """
     effort = np.array([50.0, 50.0, 30.0, 30.0, 30.0, 20.0, 20.0])
+    rotor_inertia, stiffness = usual_drives(effort)
     ready = np.array([0.158, -0.267, 0.817, 0.61, -1.919, 1.022, -0.635])  # flange at (0.25, 0.3) m, level
     return complete(
         ArmModel(
@@ -107,8 +108,8 @@ def _xarm7() -> ArmModel:
             velocity=np.full(7, pi),
             acceleration=np.full(7, 10.0),
             effort=effort,
-            rotor_inertia=ROTOR * effort,
-            stiffness=SPRING * effort,
+            rotor_inertia=rotor_inertia,
+            stiffness=stiffness,
             links=XARM7_LINKS,
             T_last_flange=np.eye(4),
             tool=SAWYER.tool,

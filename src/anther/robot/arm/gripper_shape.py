@@ -12,8 +12,7 @@ from anther.robot.arm.model import Solid, Tool
 from anther.robot.arm.sawyer import TOOL
 
 Corners = tuple[float, float, float, float, float, float]
-WRIST: Corners = (-0.045, -0.045, -0.05, 0.045, 0.045, 0.0)
-"""What is behind the flange of any arm, (lower x, y, z, upper x, y, z) [m]: Sawyer's last link."""
+"""(lower x, y, z, upper x, y, z) [m]."""
 
 
 def _corners(solid: Solid) -> Corners:
@@ -23,7 +22,8 @@ def _corners(solid: Solid) -> Corners:
 
 
 def _body(tool: Tool) -> tuple[Corners, ...]:
-    return (_corners(tool.body), WRIST, *map(_corners, tool.camera))
+    wrist = (-0.045, -0.045, -0.05, 0.045, 0.045, 0.0)  # behind the flange of any arm: Sawyer's last link [m]
+    return (_corners(tool.body), wrist, *map(_corners, tool.camera))
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ import warnings
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import combinations
+from typing import ClassVar
 
 import numpy as np
 import scipy  # loads `scipy.stats`, which takes long, where it is used
@@ -21,11 +22,8 @@ from anther.core.errors import bad_input
 from anther.core.geometry import Array, transform
 from anther.robot.arm.plausible import check_acceleration, check_extent, check_joint
 
-FEWEST = 6
-"""Joints with which a flange can be put anywhere in any orientation."""
 GRIPPER, CAMERA = "gripper", "camera"
 BASE, FLANGE = "base", "flange"
-ARM_MARGIN = 0.01  # m added around every arm link in planning; the gripper has its true size
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,6 +150,7 @@ class ArmModel:
         slows: (J, 2) where the robot allows less speed near the ends of its range, else None: by how much less
             [rad/s], and the deceleration to stop there with [rad/s^2].
         local: (J, 4, 4) pose of each link in the one before, at joint angle 0; follows from `links`.
+        margin: added around every arm link in planning [m]; the gripper has its true size.
     """
 
     name: str
@@ -179,12 +178,13 @@ class ArmModel:
     wrist: Capsule | None = None
     slows: Array | None = None
     local: Array = field(init=False)
+    margin: ClassVar[float] = 0.01
 
     def __post_init__(self) -> None:
-        count = len(self.joints)
-        if count < FEWEST or len(self.links) != count:
+        count, fewest = len(self.joints), 6  # with so many a flange can be put anywhere in any orientation
+        if count < fewest or len(self.links) != count:
             given = f"{count} joints, {len(self.links)} links"
-            raise bad_input(f"arm {self.name}", given=given, allowed=f">= {FEWEST}, as many links", do="List them all.")
+            raise bad_input(f"arm {self.name}", given=given, allowed=f">= {fewest}, as many links", do="List them all.")
         per_joint = ("lower", "upper", "velocity", "acceleration", "effort", "rotor_inertia", "stiffness")
         for name in (*per_joint, "neutral", "ready", "waiting"):
             object.__setattr__(self, name, check_array(f"{self.name}'s {name}", getattr(self, name), (count,)))
@@ -363,7 +363,7 @@ def _part_names(arm: ArmModel) -> list[str]:
 def _parts_at(arm: ArmModel, q: Array) -> list[Array]:
     """Return balls (Q, S, 4) of base, links, gripper and camera at joints (Q, J): centre and radius [m]."""
     base = [_of_capsule(c) for c in arm.base_capsules] + [_of_solid(s) for s in arm.base_solids]
-    wider = np.array([0, 0, 0, ARM_MARGIN])
+    wider = np.array([0, 0, 0, arm.margin])
     links = [np.concatenate([_of_capsule(c) for c in link.capsules]) + wider for link in arm.links]
     gripper, camera = (arm.tool.body, *arm.tool.fingers(arm.tool.stroke)), arm.tool.camera
     tools = [np.concatenate([_of_solid(s) for s in solids]) for solids in (gripper, camera)]

@@ -17,17 +17,14 @@ from anther.core.errors import StageFailure
 from anther.core.geometry import Array, Box, transform
 from anther.core.records import Range, Record
 from anther.robot.arm import _kinematics, motions, shaking
-from anther.robot.arm._collision import FREE_STEP, GROUP, CollisionWorld, cube_centres
+from anther.robot.arm._collision import GROUP, CollisionWorld, cube_centres
 from anther.robot.arm._tours import DETOUR, least_times
-from anther.robot.arm.model import ARM_MARGIN, ArmModel, outline
+from anther.robot.arm.model import ArmModel, outline
 from anther.robot.arm.sawyer import SAWYER
 from anther.robot.devices import JointTrajectory
 from anther.robot.swing import Swing
 
 SHAKE_CAP = 0.02  # m, beyond which the local limit means little
-SEARCH_TIME = 2.0  # s for a path around obstacles in each of them
-BLENDS = (0.3, 0.05)  # rad, how far a corner may be rounded, in order of preference
-SEARCH_STEP = 0.02  # rad between collision checks while searching; the result is checked at collision.FREE_STEP
 
 Place = tuple[Array, JointTrajectory | None]
 """Free joints (J,), and the way back to them from such as are not."""
@@ -64,8 +61,14 @@ class Planner:
         arm: its description.
     """
 
+    search_step = 0.02
+    """Between collision checks while searching [rad]; the result is checked more finely."""
     _line_step = 0.003
     """Spacing of the poses along a straight line [m]."""
+    _search_time = 2.0
+    """For a path around obstacles, of each of several seeds [s]."""
+    _blends = (0.3, 0.05)
+    """How far a corner may be rounded [rad], in order of preference."""
 
     def __init__(
         self,
@@ -177,7 +180,7 @@ class Planner:
         """
         if self.arm.wrist is None:
             return False
-        begin, end, radius = self.arm.wrist.start[2], self.arm.wrist.end[2], self.arm.wrist.radius + ARM_MARGIN
+        begin, end, radius = self.arm.wrist.start[2], self.arm.wrist.end[2], self.arm.wrist.radius + self.arm.margin
         across, along = np.split((self.plant - T_world_flange[:3, 3]) @ T_world_flange[:3, :3], [2], axis=1)
         beyond = along[:, 0] - np.clip(along[:, 0], begin - length, end)
         return bool(np.any(np.sum(across**2, axis=1) + beyond**2 < radius**2))
@@ -203,18 +206,18 @@ class Planner:
     def _may_swing(self, q: Array, swing: Array) -> bool:
         """Return whether joints (N, J) about the resting q (J,) are free, where gripper and camera touch the plant.
 
-        A swing that moves no part of the arm by more than half of `ARM_MARGIN` needs no more than that q is free: asked
-        for the whole margin, an arm that rests at its edge could not shake at all.
+        A swing that moves no part of the arm by more than half of `ArmModel.margin` needs no more than that q is free:
+        asked for the whole margin, an arm that rests at its edge could not shake at all.
         """
         moved = np.linalg.norm((outline(self.arm, swing) - outline(self.arm, q))[..., :3], axis=-1).max()
         with self.world.touching_plant():
-            return self.world.free(q) if moved <= ARM_MARGIN / 2 else self.world.path_free(swing)
+            return self.world.free(q) if moved <= self.arm.margin / 2 else self.world.path_free(swing)
 
     def _delay(self, q: Array) -> float:
         """Return about how long the way from home to joints (J,) takes [s]."""
         line = np.array([self.home, q])
         return least_times(self.arm, line[:1], line[1:])[0, 0] + (
-            0.0 if self.world.path_free(line, SEARCH_STEP) else DETOUR
+            0.0 if self.world.path_free(line, self.search_step) else DETOUR
         )
 
     def _is_soon_reached(self, q: Array) -> bool:
@@ -225,7 +228,7 @@ class Planner:
             goal = self._back_out(q)[0]
         except StageFailure:
             return False
-        return self._search(self.home, goal, 0.2, SEARCH_STEP, 0) is not None
+        return self._search(self.home, goal, 0.2, self.search_step, 0) is not None
 
     def _join_places(self, start: Place, goal: Place) -> JointTrajectory:
         (begin, leave), (end, enter) = start, goal
@@ -240,7 +243,8 @@ class Planner:
         p, line = self.params, np.stack([start, goal])
         motion = motions.straight(self.arm, start, goal, p.velocity_share, p.acceleration_share, p.flange_speed)
         return motions.limit_effort(
-            self.arm, motion if self._is_free(line, motion.positions, FREE_STEP) else self._find_detour(start, goal)
+            self.arm,
+            motion if self._is_free(line, motion.positions, self.world.free_step) else self._find_detour(start, goal),
         )
 
     def _find_detour(self, start: Array, goal: Array) -> JointTrajectory:
@@ -248,7 +252,7 @@ class Planner:
 
         Where none is found, or a finer check finds none of them free, it is asked again in smaller steps.
         """
-        for step in SEARCH_STEP * np.array([1, 1 / 2, 1 / 4]):
+        for step in self.search_step * np.array([1, 1 / 2, 1 / 4]):
             for motion, _ in sorted(self._ways(start, goal, step), key=lambda way: way[0].duration):
                 if self.world.path_free(motion.positions[::4]):
                     return motion
@@ -264,12 +268,12 @@ class Planner:
             quickest, path = min(ways, key=lambda way: way[0].duration)
             shifts = left * self.arm.velocity / self.arm.velocity.mean() * rng.normal(size=path[1:-1].shape)
             moved = np.concatenate([path[:1], np.clip(path[1:-1] + shifts, self.arm.lower, self.arm.upper), path[-1:]])
-            better = self._time_path(moved, step, BLENDS[:1], quickest.duration)
+            better = self._time_path(moved, step, self._blends[:1], quickest.duration)
             ways += [better] if better else []
         return ways
 
     def _time_path(
-        self, path: Array, step: float, blends: Sequence[float] = BLENDS, within: float = np.inf
+        self, path: Array, step: float, blends: Sequence[float] = _blends, within: float = np.inf
     ) -> tuple[JointTrajectory, Array] | None:
         """Return a motion by way of joints (N, J), and them, if it lasts less than `within` [s]; else None.
 
@@ -300,7 +304,7 @@ class Planner:
     def _detours(self, start: Array, goal: Array, step: float) -> Iterator[tuple[Array, Array]]:
         """Yield waypoints (N, J) of what RRT-Connect finds, shortened and as found, one a seed until it finds none."""
         for seed in range(3):
-            found = self._search(start, goal, SEARCH_TIME, step, seed)
+            found = self._search(start, goal, self._search_time, step, seed)
             if found is None:
                 return
             cut = PathShortcuttingOptions(group_name=GROUP, max_step_size=step, max_iters=100, seed=seed)

@@ -109,19 +109,6 @@ _LINKS = (
     ),
 )
 
-# The head rides on right_l0 with head_pan = 0. Its face shapes overlap right_l2 at neutral (facts: sawyer 1e), so that
-# pair is never checked.
-_HEAD = Link(
-    "head",
-    (0.0, 0.0, 0.2965),
-    (0.0, 0.0, 0.0),
-    1.5795,
-    (0.0053207, -2.6549e-05, 0.1021),
-    (0.011833, 0.0082709, 0.0049661, -4.4669e-06, 4.9425e-05, 4.2124e-07),
-    (Capsule((-0.005, 0, 0.02), (-0.005, 0, 0.205), 0.04),),
-    (Solid("screen", (0.025, 0, 0.1), (0.01, 0.13, 0.08)),),
-)
-
 SAWYER = ArmModel(
     name="sawyer",
     joints=tuple(f"right_j{i}" for i in range(7)),
@@ -171,7 +158,23 @@ SAWYER = ArmModel(
         Solid("controller_box", (-0.325, 0, -0.38), (0.11, 0.2, 0.265)),
         Solid("pedestal_feet", (-0.1225, 0, -0.758), (0.385, 0.35, 0.155)),
     ),
-    riders=((0, _HEAD),),
+    # The head rides on right_l0 with head_pan = 0. Its face shapes overlap right_l2 at neutral (facts: sawyer 1e), so
+    # that pair is never checked.
+    riders=(
+        (
+            0,
+            Link(
+                "head",
+                (0.0, 0.0, 0.2965),
+                (0.0, 0.0, 0.0),
+                1.5795,
+                (0.0053207, -2.6549e-05, 0.1021),
+                (0.011833, 0.0082709, 0.0049661, -4.4669e-06, 4.9425e-05, 4.2124e-07),
+                (Capsule((-0.005, 0, 0.02), (-0.005, 0, 0.205), 0.04),),
+                (Solid("screen", (0.025, 0, 0.1), (0.01, 0.13, 0.08)),),
+            ),
+        ),
+    ),
     wrist=Capsule((0, 0, -0.1345), (0, 0, -0.0525), _LINKS[5].capsules[1].radius),  # right_l5's round end
 )
 

@@ -12,7 +12,7 @@ from anther.core.checks import check_array, check_range
 from anther.core.errors import StageFailure, bad_input
 from anther.core.geometry import Array
 from anther.robot.arm import _kinematics
-from anther.robot.arm.model import FEWEST, ArmModel
+from anther.robot.arm.model import ArmModel
 from anther.robot.devices import JointTrajectory
 from anther.robot.swing import Swing, motion
 
@@ -128,7 +128,7 @@ def _particular_and_null(arm: ArmModel, q: ArrayLike, direction: Array) -> tuple
     """
     J = arm.jacobian(q)
     particular = (np.linalg.pinv(J) @ np.concatenate([direction, np.zeros(3)])[:, None])[..., 0]
-    null = np.linalg.svd(J)[2][..., 6, :] if arm.count > FEWEST else np.zeros_like(particular)
+    null = np.linalg.svd(J)[2][..., 6, :] if arm.count > 6 else np.zeros_like(particular)
     largest = np.take_along_axis(null, np.abs(null).argmax(axis=-1)[..., None], axis=-1)
     return particular, null * np.sign(largest)
 

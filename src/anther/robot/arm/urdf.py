@@ -31,8 +31,6 @@ from anther.robot.arm.model import ArmModel, Capsule, Link, Tool, complete, rpy
 from anther.robot.arm.plausible import check_joint
 from anther.robot.arm.sawyer import TOOL
 
-ROTOR = 1 / 150  # kg m^2 of rotor inertia for each N m of effort: a guess, half of Sawyer's
-SPRING = 20.0  # N m/rad of a joint's spring for each N m of effort, as of Sawyer: a guess
 WIDEST = np.pi
 """Joints that turn further than twice this are kept within it to either side, so that none has two turns [rad]."""
 ENDLESS = 1e9
@@ -95,6 +93,7 @@ def from_urdf(
     links = [_link(model, j, turns[i], turns[i + 1], bodies[i], shapes[j]) for i, j in enumerate(chain)]
     lower, upper, velocity, effort = np.array([_limits(model, j, path) for j in chain]).T
     T_flange = end.placement.homogeneous @ (np.eye(4) if T_tip_flange is None else T_tip_flange)
+    rotor_inertia, stiffness = usual_drives(effort)
     arm = ArmModel(
         name=name,
         joints=tuple(model.names[j] for j in chain),
@@ -103,8 +102,8 @@ def from_urdf(
         velocity=velocity,
         acceleration=np.full(len(lower), acceleration) if np.ndim(acceleration) == 0 else np.asarray(acceleration),
         effort=effort,
-        rotor_inertia=ROTOR * effort,
-        stiffness=SPRING * effort,
+        rotor_inertia=rotor_inertia,
+        stiffness=stiffness,
         links=tuple(links),
         T_last_flange=inverse(turns[-1]) @ T_flange,
         tool=tool,
@@ -118,6 +117,11 @@ def from_urdf(
         base_capsules=fit_capsules(np.concatenate(shapes[0])) if shapes[0] else (),
     )
     return complete(arm)
+
+
+def usual_drives(effort: Array) -> tuple[Array, Array]:
+    """Return a guess of rotor inertias (J,) [kg m^2] and springs (J,) [N m/rad] of joints with an effort (J,) [N m]."""
+    return 1 / 150 * effort, 20.0 * effort  # half of Sawyer's, and as Sawyer's
 
 
 _XACRO = re.compile(r"<xacro:(?!macro\b)\w|\$\{(?!\w+\})|\$\(")

@@ -23,13 +23,12 @@ from anther.core.records import Range, Record, Shape
 from anther.robot.arm import _kinematics
 from anther.robot.arm._tours import shortest_tour
 from anther.robot.arm.model import ArmModel
-from anther.robot.arm.planner import SEARCH_STEP, Planner
 from anther.robot.arm.planner import Params as MotionParams
+from anther.robot.arm.planner import Planner
 from anther.robot.arm.sawyer import SAWYER
 from anther.robot.devices import JointTrajectory
 
 FAST = MotionParams(velocity_share=0.95, acceleration_share=0.85)
-SEEN = 0.08  # m between the points of the region whose motion in the image is looked at
 SOON = 1e-4  # s in which a point's motion in the image is taken
 
 
@@ -130,12 +129,12 @@ class Viewpoints:
         planner, arm = self.planner, self.planner.arm
         more = _free_branches(self.T_world_cam[list(chosen)], planner, self.T_flange_cam, seeds=48)
         choices = [q if len(q) else self.branches[i] for i, q in zip(chosen, more, strict=True)]
-        tour = shortest_tour(arm, lambda line: planner.world.path_free(line, SEARCH_STEP), self.start, choices)
+        tour = shortest_tour(arm, lambda line: planner.world.path_free(line, planner.search_step), self.start, choices)
         kept, motions = _motions(planner, self.start, [(chosen[i], q) for i, q in tour])
         at, joints = [i for i, _ in kept], np.array([q for _, q in kept])
         dwell = np.full(len(kept), self.params.dwell, dtype=float)
         if self.params.dwell is None:
-            points = cylinder_points(self.region, SEEN)
+            points = cylinder_points(self.region, 0.08)  # [m] between those whose motion in the image is looked at
             dwell = standing_times(arm, motions, self.T_flange_cam, points, self.params)
         T_world_cam = arm.forward(joints) @ self.T_flange_cam
         return Views(joints, T_world_cam, tuple(motions), self.azimuth[at], self.elevation[at], dwell)

@@ -19,7 +19,6 @@ from anther.core.errors import InputError, bad_input
 from anther.core.geometry import Array, Intrinsics, inverse, pose7, transform_from_pose7
 from anther.robot.calibration._hand_eye import (
     AGREED,
-    CERTAIN,
     METHODS,
     ODD,
     EyeToHand,
@@ -94,10 +93,8 @@ __all__ = [
     "undistort",
 ]  # fmt: skip
 
-FEW_FOR_NOISE = 6
-"""With fewer views the arm's errors are `ARM_ERRORS`; with more they are where the estimate begins."""
 ARM_ERRORS = float(np.deg2rad(0.1)), 0.001
-"""Of rotation [rad] and translation [m] in one view, per axis."""
+"""Of rotation [rad] and translation [m] in one view, per axis; of few views they are not estimated."""
 LOOSE = 0.002
 """Standard error of the camera's place from which on the views are called too poor, and how far a board of another size
 than was said may move it [m]."""
@@ -212,22 +209,27 @@ def _without_outliers(
 ) -> tuple[Fit, Noise, NDArray[Any]]:
     """Refine, estimate the noise and judge all views by it, until the same views stay."""
     flange = problem.T_base_flange
-    pixel = float(np.median(own_noise))
-    noise = Noise(pixel, *ARM_ERRORS)
+    noise = Noise(float(np.median(own_noise)), *ARM_ERRORS)
     limit = float(np.sqrt(chi2.isf(2 * norm.sf(4.0), 6)))  # as likely as four standard deviations of a normal one
     rounds = 0
     while True:
         check_motions(flange[used])
-        fit = refine(problem, X, Z, noise, used)
-        if used.sum() >= FEW_FOR_NOISE:
-            noise = estimate_noise(problem, fit, pixel, used)
-            fit = refine(problem, fit.T_flange_cam, fit.T_base_board, noise, used)
+        fit, noise = _refined(problem, X, Z, noise, used)
         distances = view_distances(problem, fit, noise, own_noise)
         scale = max(float(np.median(distances[used])) / np.sqrt(chi2.median(6)), 1.0)
         kept, rounds = distances <= limit * scale, rounds + 1
         if np.array_equal(kept, used) or rounds == 8:  # the outliers stay what they are
             return fit, noise, used
         used, X, Z, problem = kept, fit.T_flange_cam, fit.T_base_board, problem.at(fit.intrinsics)
+
+
+def _refined(problem: Problem, X: Array, Z: Array, noise: Noise, used: NDArray[Any]) -> tuple[Fit, Noise]:
+    """Return the refined fit, and with six views or more the noise that they tell."""
+    fit = refine(problem, X, Z, noise, used)
+    if used.sum() < 6:
+        return fit, noise
+    noise = estimate_noise(problem, fit, noise.pixel, used)
+    return refine(problem, fit.T_flange_cam, fit.T_base_board, noise, used), noise
 
 
 def _notes(flange: Array, used: NDArray[Any], names: tuple[str, ...], spread: float) -> tuple[str, ...]:
@@ -259,16 +261,12 @@ def _size_notes(problem: Problem, fit: Fit, noise: Noise, used: NDArray[Any]) ->
 
     The arm's translations are in metres, the board's in what its squares were said to be.
     """
-    free = replace(problem, free_scale=True)
     try:
-        found = refine(free, fit.T_flange_cam, fit.T_base_board, noise, used)
-        if used.sum() >= FEW_FOR_NOISE:
-            noise = estimate_noise(free, found, noise.pixel, used)
-            found = refine(free, found.T_flange_cam, found.T_base_board, noise, used)
+        found, _ = _refined(replace(problem, free_scale=True), fit.T_flange_cam, fit.T_base_board, noise, used)
     except InputError:
         return ()  # these views do not tell
     away = float(np.linalg.norm(found.T_flange_cam[:3, 3] - fit.T_flange_cam[:3, 3]))
-    sure = abs(np.log(found.scale)) > CERTAIN * np.sqrt(found.covariance[-1, -1])
+    sure = abs(np.log(found.scale)) > 4 * np.sqrt(found.covariance[-1, -1])
     if not sure or away < LOOSE:
         return ()
     edges = np.diff(np.unique(np.round(problem.points[:, 0], 6)))  # [m]: corners are a square apart

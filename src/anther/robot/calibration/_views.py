@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from anther.core.errors import InputError, bad_input
 from anther.core.geometry import Array, Intrinsics, small_transform, transform_points
-from anther.robot.calibration._inputs import LEAST_CORNERS, Board, explain_missing_board
+from anther.robot.calibration._inputs import Board, explain_missing_board
 
 CELLS = (8, 6)
 """Columns and rows of the grid in which covered cells are counted."""
@@ -60,12 +60,13 @@ class BoardViews:
         return self.corners.images
 
 
-def find_corners(images: Iterable[NDArray[Any]], board: Board) -> BoardCorners:
-    """Return the board's corners in each image that shows at least `LEAST_CORNERS` of them, not all in one line.
+def find_corners(images: Iterable[NDArray[Any]], board: Board, *, least: int = 8) -> BoardCorners:
+    """Return the board's corners in each image that shows at least so many of them, not all in one line.
 
     Args:
         images: (H, W) or (H, W, 3) uint8.
         board: what was printed; measure its squares.
+        least: corners that a view needs.
 
     Raises:
         InputError: no image shows the board.
@@ -74,14 +75,14 @@ def find_corners(images: Iterable[NDArray[Any]], board: Board) -> BoardCorners:
     for number, image in enumerate(images):
         known, seen = board.find(image)
         count, last = count + 1, image
-        if len(known) >= LEAST_CORNERS and np.linalg.matrix_rank(known[:, :2] - known[0, :2], tol=1e-9) == 2:
+        if len(known) >= least and np.linalg.matrix_rank(known[:, :2] - known[0, :2], tol=1e-9) == 2:
             numbers.append(number)
             points.append(known)
             pixels.append(seen)
     if not numbers:
         raise bad_input(
             "calibration images",
-            given=f"{count} images, none with {LEAST_CORNERS} corners of the board",
+            given=f"{count} images, none with {least} corners of the board",
             allowed=f"a {board}",
             do=explain_missing_board(last if last.ndim == 2 else cv2.cvtColor(last, cv2.COLOR_BGR2GRAY), board),
         )

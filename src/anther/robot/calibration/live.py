@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
@@ -51,10 +51,6 @@ from anther.robot.calibration._views import (
 KIND, SCHEMA = "calibration-views", 1
 _POSES = ("T_base_flange", "T_cam_board")
 VIEWS, POSES, INTRINSICS, RESULT = "views.json", "poses.csv", "intrinsics.json", "calibration.json"
-ENOUGH, MOST = 10, 24
-"""Views: fewer are never enough, and more are not asked for (docs/calibration.md: 15 to 20)."""
-COVERED = 0.4
-"""Share of the image that corners should cover [-]."""
 
 
 @dataclass(eq=False)
@@ -70,8 +66,13 @@ class Taken:
         T_base_flange: V arrays (4, 4).
         views: V views, each of one image.
         names: of the V images.
+        enough, most: views: fewer are never enough, and more are not asked for (docs/calibration.md: 15 to 20).
+        covered: share of the image that corners should cover [-].
     """
 
+    enough: ClassVar[int] = 10
+    most: ClassVar[int] = 24
+    covered: ClassVar[float] = 0.4
     folder: Path
     board: str
     intrinsics: Intrinsics
@@ -175,7 +176,7 @@ class Taken:
 
 
 def find_board(image: NDArray[Any], board: Board, intrinsics: Intrinsics, distortion: Array) -> BoardViews | None:
-    """Return the board in a grey image (H, W) uint8; None where fewer than `LEAST_CORNERS` of its corners are seen.
+    """Return the board in a grey image (H, W) uint8; None where too few of its corners are seen, see `find_corners`.
 
     Raises:
         InputError: what is seen is another board.
@@ -280,7 +281,7 @@ def is_steady(history: list[HandEye | None]) -> bool:
 def lacks(taken: Taken, found: HandEye | None) -> list[str]:
     """Return what the views lack for a good result, one sentence each; nothing when they are enough."""
     if found is None:
-        return [f"{len(taken)} views, which do not determine where the camera is: take {ENOUGH} or more, tilted"]
+        return [f"{len(taken)} views, which do not determine where the camera is: take {taken.enough} or more, tilted"]
     notes = list(motion_warnings(taken.flange[found.used]))
     out = int((~found.used).sum())
     if out > len(taken) / 3:
@@ -288,7 +289,7 @@ def lacks(taken: Taken, found: HandEye | None) -> list[str]:
     if found.translation_error > LOOSE:
         open_by = 1e3 * found.translation_error
         notes.append(f"the views leave the camera's place open by {open_by:.1f} mm: take more, tilted more")
-    if (covered := taken.coverage()) < COVERED:
+    if (covered := taken.coverage()) < taken.covered:
         notes.append(f"the corners cover {covered:.0%} of the image: show the board in its corners too")
     return notes
 

@@ -24,11 +24,8 @@ from anther.robot.arm.views import Params as ViewParams
 from anther.robot.arm.views import Views, plan_views
 from anther.robot.cell import Cell
 from anther.robot.cells import CellFile, Part, own_cell
-from anther.robot.devices import Gripper, JointTrajectory, Robot, Tap, no_tap
+from anther.robot.devices import Arm, Gripper, JointTrajectory, Robot, Tap, no_tap
 from anther.robot.safety import guard
-
-CALM = 0.5
-"""The arm stands for so long before a picture is taken [s]: it swings a little when it stops. A guess."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,6 +132,12 @@ def hardware_cell(file: CellFile, views: ViewParams, tap: Tap = no_tap) -> Itera
         yield HardwareCell(Cell(take_views, plan_around, robot, file.workspace, limits))
 
 
+def move_and_stand(arm: Arm, motion: JointTrajectory) -> None:
+    """Follow a motion, and stand before a picture is taken: an arm swings a little when it stops."""
+    arm.follow(motion)
+    arm.follow(JointTrajectory.standstill(motion.positions[-1], 0.5))  # [s], a guess
+
+
 def capture_views(
     robot: Robot, views: Views, T_flange_cam: Array, advance: Advance, model: ArmModel = SAWYER
 ) -> Capture:
@@ -145,8 +148,7 @@ def capture_views(
     """
     frames, joints = [], []
     for number, motion in enumerate(views.motions):
-        robot.arm.follow(motion)
-        robot.arm.follow(JointTrajectory.standstill(motion.positions[-1], CALM))
+        move_and_stand(robot.arm, motion)
         frames.append(robot.wrist_camera.read())
         joints.append(robot.arm.joints())
         advance(number + 1, len(views.motions))

@@ -27,25 +27,13 @@ import numpy as np
 from anther.core.geometry import Array
 from anther.robot.devices import LEAD, JointTrajectory
 from anther.robot.drivers._holding import NEAR
-from anther.robot.drivers._streamed import SETTLE, Reference, braking, prioritize_thread
+from anther.robot.drivers._streamed import Reference, braking, prioritize_thread
 
 CYCLE = 1e-3
 """Of the robot [s]."""
-SMOOTH = 8
-"""A command is the mean of so many moments of the motion. So the jerk of joints that accelerate with no more than the
-FR3's 10 rad/s^2 is at most 2 * 10 / 8 ms = 2500 rad/s^3, wherever the acceleration jumps. It may be 5000."""
-BRAKES = 0.8
-"""Share of the acceleration with which the loop brakes: the robot refuses what is a little over it."""
-FADES = 0.5
-"""The arm stands a little off its command; a motion begins at the command, and the gap is closed within this [s]."""
-SHOWN = 8
-"""Every so many cycles a state is shown: 125 a second."""
-UNSEEN = 0.1
-"""States that nobody looked at for so long end a motion [s]."""
 LATE = f"the next motion comes too late: not within {LEAD:g} s. Look at what else runs here"
 PAUSED = "the loop that commands the arm was held up, and the robot stopped by itself"
 CALLED_OFF = "the motion was called off"
-IDLE = f"nobody looked at the arm's readings for {UNSEEN:g} s. Let nothing else run on this machine"
 
 
 class RobotState(NamedTuple):
@@ -78,18 +66,26 @@ class Path:
         why: it brakes; empty while it does not.
     """
 
+    smooth = 8
+    """A command is the mean of so many moments of the motion. So the jerk of joints that accelerate with no more than
+    the FR3's 10 rad/s^2 is at most 2 * 10 / 8 ms = 2500 rad/s^3, wherever the acceleration jumps. It may be 5000."""
+    brakes = 0.8
+    """Share of the acceleration with which it brakes: the robot refuses what is a little over it."""
+    fades = 0.5
+    """The arm stands a little off its command; a motion begins at the command, and the gap closes within this [s]."""
+
     def __init__(self, aim: Array, first: JointTrajectory, acceleration: Array, goes_on: bool) -> None:
         """Begin at the joints (J,) that the robot is commanded [rad]; brake with `acceleration` (J,) [rad/s^2]."""
         self.why = ""
         self._reference, self._begin, self._t = Reference(first), 0.0, 0.0
         self._off, self._acceleration = aim - first.positions[0], acceleration
-        self._recent = deque([aim] * SMOOTH, maxlen=SMOOTH)
+        self._recent = deque([aim] * self.smooth, maxlen=self.smooth)
         self._waits, self._asked = goes_on, False
 
     @property
     def over(self) -> bool:
         """Whether the arm stands at the end, and has been given time to."""
-        stands = self._t - self._begin >= self._reference.ends + SETTLE and self._t >= FADES
+        stands = self._t - self._begin >= self._reference.settled and self._t >= self.fades
         return stands and not self._waits
 
     def step(self, cycles: int) -> Array:
@@ -98,7 +94,7 @@ class Path:
             if self._waits and self._t + CYCLE - self._begin > self._reference.ends:
                 self.brake(LATE)
             self._t += CYCLE
-            s = min(self._t / FADES, 1.0)
+            s = min(self._t / self.fades, 1.0)
             closed = s**3 * (10 - 15 * s + 6 * s**2)
             self._recent.append(self._reference.at(self._t - self._begin)[0] + (1 - closed) * self._off)
         return np.mean(self._recent, axis=0)
@@ -125,11 +121,16 @@ class Path:
             return
         self.why, self._waits = why, False
         q, rate, _ = self._reference.at(self._t - self._begin)
-        self._reference, self._begin = Reference(braking(q, rate, BRAKES * self._acceleration)), self._t
+        self._reference, self._begin = Reference(braking(q, rate, self.brakes * self._acceleration)), self._t
 
 
 class Loop:
     """Serves one driver at the other end of a pipe: read, move, next, seen, brake, recover; what it says is a pair."""
+
+    shown = 8
+    """Every so many cycles a state is shown: 125 a second."""
+    unseen = 0.1
+    """States that nobody looked at for so long end a motion [s]."""
 
     def __init__(
         self, pipe: Connection, sdk: Any, robot: Any, acceleration: Array, clock: Callable[[], float] = time.monotonic
@@ -190,7 +191,7 @@ class Loop:
                 raise RuntimeError(PAUSED)
             over = command.motion_finished = path.over
             control.writeOnce(command)
-            if cycles % SHOWN == 0 or over:
+            if cycles % self.shown == 0 or over:
                 self._say("state", self._read_state(state))
             cycles += 1
             if path.asks():
@@ -199,8 +200,9 @@ class Loop:
                 self._take(path)
             if self._gone:
                 path.brake(CALLED_OFF)
-            elif self._clock() - self._seen > UNSEEN:
-                path.brake(IDLE)
+            elif self._clock() - self._seen > self.unseen:
+                idle = f"nobody looked at the arm's readings for {self.unseen:g} s"
+                path.brake(f"{idle}. Let nothing else run on this machine")
 
     def _take(self, path: Path) -> None:
         match self._receive():

@@ -123,6 +123,11 @@ class Reference:
         """Whether nothing more can come."""
         return self._coming.over
 
+    @property
+    def settled(self) -> float:
+        """When the motion counts as over [s]: its end is commanded for a while."""
+        return self.ends + 0.1
+
     def look_ahead(self, t: float) -> None:
         """Ask for what comes after the present end, and take it once it is there; refuse what comes too late."""
         if self.whole:
@@ -163,18 +168,15 @@ def braking(q: Array, rate: Array, acceleration: Array) -> JointTrajectory:
     return JointTrajectory(t[:, 0], q + rate * t * (1 - t / (2 * seconds)), rate * (1 - t / seconds))
 
 
-SETTLE = 0.1
-"""The end of a motion is commanded for so long before it counts as over [s]."""
-WAITING = 5.0
-"""Something of a robot that is on is heard within this [s]."""
-
-
 class StreamedArm(ABC):
     """An `anther.robot.devices.Arm` but for what a robot's own protocol says: how to command, and why it cannot move.
 
     Attributes:
         readings: of its joints.
     """
+
+    _patience = 5.0
+    """Something of a robot that is on is heard within this [s]."""
 
     def __init__(
         self,
@@ -321,7 +323,7 @@ class StreamedArm(ABC):
             self.check_able()
             reference.look_ahead(now - begin)
             self._aim(reference, now - begin)
-            reading, over = self.readings.last, reference.whole and now - begin >= reference.ends + SETTLE
+            reading, over = self.readings.last, reference.whole and now - begin >= reference.settled
             if reading is not None and reading.time > newest and (over or reading.time >= newest + self._shown):
                 newest = reading.time
                 wanted = reference.at(newest - begin)[0]
@@ -351,9 +353,11 @@ class StreamedArm(ABC):
         )
 
     def _wait(self, done: Callable[[], bool], what: str, ask: Callable[[], None] = lambda: None) -> None:
-        until = time.monotonic() + WAITING
+        until = time.monotonic() + self._patience
         while not done():
             if time.monotonic() > until:
-                raise DeviceError(f"the robot {what} within {WAITING:g} s. {self.readings.trouble or 'Is it on?'}")
+                raise DeviceError(
+                    f"the robot {what} within {self._patience:g} s. {self.readings.trouble or 'Is it on?'}"
+                )
             ask()
             time.sleep(0.05)

@@ -23,8 +23,6 @@ from anther.robot.devices import ArmRecord, ArmSample, DeviceError, JointTraject
 from anther.robot.drivers._streamed import SHARED_PRIORITY, Coming, prioritize_thread
 from anther.robot.safety import GuardedArm
 
-UNSEEN = 1.0
-"""Readings that nobody looked at for so long end a motion [s]: who should watch hangs."""
 LOST = "the arm's own process is gone; the arm stops by its own timeout. Look at it, and start anew."
 GONE = "who asked for it is gone"
 
@@ -149,6 +147,9 @@ class _Stopped(DeviceError):
 class _Server:
     """The process that has the arm."""
 
+    _patience = 1.0
+    """Readings that nobody looked at for so long end a motion [s]: who should watch hangs."""
+
     def __init__(self, pipe: Connection, parent: int) -> None:
         self._pipe, self._parent, self._why = pipe, parent, ""
         self._nexts, self._asks = queue.SimpleQueue[Any](), queue.SimpleQueue[tuple[Any, ...] | None]()
@@ -187,10 +188,9 @@ class _Server:
         if self._why:
             raise _Stopped(f"the motion was called off: {self._why}.")
         now, unwatched = time.monotonic(), self._unseen
-        if unwatched is not None and now - unwatched > UNSEEN:
-            raise _Stopped(
-                f"nobody looked at the arm's readings for {UNSEEN:g} s. Let nothing else run on this machine."
-            )
+        if unwatched is not None and now - unwatched > self._patience:
+            hangs = f"nobody looked at the arm's readings for {self._patience:g} s"
+            raise _Stopped(f"{hangs}. Let nothing else run on this machine.")
         self._unseen = now if unwatched is None else unwatched
         self._say("sample", sample)
 

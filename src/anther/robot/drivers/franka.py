@@ -25,7 +25,7 @@ import numpy as np
 from anther.core.errors import MissingExtra, bad_input
 from anther.core.geometry import Array
 from anther.robot.devices import ArmRecord, ArmSample, DeviceError, JointTrajectory, More, Watch
-from anther.robot.drivers._franka_loop import SHOWN, RobotState
+from anther.robot.drivers._franka_loop import Loop, RobotState
 from anther.robot.drivers._readings import STALE, RobotClock, check_finite_joints, check_fresh
 from anther.robot.drivers._streamed import Coming, prioritize_thread, shorten_thread_turns
 
@@ -77,7 +77,7 @@ class Franka:
             if len(names) != self._joint_count:
                 given, do = f"{len(names)} joints", 'Name the robot\'s model, such as "fr3", under [arm].'
                 raise bad_input("arm model", given=given, allowed=f"{self._joint_count}", do=do)
-            for _ in range(SHOWN):  # the first states may have waited: the quickest sets the clock
+            for _ in range(Loop.shown):  # the first states may have waited: the quickest sets the clock
                 self._read()
                 self._sleep(0.005)
             self.joints()

@@ -22,12 +22,6 @@ from anther.robot.devices import DeviceError, Frame
 
 STALLED = 0.5
 """A camera that gave no frame for so long has stopped [s]: 15 frames at 30 Hz."""
-AGAIN = 1.0
-"""Between two tries to open a camera that stopped [s]."""
-MOST_BYTES = 1e9
-"""Of a recording no more than so much is kept, its end [bytes]: 351 frames of 848 x 480 px."""
-PARTS = (1, 2, 3, 4, 6)
-"""A recording has every such frame."""
 _COLD = "camera: it is still warming up"
 
 
@@ -98,7 +92,7 @@ def _silent() -> DeviceError:
 class FreeRunningCamera:
     """A live camera, as a `devices.Camera`. Use it as a context manager, or close it.
 
-    A camera that stops is closed and tried again every `AGAIN` seconds, without anybody asking; until it is back, every
+    A camera that stops is closed and tried again every second, without anybody asking; until it is back, every
     call says at once why there are no frames.
 
     Args:
@@ -109,6 +103,11 @@ class FreeRunningCamera:
     Raises:
         DeviceError: it cannot be opened, or gives no frames.
     """
+
+    _again = 1.0
+    """Between two tries to open a camera that stopped [s]."""
+    _most_bytes = 1e9
+    """Of a recording no more than so much is kept, its end [bytes]: 351 frames of 848 x 480 px."""
 
     def __init__(self, source: Source, warm_up: int = 30) -> None:
         self._source, self._warm_up = source, warm_up
@@ -151,7 +150,7 @@ class FreeRunningCamera:
             if len(self._times) < 2:
                 raise _silent()
             rate = 1 / float(np.median(np.diff(self._times)))
-        return tuple(rate / n for n in PARTS)
+        return tuple(rate / n for n in (1, 2, 3, 4, 6))  # a recording has every such frame
 
     def read(self) -> Frame:
         """Return the first frame taken from now on."""
@@ -176,7 +175,7 @@ class FreeRunningCamera:
         with self._news:
             self._refuse_if_stopped()
             bytes_each = 7 * self._intrinsics.width * self._intrinsics.height
-            self._recording = deque(maxlen=max(int(MOST_BYTES / bytes_each), 1))
+            self._recording = deque(maxlen=max(int(self._most_bytes / bytes_each), 1))
             self._period, self._due = 1 / rate, -np.inf
 
     def recorded(self, since: float) -> list[Frame]:
@@ -207,7 +206,7 @@ class FreeRunningCamera:
     def close(self) -> None:
         """Stop the camera and let go of it."""
         self._ended.set()
-        self._thread.join(2 * STALLED + AGAIN)
+        self._thread.join(2 * STALLED + self._again)
         if not self._thread.is_alive():  # else it hangs in the camera's own library, and closes when that returns
             self._source.close()
 
@@ -255,7 +254,7 @@ class FreeRunningCamera:
         while not self._ended.is_set():
             with suppress(Exception):
                 self._source.close()
-            if self._ended.wait(AGAIN):
+            if self._ended.wait(self._again):
                 return
             try:
                 intrinsics = self._source.open()

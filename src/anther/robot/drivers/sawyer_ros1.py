@@ -17,10 +17,6 @@ from anther.robot.drivers._streamed import Reference, StreamedArm, braking
 from anther.robot.drivers.intera import IoDevice
 from anther.robot.drivers.ros1 import Node
 
-SILENCE = 0.03
-"""The arm stops by itself when it hears no command for so long [s] (joint_command_timeout), and so does the driver when
-it could not give one."""
-
 LIMB = "/robot/limb/right/"
 Mode = Literal["position", "trajectory"]
 
@@ -35,6 +31,10 @@ class Sawyer(StreamedArm):
         node: through which it is spoken to.
         readings: of its joints.
     """
+
+    _longest_silence = 0.03
+    """The arm stops by itself when it hears no command for so long [s] (joint_command_timeout), and so does the driver
+    when it could not give one."""
 
     def __init__(
         self,
@@ -64,7 +64,7 @@ class Sawyer(StreamedArm):
         """
         check_range("rate", rate, 50, 800, "commands a second")
         check_range("speed ratio", speed_ratio, 0.01, 1)
-        super().__init__(names, rate=rate, stale=STALE, silence=SILENCE, clock=clock, sleep=sleep)
+        super().__init__(names, rate=rate, stale=STALE, silence=self._longest_silence, clock=clock, sleep=sleep)
         self.node, self._acceleration, self._mode = node, acceleration, mode
         self._state: Any = None
         self._collided = False
@@ -82,7 +82,7 @@ class Sawyer(StreamedArm):
             for topic in ("set_speed_ratio", "joint_command_timeout")
         )
         ratio.publish(self._make("std_msgs/msg/Float64", speed_ratio))
-        silence.publish(self._make("std_msgs/msg/Float64", SILENCE))
+        silence.publish(self._make("std_msgs/msg/Float64", self._silence))
         self._wait(lambda: self.readings.last is not None and self._state is not None, "is not heard")
         self._wait(lambda: bool(np.isfinite(self._current_force(clock()))), "tells no force")
         self._check_names()

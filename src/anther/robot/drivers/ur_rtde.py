@@ -20,20 +20,19 @@ from anther.core.geometry import Array
 from anther.robot.devices import ArmRecord, DeviceError, JointTrajectory, More, Watch
 from anther.robot.drivers._holding import NEAR
 from anther.robot.drivers._readings import STALE, Reading
-from anther.robot.drivers._streamed import SETTLE, Reference, StreamedArm, braking
+from anther.robot.drivers._streamed import Reference, StreamedArm, braking
 from anther.robot.drivers.ur_controller import Controller, Program
 
-SILENCE = 0.03
-"""The driver brakes when it could not give a command for so long [s]."""
-WATCHDOG = 20.0
-"""The controller ends the program when commands come less often than this [1/s]: after 50 ms, so that a driver that
-lives brakes first."""
 ENDED = "Anther's program on it was stopped, on the pendant or by the watchdog: look why, then start anew"
 PAUSED = "its program was paused on the pendant: stop it there, then start anew"
 
 
 class UniversalRobot(StreamedArm):
     """An arm streamed to by servoJ. It must have been enabled, see `enable`."""
+
+    watchdog = 20.0
+    """The controller ends the program when commands come less often than this [1/s]: after 50 ms, so that a driver that
+    lives brakes first."""
 
     def __init__(
         self,
@@ -83,11 +82,11 @@ class UniversalRobot(StreamedArm):
                 names,
                 rate=commands,
                 stale=STALE,
-                silence=SILENCE,
+                silence=0.03,  # it brakes when it could not give a command for so long [s]
                 clock=clock,
                 sleep=sleep,
                 shown=0.008 - 0.5 / commands,  # 125 readings a second, whatever the controller's rate
-                timeout=1 / WATCHDOG,
+                timeout=1 / self.watchdog,
             )
             self.joints()
             self._renew()
@@ -184,7 +183,7 @@ class UniversalRobot(StreamedArm):
         if far > NEAR:  # servoJ has no speed limit of its own
             raise DeviceError(f"the motion begins {far:.3g} rad from where the arm is; allowed: {NEAR:g}. Plan anew.")
         self._rests(here)  # from here on `hold` has a watchdog to end
-        if not self._control.setWatchdog(WATCHDOG):
+        if not self._control.setWatchdog(self.watchdog):
             raise DeviceError("the controller does not set its watchdog. Look at its pendant.")
 
     def _aim(self, reference: Reference, t: float) -> None:
@@ -205,7 +204,7 @@ class UniversalRobot(StreamedArm):
 
     def _brake(self, q: Array, rate: Array) -> Array:
         way, begin = Reference(braking(q, rate, self._acceleration)), self._clock()
-        while (t := self._clock() - begin) < way.ends + SETTLE and not self._why_halted():
+        while (t := self._clock() - begin) < way.settled and not self._why_halted():
             self._command(*way.at(t)[:2])
             self._sleep(self._period)
         return way.at(way.ends)[0]

@@ -19,8 +19,6 @@ from anther.robot.drivers._streamed import Coming
 from anther.robot.swing import Swing
 
 NAME, VERSION = "anther-shaker", "1"
-BEAT = 0.02
-"""Between two heartbeats [s]: the motor stops itself when five of them are missing."""
 REPLY = 0.03
 """An answer comes within this [s]; then the line is sent again."""
 
@@ -131,6 +129,7 @@ class VoiceCoil:
     def _follow(self, piece: Swing, beat: Callable[[], _State], coming: Coming[Swing]) -> None:
         self._send(0, piece)
         number = 0
+        every = 0.02  # between two heartbeats [s]: the motor stops itself when five of them are missing
         while True:
             began = self._clock()
             now = beat()
@@ -147,7 +146,7 @@ class VoiceCoil:
             if after is not None:
                 piece, number = after, number + 1
                 self._send(number, piece)
-            self._sleep(max(BEAT - (self._clock() - began), 0))
+            self._sleep(max(every - (self._clock() - began), 0))
 
     def _check_moves(self, piece: Swing, now: _State) -> None:
         """Raise where a steady tone is not followed."""

@@ -21,11 +21,6 @@ from anther.show.log._messages import LogFile, Scribe
 
 __all__ = ["Kept", "Log"]
 
-FLUSH = 0.5
-"""How often what was written goes to the disk [s]."""
-PATIENCE = 5.0
-"""So long the end of a trial waits for what is still to be written [s]."""
-
 
 @dataclass(frozen=True, slots=True)
 class Kept:
@@ -55,6 +50,11 @@ class Log:
         waiting: how many things may wait to be written, 40 s of an arm that reads 100 a second; more are dropped.
         opened: opens the file for writing bytes, unbuffered.
     """
+
+    _flushes_every = 0.5
+    """How often what was written goes to the disk [s]."""
+    _patience = 5.0
+    """So long the end of a trial waits for what is still to be written [s]."""
 
     def __init__(
         self, path: Path, *, waiting: int = 4096, opened: Callable[[Path], Any] = lambda path: path.open("wb", 0)
@@ -108,15 +108,15 @@ class Log:
         self.say(what, value)
 
     def close(self) -> Kept:
-        """Write what is still to be written, for at most `PATIENCE` seconds, and return what became of the log."""
+        """Write what is still to be written, for some seconds at most, and return what became of the log."""
         if self._kept is None:
             self._look()
             self._ended.set()
-            self._thread.join(PATIENCE)
+            self._thread.join(self._patience)
             late, hangs = len(self._queue), self._thread.is_alive()
             if hangs:
                 late += 1
-                self._error = self._error or f"the disk took longer than {PATIENCE:g} s"
+                self._error = self._error or f"the disk took longer than {self._patience:g} s"
             lost = self._messages - self._safe if hangs or self._file.broken else 0
             error = self._file.error or self._error
             if not error and self._dropped:
@@ -138,7 +138,7 @@ class Log:
         while not ended:
             ended = self._ended.wait(0.05)  # s
             self._drain()
-            if time.monotonic() - flushed > FLUSH:
+            if time.monotonic() - flushed > self._flushes_every:
                 self._flush()
                 flushed = time.monotonic()
         self._scribe.close()

@@ -46,9 +46,6 @@ from anther.show import scene
 from anther.show.log import _scene
 from anther.show.style import ROBOT_COLOR
 
-LARGEST = 256_000_000
-"""A log grows no further than about this [bytes]; a simulated trial makes 3 MB."""
-
 
 class LogFile:
     """Attributes: `size` [bytes]; `error`: why no more is written, "" if nothing is wrong; `broken`: the disk is why.
@@ -57,6 +54,9 @@ class LogFile:
         path: of the file.
         opened: opens it for writing bytes, unbuffered.
     """
+
+    largest = 256_000_000
+    """A log grows no further than about this [bytes]; a simulated trial makes 3 MB."""
 
     def __init__(self, path: Path, opened: Callable[[Path], Any]) -> None:
         self.size, self.error, self.broken, self._whole, self._raw = 0, "", False, 0, None
@@ -68,8 +68,8 @@ class LogFile:
     @property
     def full(self) -> bool:
         """Whether nothing should be added."""
-        if not self.error and self.size > LARGEST:
-            self.error = f"it would grow beyond {LARGEST / 1e6:.0f} MB"
+        if not self.error and self.size > self.largest:
+            self.error = f"it would grow beyond {self.largest / 1e6:.0f} MB"
         return bool(self.error)
 
     def write(self, data: bytes | bytearray) -> int:

@@ -25,8 +25,8 @@ from mcap.stream_reader import breakup_chunk
 
 from anther.core.errors import bad_input
 
-HOST, PORT = "127.0.0.1", 8765
-"""Who may watch: this machine. The port is the one that Foxglove's app proposes."""
+HOST = "127.0.0.1"
+"""Who may watch: this machine."""
 MAGIC = b"\x89MCAP0\r\n"
 """What the file begins with."""
 LARGEST = 16_000_000
@@ -186,9 +186,7 @@ class Relay(ServerListener):
         self._server.stop()
 
 
-def show(
-    path: Path, port: int = PORT, *, ready: Callable[[int], None], over: Callable[[], bool] = lambda: False
-) -> None:
+def show(path: Path, port: int, *, ready: Callable[[int], None], over: Callable[[], bool] = lambda: False) -> None:
     """Serve a log as it grows, until `over`: also when it has ended, and when another takes its place.
 
     Args:

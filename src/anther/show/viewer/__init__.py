@@ -7,7 +7,7 @@ import io
 import time
 from contextlib import redirect_stdout
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import viser
@@ -23,7 +23,6 @@ from anther.show.viewer._scene import Handles, add_mesh, build_scene, placed
 __all__ = ["serve", "write_html"]
 
 MEASURED, PREDICTED = SHAKE_COLOR, PREDICTED_COLOR
-SPEEDS = {"real time": 1.0, "half": 0.5, "a tenth": 0.1}
 
 
 def write_html(
@@ -142,12 +141,14 @@ def _middle(track: Array) -> Array:
 class Controls:
     """The panel's part that plays the shake."""
 
+    _speeds: ClassVar = {"real time": 1.0, "half": 0.5, "a tenth": 0.1}
+
     def __init__(self, server: Any, player: Player, exaggeration: float) -> None:
         self._player, times = player, player.motion.times
         with server.gui.add_folder("The shake"):
             self._play = server.gui.add_checkbox("play", True)
             self._time = server.gui.add_slider("time [s]", 0.0, float(times[-1]), float(times[1] - times[0]), 0.0)
-            self._speed = server.gui.add_dropdown("speed", list(SPEEDS), initial_value="a tenth")
+            self._speed = server.gui.add_dropdown("speed", list(self._speeds), initial_value="a tenth")
             self._larger = server.gui.add_slider("motions larger", 1.0, 20.0, 0.5, exaggeration)
             server.gui.add_markdown(PLAYED)
         self._time.on_update(lambda _: self._show())
@@ -158,7 +159,7 @@ class Controls:
         """Let so much time pass [s]."""
         if self._play.value:
             last = float(self._player.motion.times[-1])
-            self._time.value = (self._time.value + SPEEDS[self._speed.value] * seconds) % last
+            self._time.value = (self._time.value + self._speeds[self._speed.value] * seconds) % last
 
     def _show(self) -> None:
         times = self._player.motion.times
