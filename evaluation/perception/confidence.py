@@ -250,7 +250,7 @@ def main() -> None:
     seen = [s for s in found if s is not None]
     if args.fit:
         for file, weights in fit(seen).items():
-            print(f"{file}: FITTED = ({', '.join(f'{w:.2f}' for w in weights)})")
+            print(f"{file}: fitted = ({', '.join(f'{w:.2f}' for w in weights)})")
         return
     numbers = metrics(found)
     finish(args, numbers, *report(numbers, seen))

@@ -111,7 +111,7 @@ def main() -> None:
         if s is not None and len(s.arcs):
             found.evidence += list(place_evidence(s.stem, s.skeleton, s.arcs[::SPARSE]))
             found.right += s.place_right[::SPARSE].tolist()
-    names = ("skeleton/support.py: BASE_FITTED", "skeleton/support.py: BASE_SEEN", "grasp/_candidates.py: FITTED")
+    names = ("skeleton/support.py: of_base", "skeleton/support.py: of_seen", "grasp/_candidates.py: fitted")
     fitted = [*fit_root(found.choices), logistic(np.array(found.evidence), np.array(found.right))]
     for name, weights in zip(names, fitted, strict=True):
         print(f"{name} = ({', '.join(f'{weight:.2f}' for weight in weights)})")

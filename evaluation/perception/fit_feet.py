@@ -103,7 +103,7 @@ def main() -> None:
         evidence, right = (np.concatenate(parts) for parts in list(zip(*found, strict=True))[:2])
         if weights is None:
             weights = logistic(evidence, right)
-            print(f"skeleton/plants.py: FITTED = ({', '.join(f'{weight:.2f}' for weight in weights)})")
+            print(f"skeleton/plants.py: fitted = ({', '.join(f'{weight:.2f}' for weight in weights)})")
         taken = probability(weights.tolist(), evidence) >= 0.5
         hidden = sum(choice.hidden for choice in found)
         missed, wrong = np.count_nonzero(right & ~taken), np.count_nonzero(taken & ~right)

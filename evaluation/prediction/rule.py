@@ -68,8 +68,7 @@ class Rule(NamedTuple):
 
 def _errors(change: Callable[[Any], Any]) -> dict[str, Any]:
     """Return the tables of errors (intercepts, slopes, spreads), all changed."""
-    tables = {name: {kind: change(rows) for kind, rows in getattr(decision, name).items()} for name in _TABLES}
-    return tables | {"MEASURED_ERROR": change(decision.MEASURED_ERROR)}
+    return {name: {kind: change(rows) for kind, rows in getattr(decision, name).items()} for name in _TABLES}
 
 
 _TABLES = ("ERRORS", "OBSERVED_ERRORS")

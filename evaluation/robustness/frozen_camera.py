@@ -81,7 +81,7 @@ LIES: dict[str, tuple[Lie, tuple[int, ...]]] = {
 }
 """What the camera shows, and from which look on."""
 MORE = 1.13
-"""Amplitudes are weighed in steps of 12 % (`escalation._option.AMPLITUDE_COUNT`): a shake further by one is as far."""
+"""Amplitudes are weighed in steps of 12 % (`escalation._option.Option`): a shake further by one is as far."""
 HEALTHY, UNNOTICED = "healthy", "all moves by half"
 """Half of what a plant does that is three times softer is what one would do that is half again as soft as believed."""
 

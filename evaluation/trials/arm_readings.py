@@ -1,8 +1,8 @@
 """How far an arm's gripper goes beside what its joints read: links hang on springs, and an arm reads its motors.
 
 Simulated Sawyers whose truth is drawn wide (`anther.sim.truth.WIDE`) hold nothing and move their grip along a line, at
-all of `TONES` at once, with 1 m/s2 each. On these were set `ARM_MODE`, `ARM_ERROR`, `ARM_FOLLOWS` and `ARM_ASIDE` of
-`anther.pollination.escalation._knowledge`.
+all of `TONES` at once, with 1 m/s2 each. On these were set, in
+`anther.pollination.escalation._knowledge`, `ARM_MODE`, `ARM_ERROR`, and how far an arm follows and goes aside.
 
 Keys of --json, each for a tone <hz>: error_<hz>, error_75_<hz> and error_90_<hz>, quantiles of what is wrong in the
 readings over what was commanded; beyond_<hz>, what the gripper does over what is read, median; follows_<hz> and

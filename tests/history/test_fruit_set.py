@@ -14,7 +14,7 @@ from scipy.special import expit
 
 from anther.core.errors import InputError
 from anther.history import Outcome
-from anther.history.fruit_set import GRID, NAMES, PRIORS, Count, _quantiles, counts_of, fit, pollen_dose, worth
+from anther.history.fruit_set import NAMES, PRIORS, Count, _quantiles, counts_of, fit, pollen_dose, worth
 from anther.plant import ShakeRecord, Visit
 from anther.show.pictures.estimates import draw_fruit_set
 
@@ -107,11 +107,10 @@ def test_intervals_hold_as_often_as_they_say() -> None:
 
 
 @pytest.mark.slow
-def test_the_grid_is_fine_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_grid_is_fine_enough() -> None:
     counts = drawn(np.random.default_rng(1), 0.4, 0.8, 20.0, 0.1, plants=40)
     coarse = fit(counts)
-    monkeypatch.setattr("anther.history.fruit_set.GRID", tuple(3 * n // 2 for n in GRID))
-    fine = fit(counts)
+    fine = fit(counts, shape=(25, 25, 34, 19))
     for name in NAMES:
         (m, low, high), (m2, low2, high2) = coarse.interval(name), fine.interval(name)
         assert np.abs([m - m2, low - low2, high - high2]).max() < 0.06 * (high2 - low2), name

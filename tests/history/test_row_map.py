@@ -191,7 +191,7 @@ def test_hooks_of_a_house_file_are_recognised_by_their_spacing_alone(where: str)
 
 def test_the_posterior_is_the_sum_over_all_alignments() -> None:
     """By brute force: all monotone alignments of three hooks to three, over all slides."""
-    rng, bins = np.random.default_rng(3), match.BINS
+    rng, bins = np.random.default_rng(3), 96
     slides, tails = np.linspace(-0.4, 0.4, bins), 4.0
     kernel = match._kernel(slides, 0.02, 0.1)
     moved, scale = rng.normal(0, 0.1, (3, 3)), rng.uniform(0.03, 0.06, (3, 3))

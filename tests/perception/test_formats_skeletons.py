@@ -173,8 +173,8 @@ def rings(scene: trimesh.Scene) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     centres, radii, even = [], [], []
     for mesh in scene.geometry.values():
         for tube in mesh.split(only_watertight=False):
-            ends = np.flatnonzero(np.bincount(tube.faces.ravel(), minlength=len(tube.vertices)) == gltf.SIDES)
-            body = np.delete(tube.vertices, ends[-2:], axis=0).reshape(-1, gltf.SIDES, 3)
+            ends = np.flatnonzero(np.bincount(tube.faces.ravel(), minlength=len(tube.vertices)) == 12)
+            body = np.delete(tube.vertices, ends[-2:], axis=0).reshape(-1, 12, 3)
             centres.append(body.mean(axis=1))
             spread = np.linalg.norm(body - centres[-1][:, None], axis=2)
             radii.append(spread.mean(axis=1))

@@ -24,9 +24,6 @@ from anther.core.geometry import Intrinsics, look_at  # noqa: E402
 from anther.perception.capture import Capture  # noqa: E402
 from anther.perception.masks import FLOWER, PLANT  # noqa: E402
 from anther.perception.masks._networks import (  # noqa: E402
-    SAM2_MEAN,
-    SAM2_STD,
-    SAM3_MEAN,
     GroundedSam2,
     Sam3,
     chosen_boxes,
@@ -108,10 +105,10 @@ def test_no_boxes() -> None:
 
 @pytest.mark.parametrize("side", [32, 160], ids=["smaller", "larger"])
 def test_images_are_prepared_as_pillow_would(images: Any, side: int) -> None:
-    ours = normalised(images, (side, side), CPU, SAM2_MEAN, SAM2_STD).numpy().transpose(0, 2, 3, 1)
+    ours = normalised(images, (side, side), CPU, GroundedSam2.mean, GroundedSam2.std).numpy().transpose(0, 2, 3, 1)
     other = [np.asarray(Image.fromarray(i).resize((side, side), Image.Resampling.BILINEAR)) / 255 for i in images]
-    other = (np.stack(other) - SAM2_MEAN) / SAM2_STD
-    one_grey_level = 1 / 255 / min(SAM2_STD)  # Pillow rounds once more, between rows and columns
+    other = (np.stack(other) - GroundedSam2.mean) / GroundedSam2.std
+    one_grey_level = 1 / 255 / min(GroundedSam2.std)  # Pillow rounds once more, between rows and columns
     assert np.abs(ours - other).max() < 1.01 * one_grey_level
 
 
@@ -185,7 +182,7 @@ def test_masks_agree_with_the_whole_network_run_on_one_image(networks: GroundedS
     for image, corners, masks in zip(images, boxes, ours, strict=True):
         with torch.inference_mode():
             answer = whole(
-                pixel_values=normalised(image[None], (SIDE, SIDE), CPU, SAM2_MEAN, SAM2_STD),
+                pixel_values=normalised(image[None], (SIDE, SIDE), CPU, GroundedSam2.mean, GroundedSam2.std),
                 input_boxes=(corners.cpu() * scale)[None],
                 multimask_output=False,
             )
@@ -204,7 +201,7 @@ def test_sam3_agrees_with_the_whole_network_run_on_one_image(models: Path, image
         for k, words in enumerate(("leaves", "stem", "flower")):
             text = tokenizer([words], padding="max_length", max_length=32, return_tensors="pt")
             with torch.inference_mode():
-                answer = whole(pixel_values=normalised(image[None], (56, 56), CPU, SAM3_MEAN, SAM3_MEAN), **text)
+                answer = whole(pixel_values=normalised(image[None], (56, 56), CPU, Sam3.mean, Sam3.std), **text)
             score = (answer.pred_logits[0].sigmoid() * answer.presence_logits[0].sigmoid()).numpy()
             best = [q for q in np.argsort(-score)[:4] if score[q] >= 0.2]
             other = [

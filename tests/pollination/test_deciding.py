@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from anther.pollination.execution._concurrent import EXTENSION, PATIENCE, DecisionThread
+from anther.pollination.execution._concurrent import DecisionThread
 from anther.robot.devices import LEAD, ArmSample
 from anther.robot.swing import Swing, motion
 
@@ -61,8 +61,10 @@ def test_until_a_late_decision_is_there_the_pads_swing_on_as_they_do(decided: th
     assert not deciding.pending
     assert list(after.amplitudes) == list(NEXT.amplitudes)
     pieces = [FIRST, longer, again, after]
-    assert [piece.begin for piece in pieces] == pytest.approx([0.0, 2.0, 2.0 + EXTENSION, 2.0 + 2 * EXTENSION])
-    times = np.arange(0.5, 2.0 + 2 * EXTENSION, 1e-3)
+    assert [piece.begin for piece in pieces] == pytest.approx(
+        [0.0, 2.0, 2.0 + DecisionThread.extension, 2.0 + 2 * DecisionThread.extension]
+    )
+    times = np.arange(0.5, 2.0 + 2 * DecisionThread.extension, 1e-3)
     steady = sum(a * np.sin(2 * np.pi * f * times) for a, f in zip(FIRST.amplitudes, FIRST.frequencies, strict=True))
     assert motion(pieces, times)[0] == pytest.approx(steady, abs=1e-9)
     before, behind = (motion(pieces, [after.begin + dt]) for dt in (-1e-6, 1e-6))
@@ -79,8 +81,8 @@ def test_what_a_decision_raises_is_raised() -> None:
 
 
 def test_a_piece_that_goes_on_is_long_enough_to_be_asked_about_and_the_answer_leaves_time_to_check_it() -> None:
-    assert EXTENSION > LEAD
-    assert PATIENCE < LEAD / 2
+    assert DecisionThread.extension > LEAD
+    assert DecisionThread.patience < LEAD / 2
 
 
 def assert_same(one: Swing, other: Swing) -> None:

@@ -19,7 +19,6 @@ from anther.pollination.decision import believed, worth
 from anther.pollination.escalation import Escalation, Params
 from anther.pollination.escalation import _foresight as foresight_module
 from anther.pollination.escalation._knowledge import (
-    ARM_ASIDE,
     Answer,
     Observation,
     draw_gripper_errors,
@@ -178,7 +177,7 @@ def test_a_swing_counts_as_what_it_grows_to_and_as_it_is_where_it_dies_out() -> 
 def test_the_slowest_frame_rate_that_tells_all_tones_apart_is_taken(
     shaken: Shaken, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(escalation, "LOOK", 0.2)
+    monkeypatch.setattr(Escalation, "least_look", 0.2)
     for seed in range(10):
         foresight = made_foresight(seed)
         tones = TONES * np.random.default_rng(seed).uniform(0.5, 3)
@@ -429,7 +428,7 @@ def test_the_time_ends_a_shake_that_could_be_raised_further(
     shaken: Shaken, monkeypatch: pytest.MonkeyPatch, seconds: float
 ) -> None:
     foresight = made_foresight(1)
-    monkeypatch.setattr(escalation, "LOOK", 0.4)
+    monkeypatch.setattr(Escalation, "least_look", 0.4)
     monkeypatch.setattr(escalation, "HOLD", 0.6)
     params = Params(most_seconds=seconds)
     world = World(foresight, foresight.vectors[4], plan=replace(FREE, tones=made_plan((1e-4,) * 3).tones))
@@ -486,7 +485,7 @@ def test_a_weak_organ_of_each_kind_ends_the_shake(shaken: Shaken, kind: str) -> 
 def test_a_slow_tone_is_left_as_slowly_as_it_is_begun(
     shaken: Shaken, monkeypatch: pytest.MonkeyPatch, best: int
 ) -> None:
-    monkeypatch.setattr(escalation, "RAMP", 0.01)
+    monkeypatch.setattr(Escalation, "least_ramp", 0.01)
     gains = [4.0 if tone == best else 0.7 for tone in range(3)] / (TONES / TONES[0]) ** 2
     foresight = made_foresight(2, gains=gains)
     world = World(foresight, foresight.vectors[3], plan=FREE)
@@ -496,7 +495,7 @@ def test_a_slow_tone_is_left_as_slowly_as_it_is_begun(
 def test_members_differ_in_the_grippers_motion_by_what_is_doubted_and_lines_add_up() -> None:
     along, across = np.eye(3)[0], np.eye(3)[1]
     drawn = draw_gripper_errors(4000, along, 2)
-    assert np.mean(np.abs(drawn) ** 2, axis=0) == pytest.approx([1 + ARM_ASIDE**2, ARM_ASIDE**2, ARM_ASIDE**2], rel=0.1)
+    assert np.mean(np.abs(drawn) ** 2, axis=0) == pytest.approx([1 + 0.3**2, 0.3**2, 0.3**2], rel=0.1)
     both = draw_gripper_errors(4000, along + across, 2)
     assert both == pytest.approx(drawn + draw_gripper_errors(4000, across, 2))
 

@@ -13,9 +13,8 @@ from sample_plants import branched
 from anther.plant.limits import stalk_strain
 from anther.plant.model import TOMATO, build_plant
 from anther.pollination import decision
-from anther.pollination.decision import BANDS, OBSERVED_ERRORS, expected
+from anther.pollination.decision import OBSERVED_ERRORS, expected
 from anther.pollination.escalation import _foresight as foresight_module
-from anther.pollination.escalation import _knowledge as knowledge
 from anther.pollination.escalation._foresight import (
     Foresight,
     evidence,
@@ -25,7 +24,6 @@ from anther.pollination.escalation._foresight import (
     watch_points,
 )
 from anther.pollination.escalation._knowledge import (
-    ARM_FOLLOWS,
     Observation,
     Prediction,
     correct_for_links,
@@ -289,9 +287,8 @@ def test_a_late_clock_is_found(late: float) -> None:
 def trusted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let members be trusted, and loads as they are narrowed."""
     monkeypatch.setattr(foresight_module, "MISFIT", 1e-3)
-    sure = ((0.0,) * len(BANDS), (1.0,) * len(BANDS), (1e-9,) * len(BANDS))
+    sure = ((0.0,) * 4, (1.0,) * 4, (1e-9,) * 4)
     monkeypatch.setattr(decision, "OBSERVED_ERRORS", dict.fromkeys(OBSERVED_ERRORS, sure))
-    monkeypatch.setattr(decision, "MEASURED_ERROR", sure)
 
 
 @pytest.mark.usefixtures("trusted")
@@ -463,7 +460,7 @@ def test_the_more_is_in_sight_the_less_members_differ() -> None:
 def test_depth_tells_of_fast_tones_only_swings_that_it_cannot_feign() -> None:
     foresight = made_foresight(3)
     at = look(World(foresight, foresight.vectors[5], depth=True))
-    far = np.abs(at.swings.phasors[:FLOWERS, 1, 2]) >= knowledge.LEAST_DEPTH_MOTION
+    far = np.abs(at.swings.phasors[:FLOWERS, 1, 2]) >= 1e-3
     assert 0 < far.sum() < FLOWERS
     for factor, told_by_depth in ((1.0, True), (FAST / TONES[1], True), (1.01 * FAST / TONES[1], far)):
         quick = foresight._replace(frequencies=factor * TONES)
@@ -518,12 +515,11 @@ def test_depth_that_is_read_tells_what_cannot_be_seen_across() -> None:
     assert np.abs(flat).max() > 0.1
 
 
-def test_the_points_that_are_watched_lie_far_from_each_other_and_on_no_stalk(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_points_that_are_watched_lie_far_from_each_other_and_on_no_stalk() -> None:
     """Each is the one farthest from all before it."""
     skeleton, stem, flowers = branched()
     plant = build_plant(skeleton, stem, flowers, None, TOMATO)
-    monkeypatch.setattr(foresight_module, "MOST_POINTS", 8)
-    chosen, places = watch_points(plant), plant.rods.nodes
+    chosen, places = watch_points(plant, most=8), plant.rods.nodes
     assert len(chosen) == len(np.unique(chosen)) == 8
     assert not plant.is_pedicel[chosen].any()
     assert not np.isin(chosen, plant.flower_nodes).any()
@@ -539,7 +535,7 @@ def test_the_faster_an_arm_swings_the_less_its_readings_count_and_never_less_tha
     assert swing[:2, 0] == pytest.approx([1.0, 1.10], abs=0.03), "links run ahead of their motors"
     assert np.all(np.diff(doubt) > 0)
     assert doubt[0] < 0.001
-    assert pytest.approx(doubt[3], rel=0.01) == ARM_FOLLOWS
+    assert pytest.approx(doubt[3], rel=0.01) == 0.9
     assert abs(swing[3, 0]) < 0.01
 
 

@@ -35,7 +35,6 @@ from anther.pollination.grasp._candidates import candidates_along, directions_ac
 from anther.pollination.grasp._clearance import BRANCH as PETIOLE
 from anther.pollination.grasp._clearance import (
     FAR,
-    KINDS,
     LEAF,
     OBSTACLE,
     Surroundings,
@@ -365,7 +364,7 @@ def test_clearance_of_one_ball_is_its_distance_from_the_fingers(point, distance)
     gripper = GripperShape(body=())
     ball = Surroundings(np.array([point]), np.zeros(1), np.array([OBSTACLE]), np.zeros(1))
     met = clearance(np.eye(4)[None], ball, gripper.boxes(0.1), gripper.closing())
-    assert met.distance.shape == (1, KINDS)
+    assert met.distance.shape == (1, 7)
     assert met.distance[0, OBSTACLE] == pytest.approx(distance, abs=1e-5)
     assert met.touched[0, OBSTACLE] == (distance < 0.002)
 

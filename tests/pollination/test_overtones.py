@@ -14,7 +14,7 @@ from anther.pollination.escalation._knowledge import (
     predict,
 )
 from anther.pollination.response.points import Swings
-from anther.pollination.response.thresholds import LARGE, OVERTONES, overtones
+from anther.pollination.response.thresholds import overtones
 
 OWN = slice(0, 2)
 
@@ -51,7 +51,7 @@ def test_a_swing_that_still_grows_keeps_its_shape() -> None:
 
 
 def test_overtones_are_looked_for_where_swings_are_large_enough() -> None:
-    assert [overtones(hertz) for hertz in (0.5, 5.0, LARGE, 1.01 * LARGE, 40.0)] == [OVERTONES] * 3 + [0] * 2
+    assert [overtones(hertz) for hertz in (0.5, 5.0, 8.0, 8.08, 40.0)] == [2] * 3 + [0] * 2
 
 
 def test_a_flower_whose_acceleration_is_sharper_feels_more_and_bends_its_pedicel_as_much_more() -> None:

@@ -24,7 +24,6 @@ from anther.pollination.response._petals import (
     follow,
     petal_weight,
 )
-from anther.pollination.response.thresholds import LARGE
 from anther.robot.devices import Frame
 from anther.sim.robot import SimCamera
 
@@ -87,7 +86,7 @@ def test_amplitude_and_frequency_are_measured(amplitude: float, frequency: float
     assert np.abs(response.amplitude - truth).max() < max(0.0003, 0.1 * truth.max())
     assert response.frequency == pytest.approx(np.full(3, frequency), rel=0.01 if amplitude > 0.001 else 0.02)
     sine = response.amplitude * (2 * np.pi * response.frequency) ** 2
-    assert response.acceleration_peak == pytest.approx(sine, rel=1e-6 if frequency > LARGE else 0.06)
+    assert response.acceleration_peak == pytest.approx(sine, rel=1e-6 if frequency > 8.0 else 0.06)
 
 
 def test_a_swing_that_is_no_sine_is_measured_with_its_overtones() -> None:

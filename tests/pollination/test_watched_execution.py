@@ -14,7 +14,7 @@ from test_execution import GRASP, PLANNER, Blind, Plan
 
 from anther.core.errors import InputError
 from anther.pollination.execution import PHASES, ShakeDirection, Step, Trial, execute
-from anther.pollination.execution._concurrent import EXTENSION, PATIENCE, DecisionThread
+from anther.pollination.execution._concurrent import DecisionThread
 from anther.pollination.grasp import STAND_OFF
 from anther.robot.arm import sawyer
 from anther.robot.devices import LEAD, ArmSample, DeviceError, Frame, Robot
@@ -137,11 +137,11 @@ def test_only_by_the_arms_clock_is_a_decision_late() -> None:
     Timer(0.1, decided.set).start()
     assert deciding.wait_for_next(first, decide).amplitudes == pytest.approx(wanted.amplitudes)
     decided.clear()
-    Timer(0.05, lambda: felt.append(replace(felt[0], time=2 * PATIENCE))).start()
+    Timer(0.05, lambda: felt.append(replace(felt[0], time=2 * DecisionThread.patience))).start()
     longer = deciding.wait_for_next(first, decide)
     assert deciding.pending
     assert longer.amplitudes == pytest.approx(first.amplitudes)
-    assert longer.seconds == EXTENSION
+    assert longer.seconds == DecisionThread.extension
     decided.set()
     late = deciding.wait_for_next(longer, decide)
     assert late.begin == longer.begin + longer.seconds

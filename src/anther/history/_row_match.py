@@ -31,10 +31,6 @@ WEEK = {
     "tails": (2.0, 10.0),  # degrees of freedom of Student's t, of positions and appearances
 }
 """What a week does: least and most, drawn evenly in the logarithm. All are guesses."""
-DRAWS = 32
-"""A power of two, as Sobol's points want."""
-BINS = 96
-"""Slides that are told apart."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,11 +76,13 @@ def align(stored: Hooks, seen: Hooks, weeks: float) -> tuple[Array, float]:
     pitch = (seen.end - seen.begin) / len(seen.position)
     slide = 0.35  # m in a week that hooks slide at most: lowering moves a stem by half a plant (facts: rows D)
     most = slide * weeks + 0.05 + 3 * float(np.sqrt(2 * seen.drift.max()))
-    slides = np.linspace(-most, most, BINS)
+    bins = 96  # slides that are told apart
+    slides = np.linspace(-most, most, bins)
     low, high = _band(stored.position, seen.position, most + pitch)
-    evidence, shares = np.empty(DRAWS), np.empty((DRAWS, *moved.shape))
+    draws = 32  # a power of two, as Sobol's points want
+    evidence, shares = np.empty(draws), np.empty((draws, *moved.shape))
     sweep, combine = cast(Any, _forward), cast(Any, _combined)
-    for k, week in enumerate(_weeks(weeks)):
+    for k, week in enumerate(_weeks(weeks, draws)):
         skip, add = _left_out(stored, seen, week, slide * weeks / 2, pitch)
         weight = np.exp(_likeness(stored, seen, week)) * (1 - skip)[:, None]
         own = stored.variance[:, None] + seen.variance + week["scatter"] ** 2 + np.diff(slides)[0] ** 2 / 12
@@ -102,7 +100,7 @@ def align(stored: Hooks, seen: Hooks, weeks: float) -> tuple[Array, float]:
     total = float(np.logaddexp.reduce(evidence))
     weight = np.exp(evidence - total)
     strange = len(seen.position) * log(1 / pitch)
-    return np.tensordot(weight, shares, 1).T, total - log(DRAWS) - strange
+    return np.tensordot(weight, shares, 1).T, total - log(draws) - strange
 
 
 def _band(stored: Array, seen: Array, most: float) -> tuple[Array, Array]:
@@ -111,9 +109,9 @@ def _band(stored: Array, seen: Array, most: float) -> tuple[Array, Array]:
     return np.append(np.append(0, low[1:]), low[-1] if len(low) else 0), np.append(high, len(seen))
 
 
-def _weeks(weeks: float) -> list[dict[str, float]]:
+def _weeks(weeks: float, draws: int) -> list[dict[str, float]]:
     """Return draws of what the time between two passes does: moves and changes grow with it, misses do not."""
-    z, drawn = qmc.Sobol(len(WEEK), rng=0).random(DRAWS), []
+    z, drawn = qmc.Sobol(len(WEEK), rng=0).random(draws), []
     for row in z:
         of_week = {name: float(a * (b / a) ** u) for u, (name, (a, b)) in zip(row, WEEK.items(), strict=True)}
         walk = {name: of_week[name] * weeks**0.5 for name in ("step", "scatter")}
@@ -122,13 +120,14 @@ def _weeks(weeks: float) -> list[dict[str, float]]:
 
 
 def _kernel(slides: Array, step: float, jump: float) -> Array:
-    """Return (BINS, BINS) the probability of each slide after each, the same both ways."""
-    apart = np.arange(2 * BINS - 1) - (BINS - 1)
+    """Return (S, S) the probability of each of S slides after each, the same both ways."""
+    bins = len(slides)
+    apart = np.arange(2 * bins - 1) - (bins - 1)
     near = np.exp(-0.5 * (apart * np.diff(slides)[0] / step) ** 2)
     near /= near.sum()
-    table = near[BINS - 1 + np.arange(BINS)[:, None] - np.arange(BINS)]
+    table = near[bins - 1 + np.arange(bins)[:, None] - np.arange(bins)]
     table += np.diag(1 - table.sum(1))  # what would leave the range stays
-    return (1 - jump) * table + jump / BINS
+    return (1 - jump) * table + jump / bins
 
 
 def _likeness(stored: Hooks, seen: Hooks, week: dict[str, float]) -> Array:
@@ -170,14 +169,14 @@ def _inside(position: Array, spread: float, section: Hooks) -> Array:
 
 @njit(cache=True)
 def _density(z, scale, slides, tails):  # type: ignore[no-untyped-def]
-    """Return (BINS,) Student's t of a move about each slide."""
+    """Return (S,) Student's t of a move about each slide."""
     constant = exp(lgamma((tails + 1) / 2) - lgamma(tails / 2)) / (sqrt(tails * pi) * scale)
     return constant * (1 + ((z - slides) / scale) ** 2 / tails) ** (-(tails + 1) / 2)
 
 
 @njit(cache=True)
 def _forward(moved, scale, weight, skip, add, low, high, slides, kernel, tails):  # type: ignore[no-untyped-def]
-    """Return sums over all alignments of the first hooks, (N + 1, W, BINS), their scales, and the logarithm of all.
+    """Return sums over all alignments of the first hooks, (N + 1, W, S), their scales, and the logarithm of all.
 
     A cell (i, j - low[i]) has i stored hooks and j of the pass behind it, its slide moved on to the next match. Between
     two matches stored hooks are left out before those of the pass: each alignment counts once.

@@ -25,8 +25,6 @@ if TYPE_CHECKING:  # the database's library takes half a second
     from anther.plant.visit import Visit
 
 NAMES = ("unshaken", "gain", "half_dose", "likeness", "exponent")
-GRID = (17, 17, 23, 13)
-"""Points of the posterior's grid along each of the first of `NAMES`."""
 EXPONENTS = np.array([1.0, 1.5, 2.0])
 """n, each as likely before any count (facts: pollination 6: 1 to 2)."""
 
@@ -171,7 +169,7 @@ class FruitSet:
         return tuple(notes)
 
 
-def fit(counts: Sequence[Count], prior: Prior = PRIORS["tomato"]) -> FruitSet:
+def fit(counts: Sequence[Count], prior: Prior = PRIORS["tomato"], shape: Sequence[int] = (17, 17, 23, 13)) -> FruitSet:
     """Return the posterior of the dose-response.
 
     A count is beta-binomial with mean P(set) (module's docstring) and intraclass correlation `likeness`, so that many
@@ -182,13 +180,14 @@ def fit(counts: Sequence[Count], prior: Prior = PRIORS["tomato"]) -> FruitSet:
     Args:
         counts: of one crop.
         prior: of the crop.
+        shape: points of that grid along each of the first of `NAMES`.
     """
     priors = np.array([getattr(prior, name) for name in NAMES[:4]])
     low, high = priors[:, 0] - 4 * priors[:, 1], priors[:, 0] + 4 * priors[:, 1]
     for _ in range(3):
-        mean, deviation = _marginals(*_posterior(counts, priors, low, high, [n // 2 + 1 for n in GRID]))
+        mean, deviation = _marginals(*_posterior(counts, priors, low, high, [n // 2 + 1 for n in shape]))
         low, high = np.maximum(low, mean - 4.5 * deviation), np.minimum(high, mean + 4.5 * deviation)
-    axes, weights = _posterior(counts, priors, low, high, GRID)
+    axes, weights = _posterior(counts, priors, low, high, shape)
     grid = np.stack([g.ravel() for g in np.meshgrid(*axes, EXPONENTS, indexing="ij")], axis=1)
     flat = weights.ravel()
     kept = flat > 1e-7 * flat.max()

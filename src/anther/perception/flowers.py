@@ -16,12 +16,10 @@ from anther.perception.masks import FLOWER
 from anther.perception.skeleton import Skeleton
 from anther.perception.skeleton.raw_tree import edge_lengths, longest_way
 from anther.perception.skeleton.voxel_solid import components
-from anther.perception.stem import BRANCH, LEAF, LONGEST_PEDICEL, PEDICEL, TRUSS, Stem
+from anther.perception.stem import BRANCH, LEAF, PEDICEL, TRUSS, Stem
 
 APART = 0.012
 """Least distance between the centres of two flowers [m]: about the width of a corolla (facts: pollination 2)."""
-GRID = 0.0015
-"""Points are thinned to one per cube of this edge [m]: the cloud's own spacing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,19 +69,20 @@ def flower_centres(cloud: Cloud) -> Array:
     points = cloud.points[cloud.labels == FLOWER]
     if not len(points):
         return np.zeros((0, 3))
-    _, first = np.unique(np.rint(points / GRID).astype(np.int64), axis=0, return_index=True)
+    edge = 0.0015  # m of the cubes that hold one point each, once thinned: the cloud's own spacing
+    _, first = np.unique(np.rint(points / edge).astype(np.int64), axis=0, return_index=True)
     points = points[first]
     pieces = [part for group in _groups(points, 0.005) for part in _split(points[group])]
     middles = np.array([piece.mean(axis=0) for piece in pieces])
     joined = [np.concatenate([pieces[k] for k in group]) for group in _groups(middles, APART)]
-    real = [flower.mean(axis=0) for flower in joined if _is_flower(flower)]
+    real = [flower.mean(axis=0) for flower in joined if _is_flower(flower, edge)]
     return np.array(real).reshape(-1, 3)
 
 
-def _is_flower(points: Array) -> bool:
-    """Return whether points (N, 3) of the grid are no speck, 3 mm or 8 points, and no scatter of specks on a leaf."""
+def _is_flower(points: Array, edge: float) -> bool:
+    """Return whether points (N, 3), one a cube, are no speck, 3 mm or 8 points, and no scatter of specks on a leaf."""
     extent = _extent(points)
-    covered = len(points) * GRID**2 / (np.pi / 4 * max(extent, GRID) ** 2)
+    covered = len(points) * edge**2 / (np.pi / 4 * max(extent, edge) ** 2)
     return len(points) >= 8 and extent >= 0.003 and covered >= 0.45
 
 
@@ -154,10 +153,11 @@ def _pedicel_bases(skeleton: Skeleton, stem: Stem) -> NDArray[Any]:
     """Return (J,) the node itself, but for a truss no longer than a pedicel the node it leaves: it is the pedicel."""
     base, foot = np.arange(len(stem.organ)), np.arange(len(stem.organ))
     way = longest_way(skeleton.parent, edge_lengths(skeleton.nodes, skeleton.parent))
+    longest = 0.025  # m, a pedicel with its flower: 9 to 22 mm (facts: pollination 2)
     for j in np.flatnonzero(stem.organ == TRUSS):
         p = skeleton.parent[j]
         foot[j] = foot[p] if stem.organ[p] == TRUSS else j
-        if way[foot[j]] <= LONGEST_PEDICEL:
+        if way[foot[j]] <= longest:
             base[j] = skeleton.parent[foot[j]]
     return base
 

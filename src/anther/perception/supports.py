@@ -24,8 +24,6 @@ from anther.perception.stem import Stem
 
 __all__ = ["Evidence", "find_supports", "log_odds", "notes_beside"]
 
-_GAP = 0.15  # a line may be hidden over this share of the plant's size
-
 
 def find_supports(cloud: Cloud) -> Cloud:
     """Return the cloud with its supports set apart: out of the plant's points, into `Cloud.supports`.
@@ -126,6 +124,11 @@ class _Scene:
     size: float
     coarse: bool = False
 
+    def gap(self, step: float) -> int:
+        """Return over how many steps [m] a line may be hidden."""
+        share = 0.15  # of the plant's size
+        return max(int(share * self.size / step), 1)
+
     @classmethod
     def of(cls, cloud: Cloud) -> _Scene:
         points = cloud.points
@@ -189,7 +192,7 @@ def _straight_lines(scene: _Scene) -> Array:
     reach = np.arange(-1.0, 1.0, scene.cell / np.linalg.norm(np.ptp(scene.points, axis=0)))
     reach *= np.linalg.norm(np.ptp(scene.points, axis=0))
     held = occupied(middle[:, None] + reach[:, None] * along[:, None])
-    gap = max(int(_GAP * scene.size / scene.cell), 1)
+    gap = scene.gap(scene.cell)
     closed = ndimage.binary_closing(np.pad(held, ((0, 0), (gap, gap))), np.ones((1, gap + 1)))[:, gap:-gap]
     centre = len(reach) // 2
     closed[:, centre] = True
@@ -442,7 +445,7 @@ def _measured(scene: _Scene, axis: _Rod) -> _Rod:
     usual = np.median(many[np.flatnonzero(axis.alone) - first])
     seen = np.flatnonzero(many >= 0.3 * usual) + first
     core = np.flatnonzero(axis.alone)
-    gap = max(int(_GAP * scene.size / step), 1)
+    gap = scene.gap(step)
     low = _followed(core[0], seen[seen < core[0]][::-1], -gap)
     high = _followed(core[-1], seen[seen > core[-1]], gap)
     alone = np.zeros(high + 1 - low, dtype=bool)

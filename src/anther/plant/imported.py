@@ -18,9 +18,6 @@ from anther.perception.stem import LOW, Stem, find_stem
 from anther.perception.stem import Params as StemParams
 
 Place = tuple[float, float, float]
-STEM = {"tomato": 5e-3, "pepper": 6e-3}
-"""Radius of a main stem at its base [m]: tomato 4 to 6 mm, remembered, no source found; pepper 5 and 7 mm at harvest
-(facts: pollination 2)."""
 ROOTLESS = (".txt", ".ply")
 """Files that do not name the root."""
 
@@ -58,7 +55,9 @@ def read_source(
     elif path.suffix.lower() in ROOTLESS:
         source = source.rooted_at().without_scraps()
     bare = radius is None and source.radius is None
-    return source, source.skeleton(assume_radii(source, STEM[crop]) if bare else radius, least)
+    # m: tomato 4 to 6 mm, remembered, no source found; pepper 5 and 7 mm at harvest (facts: pollination 2)
+    at_base = {"tomato": 5e-3, "pepper": 6e-3}
+    return source, source.skeleton(assume_radii(source, at_base[crop]) if bare else radius, least)
 
 
 def upright(source: SkeletonFile, up: Axis | None) -> SkeletonFile:

@@ -62,8 +62,6 @@ DOSE_MEASURES = {"acceleration": (0, 0.6), "jerk": (1, 0.25), "velocity": (-1, 0
 """Measure of a flower's motion that may be what frees pollen -> its power of the frequency over that of acceleration,
 and how probable it is. A judgement: 5 m/s2 at 100 Hz raised yield, which speaks for jerk and against velocity (facts:
 limits 7)."""
-SAME_DOSE = 10.0
-"""Where all of them free as much as `HALF_DOSE` [Hz], in the middle of what arms and motors do: a judgement."""
 LOADED = dict(zip(PEAKS, TOLERANCE.values(), strict=True))
 """Kind of load (`PEAKS`) -> what is believed of what bears it."""
 WIND = np.array([2.0, 4.0, 6.0])

@@ -19,7 +19,6 @@ from anther.core.geometry import Array
 from anther.core.records import Flat, Range, Record, flat, read_tree, unflat
 from anther.plant._material import Material
 
-KIND, SCHEMA = "visit", 1
 Result = Literal["pollinated", "held", "failed"]
 """What became of a visit: held, unharmed and its flowers moved; held and unharmed only; neither."""
 Finite = Range(-1e9, 1e9)
@@ -231,6 +230,7 @@ class Visit(Record):
         parameters: what the run was asked for, with the versions.
     """
 
+    KIND, SCHEMA = "visit", 1
     DERIVED: ClassVar = {
         "success": (bool, lambda v: v.success),
         "result": (str, lambda v: v.result),
@@ -388,7 +388,7 @@ class Visit(Record):
 
     def save(self, path: Path | str) -> None:
         """Write trial.json."""
-        write_json(path, {"kind": KIND, "schema": SCHEMA, **self.flat()})
+        write_json(path, {"kind": self.KIND, "schema": self.SCHEMA, **self.flat()})
 
     @staticmethod
     def load(path: Path | str) -> Visit:
@@ -398,7 +398,7 @@ class Visit(Record):
             InputError: missing, no visit, of another schema number, or with a value that cannot be.
         """
         with understood(path):
-            return Visit.of(read_tree(path, KIND, SCHEMA))
+            return Visit.of(read_tree(path, Visit.KIND, Visit.SCHEMA))
 
 
 MOTIONS = (

@@ -24,7 +24,6 @@ from anther.plant.limits import (
     DOSE_MEASURES,
     GUSTS,
     HALF_DOSE,
-    SAME_DOSE,
     STALK_SPREAD,
     TOLERANCE,
     Believed,
@@ -39,13 +38,7 @@ COSTS = {"base_strain": 0.1, "stem_strain": 3.0, "leaf_load": 0.1, "grip_force":
 slips. A judgement: a stem's bend costs this truss and the next two; a leaf is one of ten that feed the fruit, and the
 base that is bent most is a leaf's (97 % of 1,440 shakes of the plants of `stalk_strain`; flowers on a bent peduncle are
 counted as lost); a slip costs bark, besides this visit's fruit, which `worth` takes off."""
-EXPONENT = 1.5
-"""n of the share of pollen freed, a^n / (a^n + half^n): between 1 and 2 (facts: pollination 6)."""
-GRIP = Believed(1.0, 0.25)
-"""Of the friction that pads have over that which a planner counts with: median and spread of ln, a guess."""
 
-BANDS = np.array([6.0, 17.0, 28.0, 70.0])
-"""Middles of 1-14, 14-20, 20-40 and 40-120 Hz, between which errors go as the logarithm of the frequency does [Hz]."""
 Errors = Mapping[str, tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]]
 ERRORS: Errors = {
     "flowers": ((0.06, 0.13, -0.20, -0.75), (0.81, 0.48, 0.46, 0.75), (0.56, 0.75, 0.78, 0.89)),
@@ -55,9 +48,9 @@ ERRORS: Errors = {
     "grip_force": ((-0.69,) * 4, (1.0,) * 4, (0.55,) * 4),
 }
 """ln(true / omega^2) = intercept + slope ln(modelled / omega^2), per metre of the grip, with a standard deviation
-beside what members explain: the three in each of the `BANDS`. Where a model errs by as much as plants differ, what it
-says to be large is less so, and what it says to be small is more: the slope is below 1. Of the grip's force without
-omega.
+beside what members explain: the three in each of the bands of `believed`. Where a model errs by as much as plants
+differ, what it says to be large is less so, and what it says to be small is more: the slope is below 1. Of the grip's
+force without omega.
 
 Fitted by likelihood to 80 simulated plants whose truth no stage believes, four grips each (`python -m
 evaluation.prediction.belief --development --plants 80`); without that option it checks them on others. Of the grip's
@@ -68,11 +61,11 @@ OBSERVED_ERRORS: Errors = {
     "stem_strain": ((-0.12, -1.40, -1.81, -0.70), (0.97, 0.84, 0.82, 0.97), (0.48, 0.40, 0.35, 0.34)),
     "leaf_load": ((0.34, 0.90, 0.78, -0.78), (1.01, 0.43, 0.36, 0.42), (0.42, 0.50, 0.54, 0.89)),
     "grip_force": ((-0.69,) * 4, (1.0,) * 4, (0.55,) * 4),
+    "measured_flowers": ((0.25, 0.35, -0.3, -0.5), (1.0,) * 4, (0.4, 0.4, 0.6, 0.8)),
 }
-"""The same once a camera has seen this shake at a small amplitude, of all that was not measured itself."""
-MEASURED_ERROR = ((0.25, 0.35, -0.3, -0.5), (1.0,) * 4, (0.4, 0.4, 0.6, 0.8))
-"""The same of a flower whose swing was measured: 32 flowers of nine trials in the simulated cell, films and all;
-checked on others by `evaluation.trials.shaking`."""
+"""The same once a camera has seen this shake at a small amplitude, of all that was not measured itself; and of flowers
+whose swing was measured: 32 flowers of nine trials in the simulated cell, films and all; checked on others by
+`evaluation.trials.shaking`."""
 
 
 Curve = Callable[[Array, Array], Array]
@@ -149,10 +142,12 @@ def believed(kind: str, values: Array, hertz: ArrayLike, measured: bool | None =
         measured: whether a camera that observed this shake measured this flower; of other kinds either will do. None:
             nothing was observed.
     """
-    table = (ERRORS if measured is None else OBSERVED_ERRORS)[kind]
-    rows = MEASURED_ERROR if measured and kind == "flowers" else table
+    row_of = "measured_flowers" if measured and kind == "flowers" else kind
     at = np.log(np.asarray(hertz, dtype=np.float64))
-    intercept, slope, spread = (np.interp(at, np.log(BANDS), row) for row in rows)
+    # Hz: middles of 1-14, 14-20, 20-40 and 40-120 Hz, between which errors go as the logarithm of the frequency does
+    bands = np.log([6.0, 17.0, 28.0, 70.0])
+    rows = (ERRORS if measured is None else OBSERVED_ERRORS)[row_of]
+    intercept, slope, spread = (np.interp(at, bands, row) for row in rows)
     inertia = 0.0 if kind == "grip_force" else 2 * (at + np.log(2 * np.pi))
     none = 1e-12  # a load per metre that is not more is none: there is no such organ
     logs = np.log(np.maximum(values, none))
@@ -213,7 +208,9 @@ def worth(
         for kind, organ in (("base_strain", "base"), ("stem_strain", "stem"), ("leaf_load", "leaf"))
     }
     bent["leaf_load"] = np.where(hertz > GUSTS, 0.0, bent["leaf_load"])
-    (bent["grip_force"],) = means(answer.grip_force / np.asarray(held), "grip_force", _failure_curve(GRIP))
+    # of the friction that pads have over that which a planner counts with: median and spread of ln, a guess
+    grip = Believed(1.0, 0.25)
+    (bent["grip_force"],) = means(answer.grip_force / np.asarray(held), "grip_force", _failure_curve(grip))
     others = np.sum([cost * bent[kind] for kind, cost in COSTS.items()], axis=0)
     return Worth(gain, freed, lost, bent, others, (1 - bent["grip_force"]) * gain - price * (lost + others))
 
@@ -222,9 +219,11 @@ def _dose_curve(hertz: Array, power: int) -> Curve:
     """Return the curve of the share of pollen freed by a measure of motion, see `DOSE_MEASURES`."""
 
     def freed(logs: Array, spread: Array) -> Array:
+        exponent = 1.5  # n of the share freed, a^n / (a^n + half^n): between 1 and 2 (facts: pollination 6)
         probit = 1.702  # a logistic curve is so much steeper than the nearest normal distribution (Camilli 1994)
-        width = np.sqrt((probit / EXPONENT) ** 2 + HALF_DOSE.spread**2 + spread**2)
-        return ndtr((logs + power * np.log(hertz / SAME_DOSE) - np.log(HALF_DOSE.median)) / width)
+        width = np.sqrt((probit / exponent) ** 2 + HALF_DOSE.spread**2 + spread**2)
+        same = 10.0  # Hz where all measures free as much, in the middle of what arms and motors do: a judgement
+        return ndtr((logs + power * np.log(hertz / same) - np.log(HALF_DOSE.median)) / width)
 
     return freed
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from anther.core.geometry import Array
 from anther.plant.source import SourcePlant, held_nodes
 from anther.pollination.shake._actuators import Actuator, arm_shaker
-from anther.pollination.shake.choice import FLOWER_ACCELERATION, MOST_SPEED
+from anther.pollination.shake.choice import MOST_SPEED
 from anther.pollination.shake.observables import semi_major
 from anther.pollination.shake.params import Params
 from anther.robot.arm.sawyer import SAWYER
@@ -124,7 +124,8 @@ def map_grips(
         clamp = replace(plant.clamp, nodes=np.concatenate([plant.clamp.nodes, nodes]))
         resonances.append(natural_frequencies(plant.rods, clamp, MODES).frequencies)
     mean = ratio.mean(axis=-1) * (amplitude * (2 * np.pi * frequencies) ** 2)[:, None]
-    allowed = (mean <= FLOWER_ACCELERATION) & _machine_allows(frequencies, amplitude, actuator)[:, None]
+    useful = 200.0  # m/s2 of the flowers on average; more does not help
+    allowed = (mean <= useful) & _machine_allows(frequencies, amplitude, actuator)[:, None]
     distance = plant.distances()[np.asarray(grips)]
     values = (distance, amplitude, direction, ratio, np.array(resonances), allowed)
     return GripMap(frequencies, np.asarray(grips), *values)

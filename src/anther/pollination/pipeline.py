@@ -286,8 +286,9 @@ def _shaken(
     actuator = shake.arm_shaker(arm_limit) if by_arm else shake.VIBRATING_GRIPPER
     robot, pressing = replace(cell.robot, motor=None) if by_arm else cell.robot, cell.limits.pressing
 
+    slack = 0.6  # a grasp whose score is lower than the best's by more is tried when the better ones failed
     while True:
-        offered = [g for g in grasps if g.score >= grasps[0].score - grasp.SLACK]
+        offered = [g for g in grasps if g.score >= grasps[0].score - slack]
         try:
             plan = run.stage(
                 "shake plan",

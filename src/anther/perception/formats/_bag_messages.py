@@ -25,12 +25,6 @@ from anther.core.geometry import Array, Intrinsics, inverse, transform_from_pose
 from anther.perception.formats._realsense_bag import unpacked
 from anther.perception.images import is_intact
 
-_COLORS: dict[str, tuple[int, int | None]] = {
-    "rgb8": (3, None), "bgr8": (3, cv2.COLOR_BGR2RGB), "rgba8": (4, cv2.COLOR_RGBA2RGB),
-    "bgra8": (4, cv2.COLOR_BGRA2RGB), "mono8": (1, cv2.COLOR_GRAY2RGB), "8UC1": (1, cv2.COLOR_GRAY2RGB),
-    "yuv422_yuy2": (2, cv2.COLOR_YUV2RGB_YUY2), "yuyv": (2, cv2.COLOR_YUV2RGB_YUY2),
-    "YUYV": (2, cv2.COLOR_YUV2RGB_YUY2), "yuv422": (2, cv2.COLOR_YUV2RGB_UYVY), "UYVY": (2, cv2.COLOR_YUV2RGB_UYVY),
-}  # fmt: skip
 _MILLIMETRES = {"16UC1", "mono16"}
 _PNG = b"\x89PNG"
 _ZSTD_FORMAT = re.compile(r"(\w+); zstd; (\d+)x(\d+) step=(\d+)")
@@ -92,10 +86,16 @@ def colour_image(topic: str, message: Any) -> NDArray[np.uint8]:
         if image is None:
             raise bad_input(topic, given=f"damaged {message.format}", allowed="JPEG or PNG", do="Record it again.")
         return np.asarray(image[..., ::-1], dtype=np.uint8)
-    if message.encoding not in _COLORS:
-        allowed, do = ", ".join(_COLORS), "Name another colour topic."
+    encodings: dict[str, tuple[int, int | None]] = {  # channels, and how OpenCV makes RGB of them
+        "rgb8": (3, None), "bgr8": (3, cv2.COLOR_BGR2RGB), "rgba8": (4, cv2.COLOR_RGBA2RGB),
+        "bgra8": (4, cv2.COLOR_BGRA2RGB), "mono8": (1, cv2.COLOR_GRAY2RGB), "8UC1": (1, cv2.COLOR_GRAY2RGB),
+        "yuv422_yuy2": (2, cv2.COLOR_YUV2RGB_YUY2), "yuyv": (2, cv2.COLOR_YUV2RGB_YUY2),
+        "YUYV": (2, cv2.COLOR_YUV2RGB_YUY2), "yuv422": (2, cv2.COLOR_YUV2RGB_UYVY), "UYVY": (2, cv2.COLOR_YUV2RGB_UYVY),
+    }  # fmt: skip
+    if message.encoding not in encodings:
+        allowed, do = ", ".join(encodings), "Name another colour topic."
         raise bad_input(topic, given=f"encoding {message.encoding}", allowed=allowed, do=do)
-    channels, conversion = _COLORS[message.encoding]
+    channels, conversion = encodings[message.encoding]
     pixels = _pixels(topic, message, np.dtype(np.uint8), channels)
     return pixels if conversion is None else np.asarray(cv2.cvtColor(pixels, conversion), dtype=np.uint8)
 

@@ -22,9 +22,6 @@ from anther.core.geometry import Array
 from anther.perception.formats._mtg import successors
 from anther.perception.skeleton import Skeleton
 
-SIDES = 12
-"""Vertices of a ring. Every node has one ring of its own radius, centred on it; ends are closed by a fan."""
-
 
 def write_glb(path: Path | str, skeleton: Skeleton, labels: Sequence[str] | None = None) -> None:
     """Write a skeleton as .glb: one mesh an organ name, "skeleton" without labels."""
@@ -80,7 +77,8 @@ def _axes(skeleton: Skeleton, labels: Sequence[str] | None) -> Iterator[tuple[ND
 def _tube(centres: Array, radius: Array) -> tuple[Array, NDArray[Any]]:
     """Return (vertices, faces) of rings around a polyline, normal to the mean of the edges that meet there.
 
-    The frame is carried along without twist: every ring's first axis is the last one's, made normal to the tangent.
+    Every node has one ring of its own radius, centred on it; ends are closed by a fan. The frame is carried along
+    without twist: every ring's first axis is the last one's, made normal to the tangent.
     """
     steps = np.diff(centres, axis=0)
     steps /= np.maximum(np.linalg.norm(steps, axis=1, keepdims=True), 1e-12)
@@ -89,7 +87,8 @@ def _tube(centres: Array, radius: Array) -> tuple[Array, NDArray[Any]]:
     tangents[folded] = np.concatenate([steps[:1], steps])[folded]
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
     across = np.eye(3)[np.argmin(np.abs(tangents[0]))]
-    angle = 2 * np.pi * np.arange(SIDES) / SIDES
+    count = 12  # vertices of a ring
+    angle = 2 * np.pi * np.arange(count) / count
     rings = []
     for centre, tangent, r in zip(centres, tangents, radius, strict=True):
         normal = across - (across @ tangent) * tangent
@@ -99,22 +98,22 @@ def _tube(centres: Array, radius: Array) -> tuple[Array, NDArray[Any]]:
         rings.append(
             centre + r * (np.outer(np.cos(angle), across) + np.outer(np.sin(angle), np.cross(tangent, across)))
         )
-    return np.concatenate([*rings, centres[[0, -1]]]), _faces(len(centres))
+    return np.concatenate([*rings, centres[[0, -1]]]), _faces(len(centres), count)
 
 
-def _faces(rings: int) -> NDArray[Any]:
-    """Return the triangles between the rings and of both end fans, seen from outside counter-clockwise."""
-    k = np.arange(SIDES)
-    turn = (k + 1) % SIDES
-    near = SIDES * np.arange(rings - 1)[:, None]
+def _faces(rings: int, count: int) -> NDArray[Any]:
+    """Return the triangles between rings of `count` vertices and of both end fans, counter-clockwise from outside."""
+    k = np.arange(count)
+    turn = (k + 1) % count
+    near = count * np.arange(rings - 1)[:, None]
     sides = [
-        np.stack([near + k, near + turn, near + SIDES + turn], axis=-1),
-        np.stack([near + k, near + SIDES + turn, near + SIDES + k], axis=-1),
+        np.stack([near + k, near + turn, near + count + turn], axis=-1),
+        np.stack([near + k, near + count + turn, near + count + k], axis=-1),
     ]
-    first, last = SIDES * rings, SIDES * rings + 1
-    end = SIDES * (rings - 1)
+    first, last = count * rings, count * rings + 1
+    end = count * (rings - 1)
     fans = [
-        np.stack([np.full(SIDES, first), turn, k], axis=-1),
-        np.stack([np.full(SIDES, last), end + k, end + turn], axis=-1),
+        np.stack([np.full(count, first), turn, k], axis=-1),
+        np.stack([np.full(count, last), end + k, end + turn], axis=-1),
     ]
     return np.concatenate([part.reshape(-1, 3) for part in (*sides, *fans)])

@@ -111,7 +111,7 @@ class SkeletonFile(Record):
 
     def without_scraps(self) -> SkeletonFile:
         """Return the tree without what leaves the root and stays low: soil in the scan. What goes up stays."""
-        ceiling = self.nodes[0, 2] + LOW * np.ptp(self.nodes[:, 2])
+        ceiling = _ceiling(self.nodes[0], self.nodes)
         limb = np.arange(len(self.nodes))  # of each node, the child of the root that it hangs on
         for j in range(1, len(limb)):
             limb[j] = j if self.parent[j] == 0 else limb[self.parent[j]]
@@ -252,8 +252,10 @@ def assume_radii(source: SkeletonFile, base: float) -> Array:
     return np.maximum(base * np.sqrt(carried / carried[0]), THINNEST)
 
 
-LOW = 0.15
-"""A scrap of soil lies within this share of the plant's height."""
+def _ceiling(base: Array, nodes: Array) -> float:
+    """Return the height below which a scrap of soil lies [m]: a share of the plant's above its base (3,)."""
+    share = 0.15
+    return float(base[2] + share * np.ptp(nodes[:, 2]))
 
 
 def _base(nodes: Array, edges: NDArray[Any]) -> int:
@@ -268,7 +270,7 @@ def _base(nodes: Array, edges: NDArray[Any]) -> int:
         way.append(int(parent[way[-1]]))
     path = nodes[way]
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
-    ceiling = path[0, 2] + LOW * np.ptp(nodes[:, 2])
+    ceiling = _ceiling(path[0], nodes)
     for k in np.flatnonzero(path[:, 2] <= ceiling):
         ahead = slice(k + 1, int(np.searchsorted(arc, arc[k] + 0.03)) + 1)
         if len(arc[ahead]) and np.all(path[ahead, 2] - path[k, 2] >= 0.5 * (arc[ahead] - arc[k])):

@@ -24,8 +24,6 @@ OUTSIDE, OTHER, GREEN, YELLOW, WHITE, GREEN_NO_DEPTH = range(6)
 STEPS = 64
 """Steps of a table in each channel: 4 grey levels wide, just above the noise of a camera."""
 
-_DARK = 30  # sum of the channels below which a pixel has no colour
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ColourRule:
@@ -71,7 +69,7 @@ class Light:
         half as much of it as of its strongest colour.
         """
         sample = rgb[:, ::16, ::16].reshape(-1, 3).astype(np.float64)
-        lit = sample[_of_channels(np.add, sample) >= _DARK]
+        lit = sample[~_is_dark(sample)]
         gains, lamp, grey, balanced = np.ones(3), np.ones(3), lit, lit
         for _ in range(4):
             if len(grey):
@@ -97,7 +95,7 @@ def green_rule(light: Light, params: Params) -> ColourRule:
     level = np.arange(STEPS) * (256 / STEPS) + (256 / STEPS - 1) / 2
     r, g, b = np.meshgrid(*(level * gain for gain in light.gains), indexing="ij")
     colour = np.stack([r, g, b], axis=-1)
-    high, total = _of_channels(np.maximum, colour), _of_channels(np.add, colour)
+    high = _of_channels(np.maximum, colour)
     saturated = saturation(colour)
     yellow_value = np.clip(0.5 * light.leaf, 20, 200)
     white_value = np.clip(0.9 * light.leaf, 40, 220)
@@ -106,7 +104,7 @@ def green_rule(light: Light, params: Params) -> ColourRule:
         table[(saturated <= 0.25) & (high >= white_value)] = WHITE
     yellow = (r >= 0.9 * g) & (g >= 0.58 * r) & (high >= yellow_value)
     table[(saturated >= 0.45) & yellow] = YELLOW
-    table[total < _DARK] = OTHER
+    table[_is_dark(colour)] = OTHER
     return ColourRule(table.astype(np.uint8), _alike(light.leaf))
 
 
@@ -145,6 +143,11 @@ def _excess_green(colour: NDArray[Any]) -> Array:
 def saturation(colour: NDArray[Any]) -> NDArray[Any]:
     """Return the saturation, 0..1, of colours (..., 3)."""
     return np.asarray(1 - _of_channels(np.minimum, colour) / (_of_channels(np.maximum, colour) + 1e-9))
+
+
+def _is_dark(colour: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return which (..., 3) are too dark to have a colour, by the sum of the channels."""
+    return np.asarray(_of_channels(np.add, colour) < 30)
 
 
 def _of_channels(combined: np.ufunc, colour: NDArray[Any]) -> NDArray[Any]:

@@ -21,11 +21,6 @@ from torch.nn import functional
 
 from anther.core.errors import InputError, bad_input
 
-SAM2_MEAN, SAM2_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-"""Of red, green, blue, 0..1: ImageNet's, which SAM 2's image processor uses."""
-SAM3_MEAN = SAM3_STD = (0.5, 0.5, 0.5)
-"""Of red, green, blue, 0..1, as in SAM 3's image processor."""
-
 
 def load_network(kind: Any, folder: Path) -> Any:
     """Return a network, of its class in transformers, with the weights in a folder, on the GPU where there is one.
@@ -115,7 +110,13 @@ def _quietly() -> Iterator[None]:
 
 
 class GroundedSam2:
-    """Both networks, ready to run on a `device`."""
+    """Both networks, ready to run on a `device`.
+
+    Attributes:
+        mean, std: of red, green, blue, 0..1: ImageNet's, which SAM 2's image processor uses.
+    """
+
+    mean, std = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
     def __init__(
         self, detector: Any, tokenizer: Any, processor: Any, outliner: Any, *, score: float, most: int
@@ -176,7 +177,7 @@ class GroundedSam2:
         if not any(map(len, boxes)):
             return masks
         side = sides(self._outliner.config.prompt_encoder_config.image_size)
-        features = self._outliner.get_image_embeddings(normalised(images, side, self.device, SAM2_MEAN, SAM2_STD))
+        features = self._outliner.get_image_embeddings(normalised(images, side, self.device, self.mean, self.std))
         scale = torch.tensor([side[1] / width, side[0] / height] * 2, device=self.device)
         for image, corners in enumerate(boxes):
             here = [feature[image : image + 1] for feature in features]
@@ -223,7 +224,13 @@ def chosen_boxes(
 
 
 class Sam3:
-    """The network, ready to run on a `device`."""
+    """The network, ready to run on a `device`.
+
+    Attributes:
+        mean, std: of red, green, blue, 0..1, as in SAM 3's image processor.
+    """
+
+    mean = std = (0.5, 0.5, 0.5)
 
     def __init__(self, network: Any, tokenizer: Any, *, score: float, most: int) -> None:
         self.device = torch.device(network.device)
@@ -246,7 +253,7 @@ class Sam3:
         found: list[list[NDArray[Any]]] = [[] for _ in images]
         with told_when_memory_is_full(len(images)):
             side = sides(self._network.config.vision_config.image_size)
-            pixels = normalised(images, side, self.device, SAM3_MEAN, SAM3_STD)
+            pixels = normalised(images, side, self.device, self.mean, self.std)
             seen = self._network.get_vision_features(pixel_values=pixels)
             for word in words:
                 for image, masks in enumerate(self._outlines(seen, word, images.shape[:3])):

@@ -34,8 +34,6 @@ if TYPE_CHECKING:
 VOXEL = 0.005
 """Edge of the cells in which the views vote [m]; above the kinematic pose error (3.6 mm RMS, facts: perception) so that
 views agree."""
-RIM_HEIGHT = 0.05
-"""A pot's rim is at most this far above its soil [m]."""
 GROUND_MARGIN = 0.008  # what lies less than this above the ground is ground [m]
 
 
@@ -148,17 +146,18 @@ def ground_cells(
     for level, slab in slabs:
         centres = _opaque(_eroded(slab, sure), lowest, level, voxel)
         height[cv2.dilate(centres, sure) > 0] = level
-    top = height.max() + RIM_HEIGHT / voxel
+    rim = 0.05 / voxel  # cells; m, at most so far is a pot's rim above its soil
+    top = height.max() + rim
     for level, slab in slabs:
         if level <= top:
             height[(cv2.dilate(_eroded(slab, disc), disc) > 0) & (height < level)] = level
     height = _extended(height, radius / voxel)
     if rings:
         wall = _wall_heights(slabs, solid.shape[:2], disc, voxel)
-        height = np.where(wall - height > RIM_HEIGHT / voxel, wall, height)
+        height = np.where(wall - height > rim, wall, height)
     levels = np.arange(solid.shape[2])
     below = levels[None, None, :] <= (height + GROUND_MARGIN / voxel)[:, :, None]
-    return below, _rim_zone(height, levels, voxel)
+    return below, _rim_zone(height, levels, voxel, rim)
 
 
 def foot_cells(plant: NDArray[np.bool_], below: NDArray[np.bool_], voxel: float) -> NDArray[np.bool_]:
@@ -241,13 +240,13 @@ def _opaque(centres: NDArray[Any], lowest: NDArray[Any], level: int, voxel: floa
     return opaque[patch].astype(np.uint8)
 
 
-def _rim_zone(height: NDArray[Any], levels: NDArray[Any], voxel: float) -> NDArray[np.bool_]:
-    """Return the cells (X, Y, Z) about the edge of every raised surface, up to `RIM_HEIGHT` above it."""
+def _rim_zone(height: NDArray[Any], levels: NDArray[Any], voxel: float, rim: float) -> NDArray[np.bool_]:
+    """Return the cells (X, Y, Z) about the edge of every raised surface, up to so many cells above it."""
     reach = _disc(0.025 / voxel)
     around = height.astype(np.float32)
     highest, lowest = cv2.dilate(around, reach), cv2.erode(around, reach)
     step = highest - lowest > 0.02 / voxel
-    top = np.where(step, highest + RIM_HEIGHT / voxel, -1.0)
+    top = np.where(step, highest + rim, -1.0)
     return levels[None, None, :] <= top[:, :, None]
 
 

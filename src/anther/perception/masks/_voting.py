@@ -122,23 +122,21 @@ def _bleeds(rgb: NDArray[Any], depth: NDArray[Any], pixels: NDArray[np.int64], a
     return bleeding
 
 
-_LABEL = np.zeros((6, 7), dtype=np.uint8)  # by the pixel's colour class and by its cell
-_LABEL[GREEN] = 1
-_LABEL[GREEN, GROUND] = 0
-_LABEL[[[OTHER], [YELLOW], [WHITE]], [BROWN_CELL, FLOWER_CELL]] = 1, 2
-_LABEL[YELLOW, GREEN_CELL] = 1
-_LABEL[[YELLOW, WHITE], NEAR_FLOWER] = 2
-
-
 def read_back(depth: NDArray[Any], camera: Array, classes: NDArray[Any], cells: NDArray[Any]) -> NDArray[np.uint8]:
     """Return one view's labels (H, W), 0 background, 1 plant, 2 flower, from what its cells (X, Y, Z) were found to be.
 
     A green pixel is plant unless its cell is ground. Others need a cell that holds a brown part or a flower: next to
     green parts they are background that the depth sensor's matching window fattened the plant with.
     """
+    label = np.zeros((6, 7), dtype=np.uint8)  # by the pixel's colour class and by its cell
+    label[GREEN] = 1
+    label[GREEN, GROUND] = 0
+    label[[[OTHER], [YELLOW], [WHITE]], [BROWN_CELL, FLOWER_CELL]] = 1, 2
+    label[YELLOW, GREEN_CELL] = 1
+    label[[YELLOW, WHITE], NEAR_FLOWER] = 2
     at = _cell_of(depth, camera, cells.shape).ravel()
     seen, labels = np.flatnonzero(at >= 0), np.zeros(depth.shape, dtype=np.uint8)
-    labels.ravel()[seen] = _LABEL[classes.ravel()[seen], cells.ravel()[at[seen]]]
+    labels.ravel()[seen] = label[classes.ravel()[seen], cells.ravel()[at[seen]]]
     return labels
 
 

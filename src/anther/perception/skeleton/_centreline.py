@@ -255,10 +255,6 @@ def _radii(curves: Curves, points: Array, fattening: float) -> Curves:
     return replace(curves, radius=radius, width=np.maximum(width, radius))
 
 
-_ENOUGH = 200
-"""Points of a section beyond these are thinned: more cost time alone."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class CrossSections:
     """The points around each node, projected along its tangent.
@@ -293,7 +289,8 @@ def cross_sections(points: Array, nodes: Array, tangent: Array, before: NDArray[
     start = np.searchsorted(owner[order], np.arange(len(nodes) + 1))
     around = np.stack([before, np.arange(len(nodes)), after], axis=1)
     count, table = np.zeros(len(nodes), np.int64), np.zeros((len(nodes), 8))
-    scratch = np.empty((2 * _ENOUGH, 2)), *np.empty((2, 2 * _ENOUGH))
+    enough = 200  # points of a section beyond these are thinned: more cost time alone
+    scratch = np.empty((2 * enough, 2)), *np.empty((2, 2 * enough))
     _measured(points[order], start, nodes, tangent, around, count, table, *scratch)
     return CrossSections(count, table[:, :3], *table[:, 3:].T)
 
@@ -302,13 +299,14 @@ def cross_sections(points: Array, nodes: Array, tangent: Array, before: NDArray[
 def _measured(points, start, nodes, tangent, around, counts, out, flat, away, some):
     """Fill (J,) counts and (J, 8) rows of `CrossSections`; node j owns the points start[j] to start[j + 1].
 
-    The others are scratch: NumPy's own functions would take seconds to compile.
+    The others are scratch, for twice as many points as are enough: NumPy's own functions would take seconds to compile.
     """
+    enough = len(flat) // 2
     for j in range(len(nodes)):
         total = 0
         for k in around[j]:
             total += start[k + 1] - start[k] if k >= 0 else 0
-        step, seen, count = -(-total // _ENOUGH) if total else 1, 0, 0
+        step, seen, count = -(-total // enough) if total else 1, 0, 0
         (u, v, w), (a, b, c) = _across(tangent[j, 0], tangent[j, 1], tangent[j, 2])
         for k in around[j]:
             if k < 0:

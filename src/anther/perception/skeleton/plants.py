@@ -33,9 +33,6 @@ from anther.perception.skeleton.voxel_solid import (
 
 __all__ = ["Plants", "find_plants"]
 
-FITTED = (-18.11, 2.88, 0.75, 4.9, 15.47)
-"""Constant and weights of `_evidence` in the log-odds that a stem stands at a minimum of height:
-`python -m evaluation.perception.fit_feet`."""
 _FINEST = 100
 """Voxels along the scene's height: stems a thirtieth of it apart keep apart."""
 _BRIDGE = 0.15
@@ -87,7 +84,9 @@ def find_plants(
     """
     graph = _graph(points)
     minima = _minima(graph)
-    chance = probability(FITTED, _evidence(graph, minima))
+    # constant and weights of the evidence in the log-odds that a stem stands there: `evaluation.perception.fit_feet`
+    fitted = (-18.11, 2.88, 0.75, 4.9, 15.47)
+    chance = probability(fitted, _evidence(graph, minima))
     named = None if root is None else _named(graph, np.asarray(root, dtype=np.float64), minima, chance)
     chance = np.where(minima == named, 1.0, chance)  # who names it knows
     feet = minima[chance >= 0.5]

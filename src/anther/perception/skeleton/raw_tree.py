@@ -71,14 +71,12 @@ def edge_lengths(nodes: Array, parent: Parents) -> Array:
 
 BLADE = 0.65
 """Flatness beyond which a line runs in a blade: midribs have 0.85 in the median, petioles 0.4 (simulated plants)."""
-ALPHA = 2.0
-"""Exponent of the mean radius in the path score S (paper P10)."""
 
 
 def path_gain(nodes: Array, parent: Parents, radius: Array) -> Array:
     """Return (J,) what the edge above each node adds to the path score S (paper P10).
 
-    S = sum over edges of L_e * r_e^ALPHA * (1 + dz_e / L_e), with r_e relative to the thickest node, so that S does not
+    S = sum over edges of L_e * r_e^2 * (1 + dz_e / L_e), with r_e relative to the thickest node, so that S does not
     depend on units. The paper has |dz_e|; there a drooping leaf counts as upright, so here falling edges
     lose what rising ones gain.
     """
@@ -86,7 +84,7 @@ def path_gain(nodes: Array, parent: Parents, radius: Array) -> Array:
     above = np.maximum(parent, 0)
     mean_radius = (radius + radius[above]) / 2 / radius.max()
     rise = nodes[:, 2] - nodes[above, 2]
-    return length * mean_radius**ALPHA * np.maximum(1 + rise / np.maximum(length, 1e-12), 0)
+    return length * mean_radius**2.0 * np.maximum(1 + rise / np.maximum(length, 1e-12), 0)
 
 
 def longest_way(parent: Parents, gain: Array) -> Array:

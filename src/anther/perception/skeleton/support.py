@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from anther.core.geometry import Array
 from anther.perception.skeleton.raw_tree import (
-    ALPHA,
     RawTree,
     along_tree,
     edge_lengths,
@@ -26,9 +25,6 @@ from anther.perception.skeleton.raw_tree import (
 )
 from anther.perception.skeleton.voxel_solid import nearest
 
-FITTED = (-4.12, 4.63, 6.58)
-"""Constant and weights of `node_support` in the log-odds: `python -m evaluation.perception.confidence --fit`."""
-
 
 def node_confidence(nodes: Array, parent: NDArray[Any], radius: Array, flatness: Array, points: Array) -> Array:
     """Return (J,) the probability that an organ's axis lies within 5 mm of each node.
@@ -36,7 +32,9 @@ def node_confidence(nodes: Array, parent: NDArray[Any], radius: Array, flatness:
     An axis is that of a stem, branch, petiole, rachis or truss: on the blade of a leaf the confidence is low.
     See `node_support` for the arguments.
     """
-    return probability(FITTED, node_support(nodes, parent, radius, flatness, points))
+    # constant and weights of the support in the log-odds: `python -m evaluation.perception.confidence --fit`
+    fitted = (-4.12, 4.63, 6.58)
+    return probability(fitted, node_support(nodes, parent, radius, flatness, points))
 
 
 def probability(fitted: Sequence[float], evidence: Array) -> Array:
@@ -78,12 +76,6 @@ def _tangents(nodes: Array, parent: NDArray[Any]) -> Array:
     return direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12)
 
 
-BASE_FITTED = (-19.95, 12.54, 14.04)
-BASE_SEEN = (2.79, 0.36)
-"""Weights of `base_evidence` in the utility of a base; constant and weight of the best utility in the log-odds that the
-base is in the cloud at all: `python -m evaluation.perception.fit_confidence`."""
-
-
 def stem_gain(tree: RawTree) -> Array:
     """Return (J,) the path gain (P10) by inscribed radius and roundness: a blade is thin however wide it is."""
     gain = path_gain(tree.nodes, tree.parent, tree.thickness)
@@ -105,10 +97,13 @@ def find_root(tree: RawTree, candidates: int = 60) -> PlantBase:
     The tips are the choices of a conditional logit, nested in whether the base is in the cloud (McFadden 1978).
     """
     tips, evidence = base_evidence(tree, candidates)
-    utility = evidence @ np.asarray(BASE_FITTED)
+    # weights of the evidence in the utility of a base; constant and weight of the best utility in the log-odds that the
+    # base is in the cloud at all: `python -m evaluation.perception.fit_confidence`
+    of_base, of_seen = (-19.95, 12.54, 14.04), (2.79, 0.36)
+    utility = evidence @ np.asarray(of_base)
     best = int(np.argmax(utility))
     odds, same = np.exp(utility - utility[best]), same_place(tree, tips, best)
-    seen = float(probability(BASE_SEEN, utility[best : best + 1] + np.log(odds.sum())))
+    seen = float(probability(of_seen, utility[best : best + 1] + np.log(odds.sum())))
     rival = best if same.all() else int(np.argmax(np.where(same, -1, odds)))
     return PlantBase(int(tips[best]), seen * float(odds[same].sum() / odds.sum()), int(tips[rival]))
 
@@ -137,7 +132,7 @@ def base_evidence(tree: RawTree, candidates: int) -> tuple[NDArray[np.int64], Ar
     low = np.count_nonzero(z[tips] <= z.min() + 0.5 * np.ptp(z))
     tips = tips[: min(max(low, 1), candidates)]  # a plant that hangs in an arc has no low tip
     wood = tree.thickness * _roundness(tree)
-    wood = np.minimum(wood / max(float(np.quantile(wood, 0.95)), 1e-12), 1.5) ** ALPHA  # a pot left over is no stem
+    wood = np.minimum(wood / max(float(np.quantile(wood, 0.95)), 1e-12), 1.5) ** 2.0  # a pot left over is no stem
     rising = (z - z[np.maximum(parent, 0)]) * wood  # from another root the way there is walked the other way round
     rise = rising.sum() - 2 * sum_above(parent, rising)
     return order[tips], np.stack([_mean_way(tree)[tips], rise[tips], z.max() - z[tips]], axis=1) / extent

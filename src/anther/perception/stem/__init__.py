@@ -17,7 +17,6 @@ from anther.perception.stem._main_axis import SHORTEST, fork_at, growth_end, pat
 from anther.perception.stem._organs import (
     BRANCH,
     LEAF,
-    LONGEST_PEDICEL,
     ORGAN_NAMES,
     PEDICEL,
     SPUR,
@@ -29,7 +28,7 @@ from anther.perception.stem._organs import (
 from anther.perception.stem.confidence import doubt, find_second_stem, rise_share, stem_confidence
 
 __all__ = [
-    "BRANCH", "LEAF", "LONGEST_PEDICEL", "ORGAN_NAMES", "PEDICEL", "STEM", "TRUSS", "Params", "Stem",
+    "BRANCH", "LEAF", "ORGAN_NAMES", "PEDICEL", "STEM", "TRUSS", "Params", "Stem",
     "find_stem",
 ]  # fmt: skip
 

@@ -30,8 +30,8 @@ PLANAR_BLADE = 0.68
 """Flatness at which a node is as likely on a blade as on an axis (read off the development plants)."""
 SPUR = 2.5
 """Shorter limbs, relative to the stem's half width, are no axis; shorter leaves are not attached to the stem."""
-PEDICEL, LONGEST_PEDICEL = 0.015, 0.025
-"""Length of a pedicel and of the longest with its flower [m]: 9 to 22 mm (facts: pollination 2)."""
+PEDICEL = 0.015
+"""Length of a pedicel [m]: 9 to 22 mm (facts: pollination 2)."""
 
 
 def classify(skeleton: Skeleton, main: NDArray[Any], flowers_at: Array) -> NDArray[np.uint8]:

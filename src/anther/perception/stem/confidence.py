@@ -11,9 +11,6 @@ from anther.core.geometry import Array
 from anther.perception.skeleton import Skeleton
 from anther.perception.skeleton.support import logit, probability
 
-FITTED = (-1.20, 1.48, 5.43)
-"""Constant and weights of `stem_evidence` in the log-odds: `python -m evaluation.perception.confidence --fit`."""
-
 DOUBTFUL = 0.75
 """Below this confidence of stem or grasp the summaries warn."""
 
@@ -26,7 +23,9 @@ def stem_confidence(skeleton: Skeleton, node_ids: NDArray[Any]) -> float | None:
     """
     if skeleton.confidence is None:
         return None
-    return skeleton.rooted * float(probability(FITTED, stem_evidence(skeleton, node_ids)))
+    # constant and weights of the evidence in the log-odds: `python -m evaluation.perception.confidence --fit`
+    fitted = (-1.20, 1.48, 5.43)
+    return skeleton.rooted * float(probability(fitted, stem_evidence(skeleton, node_ids)))
 
 
 def stem_evidence(skeleton: Skeleton, node_ids: NDArray[Any]) -> Array:

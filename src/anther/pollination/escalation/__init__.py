@@ -43,10 +43,6 @@ __all__ = ["SHORTEST", "WORDS", "Escalation", "Foresight", "Params", "foresee", 
 
 
 DEFAULTS = Params()
-RAMP = 0.5
-"""Shortest time of an amplitude change [s]; half a period of the slowest frequency if that is longer."""
-LOOK = 0.6
-"""Least observation of a step [s]."""
 OUT_OF_SIGHT, NO_TIME = "no flower is in sight", "no time is left"
 UNPROVEN = "what was seen does not move as the gripper does"
 RAISED, HOLD = 2.0, 1.2
@@ -76,6 +72,8 @@ class Escalation:
     Attributes:
         plan, params: as given.
         steps: executed so far.
+        least_ramp: shortest time of an amplitude change [s]; half a period of the slowest frequency if that is longer.
+        least_look: least observation of a step [s].
 
     Args:
         plan: gives the grip, the candidate shakes and their modelled limits.
@@ -88,6 +86,8 @@ class Escalation:
         limits: parameters of the shake plan.
         params: see `Params`.
     """
+
+    least_ramp, least_look = 0.5, 0.6
 
     def __init__(
         self,
@@ -383,8 +383,8 @@ class Escalation:
 
     def _ramp_seconds(self, shakes: Sequence[int] | NDArray[np.int64]) -> float:
         """Return the time of an amplitude change of some shakes [s]."""
-        return float(np.max(0.5 / self._frequencies[shakes], initial=RAMP))
+        return float(np.max(0.5 / self._frequencies[shakes], initial=self.least_ramp))
 
     def _watch_seconds(self, shake: int) -> float:
         periods = 2.0  # of a step that are observed at least
-        return max(LOOK, periods / float(self._frequencies[shake]))
+        return max(self.least_look, periods / float(self._frequencies[shake]))

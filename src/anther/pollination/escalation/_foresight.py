@@ -26,8 +26,6 @@ SIGNIFICANCE = 3.0
 FLOWER_SPREAD = 0.65
 """Standard deviation of ln(true over modelled amplitude) of a flower about its plant's mean, measured by us on 16
 simulated plants at 5 and 10 Hz (docs/reports/response.md)."""
-MOST_POINTS = 60
-"""Largest number of tracked points other than flowers."""
 
 
 class Foresight(NamedTuple):
@@ -99,13 +97,13 @@ def foresee(
     return Foresight(frequencies, vectors, where, float(held_radius(plant, grip)[0]), pads.width)
 
 
-def watch_points(plant: PlantModel) -> NDArray[np.int64]:
-    """Return up to `MOST_POINTS` nodes of stem, branches and leaves that lie far from each other: farthest first."""
+def watch_points(plant: PlantModel, most: int = 60) -> NDArray[np.int64]:
+    """Return up to so many nodes of stem, branches and leaves that lie far from each other: farthest first."""
     stalks = plant.is_pedicel | np.isin(np.arange(len(plant.is_pedicel)), plant.flower_nodes)
     nodes = np.flatnonzero(~stalks)
     places = plant.rods.nodes[nodes]
     chosen, gap = [0], np.linalg.norm(places - places[0], axis=1)
-    while len(chosen) < min(MOST_POINTS, len(nodes)):
+    while len(chosen) < min(most, len(nodes)):
         chosen.append(int(gap.argmax()))
         gap = np.minimum(gap, np.linalg.norm(places - places[chosen[-1]], axis=1))
     return nodes[chosen]

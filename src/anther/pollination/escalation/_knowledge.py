@@ -31,9 +31,6 @@ from anther.pollination.shake.observables import ComplexArray, semi_major
 from anther.pollination.shake.params import FAST
 from anther.robot.devices import ArmSample
 
-LEAST_DEPTH_MOTION = 0.001
-"""Least depth motion used above `FAST` [m]: several times the depth error of 0.1 to 0.3 mm; a judgement."""
-
 
 class Prediction(NamedTuple):
     """Prediction of one shake, per metre of commanded amplitude.
@@ -314,10 +311,11 @@ def _predict_members(foresight: Foresight, observation: Observation, i: int) -> 
 def _align_phase(foresight: Foresight, observation: Observation, i: int, delay: float) -> tuple[ComplexArray, Array]:
     """Return (F + P, 3) motion per metre commanded, in the phase of the shake, and its standard deviation.
 
-    Above `FAST`, depth motion below `LEAST_DEPTH_MOTION` is NaN.
+    Above `FAST`, little depth motion is NaN.
     """
     tone, moved = float(foresight.frequencies[observation.frequency_indices[i]]), observation.swings.phasors[:, i]
-    shallow = (tone > FAST) & ~(np.abs(moved[:, 2]) >= LEAST_DEPTH_MOTION)
+    least = 0.001  # m of depth motion, several times the depth error of 0.1 to 0.3 mm; a judgement
+    shallow = (tone > FAST) & ~(np.abs(moved[:, 2]) >= least)
     parts = np.where(shallow[:, None], [1.0, 1.0, np.nan], 1.0)
     turned = parts * np.exp(2j * np.pi * tone * delay) / observation.commanded[i]
     return np.asarray(moved * turned), observation.swings.std * np.abs(turned)
@@ -342,8 +340,6 @@ def measure_sharpness(swings: Swings, own: slice) -> Array:
 ARM_MODE, ARM_ERROR = 28.0, 0.6
 """Compliance of the links: the gripper moves 1 / (1 - (f / `ARM_MODE` [Hz])^2) times as far as the motors read, with a
 relative error of `ARM_ERROR` (f / `FAST`)^3 (evaluation/trials/arm_readings.py)."""
-ARM_FOLLOWS, ARM_ASIDE = 0.9, 0.3
-"""Prior of the arm's motion over its command, at any phase, and its share along other directions (same source)."""
 
 
 def fit_gripper_motion(
@@ -376,7 +372,8 @@ def correct_for_links(readings: ComplexArray, frequencies: Array) -> tuple[Compl
         frequencies: (K,) [Hz].
     """
     error = ARM_ERROR * (frequencies / FAST) ** 3
-    weight = ARM_FOLLOWS**2 / (ARM_FOLLOWS**2 + error**2)
+    follows = 0.9  # prior of the arm's motion over its command, at any phase (evaluation/trials/arm_readings.py)
+    weight = follows**2 / (follows**2 + error**2)
     beyond = 1 / (1 - np.minimum(frequencies / ARM_MODE, 0.7) ** 2)  # nearer to the mode readings count for little
     return readings * (weight * beyond)[:, None], error * np.sqrt(weight)
 
@@ -389,4 +386,5 @@ def draw_gripper_errors(count: int, direction: Array, tone: int) -> ComplexArray
     """
     parts = np.random.default_rng([0, tone]).normal(size=(2, count, 10)) / np.sqrt(2)
     along, aside = np.split(parts[0] + 1j * parts[1], [1], axis=1)
-    return np.asarray(along * direction + ARM_ASIDE * aside.reshape(-1, 3, 3) @ direction, dtype=np.complex128)
+    elsewhere = 0.3  # of the arm's motion over its command, along other directions (evaluation/trials/arm_readings.py)
+    return np.asarray(along * direction + elsewhere * aside.reshape(-1, 3, 3) @ direction, dtype=np.complex128)

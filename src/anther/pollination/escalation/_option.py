@@ -40,8 +40,6 @@ WORDS = {
 """The kinds of load, for people."""
 
 ACTUATOR, DEARER = "what the actuator can do", "more would cost more than it adds"
-AMPLITUDE_COUNT = 60
-"""Number of amplitudes compared, on a logarithmic scale."""
 
 
 class Allowed(NamedTuple):
@@ -96,7 +94,7 @@ class Option:
         best = int(found.net.argmax())
         costs = {"joint_strain": found.lost} | {kind: cost * found.bent[kind] for kind, cost in COSTS.items()}
         dearest = max(costs, key=lambda kind: float(costs[kind][best]))
-        binds = ACTUATOR if best == AMPLITUDE_COUNT - 1 else f"{DEARER}, first by {WORDS[dearest]}"
+        binds = ACTUATOR if best == len(tried) - 1 else f"{DEARER}, first by {WORDS[dearest]}"
         amplitude = float(tried[best])
         return Allowed(amplitude, amplitude * float(np.median(prediction.flowers)), float(found.net[best]), binds)
 
@@ -121,9 +119,9 @@ class Option:
 
     @property
     def _amplitudes(self) -> Array:
-        """The amplitudes compared [m]."""
-        least = 1e-3  # of the actuator's reach
-        return self.reach * np.geomspace(least, 1.0, AMPLITUDE_COUNT)
+        """The amplitudes compared [m], on a logarithmic scale."""
+        least, count = 1e-3, 60  # of the actuator's reach
+        return self.reach * np.geomspace(least, 1.0, count)
 
     def _worth(self, amplitudes: Array) -> Worth:
         prediction = self.prediction

@@ -11,8 +11,6 @@ STEP = 0.0005
 """Closing goes on in such steps [m] until it presses as the plan asks."""
 THINNEST = 0.002
 """The pads are not sent nearer to each other [m]."""
-ENOUGH = 0.95
-"""Share of the force asked for with which the pads press enough: a gripper at its holding force reads a little less."""
 
 
 def close(gripper: Gripper, grasp: Grasp, press: float) -> GripperState:
@@ -35,7 +33,7 @@ def close(gripper: Gripper, grasp: Grasp, press: float) -> GripperState:
     if expected + STEP < state.opening < expected + thickest:
         state = _press(gripper, state.opening + STEP, press, thinnest)
     if state.is_gripping and thinnest - STEP < state.opening <= grasp.stem_diameter + thickest:
-        if state.force >= ENOUGH * press:
+        if _is_enough(state.force, press):
             return state
         given = f"the pads press with {state.force:.1f} N; the plan asks for {press:.1f} N"
         raise StageFailure("limits_exceeded", f"{given}, or the stem slips. Try the next grasp, or a gentler shake.")
@@ -54,6 +52,11 @@ def lost_grip(before: GripperState, after: GripperState) -> str:
     return f"the pads came {1e3 * nearer:.1f} mm nearer: what they held slipped out" if nearer > slid else ""
 
 
+def _is_enough(force: float, press: float) -> bool:
+    """Return whether the pads press as asked [N]: a gripper at its holding force reads a little less."""
+    return force >= 0.95 * press
+
+
 def _press(gripper: Gripper, width: float, press: float, thinnest: float) -> GripperState:
     """Close to a width [m], and on in steps until the pads press, while they are further apart than `thinnest` [m].
 
@@ -62,14 +65,14 @@ def _press(gripper: Gripper, width: float, press: float, thinnest: float) -> Gri
     """
 
     def enough(state: GripperState) -> bool:
-        return state.is_gripping and state.force >= ENOUGH * press
+        return state.is_gripping and _is_enough(state.force, press)
 
     before, state = 0.0, gripper.move(width)
     while not enough(state) and width - STEP > THINNEST - 1e-9 and state.opening > thinnest:
         width -= STEP
         before, state = state.force, gripper.move(width)
     held_off = 0.00015  # m short of where the pads were sent: less than half a count of a Robotiq
-    if enough(state) and (state.opening < width + held_off or before >= ENOUGH * press):
+    if enough(state) and (state.opening < width + held_off or _is_enough(before, press)):
         check_let_go(state, gripper.move(width + STEP))
         state = gripper.move(width)
     return state

@@ -26,9 +26,6 @@ from anther.robot.swing import Swing
 
 APPROACH_SPEED = 0.12
 """Of the flange on the straight way in and out [m/s]."""
-PATIENCE = 0.12
-"""Longest wait for a decision [s]; the rest of a machine's `LEAD` is for checking the next piece."""
-EXTENSION = 0.5  # s; extension of a piece whose successor is not decided yet
 
 
 class ShakeDirection(NamedTuple):
@@ -81,10 +78,16 @@ class WatchedShake(Protocol):
 class DecisionThread:
     """Runs the decisions of a watched shake in a thread.
 
+    Attributes:
+        patience: longest wait for a decision [s]; the rest of a machine's `LEAD` is for checking the next piece.
+        extension: of a piece whose successor is not decided yet [s].
+
     Args:
         samples: the arm's readings so far; grows during the motion. The wait is timed by it, so that a simulated arm,
             whose clock stops meanwhile, waits for every decision.
     """
+
+    patience, extension = 0.12, 0.5
 
     def __init__(self, samples: Sequence[ArmSample]) -> None:
         self._samples, self._pool = samples, ThreadPoolExecutor(1)
@@ -96,12 +99,12 @@ class DecisionThread:
         return self._future is not None
 
     def wait_for_next(self, piece: Swing, decide: Callable[[], Swing]) -> Swing:
-        """Return the decided successor of a piece; without a decision in time, the same amplitudes for `EXTENSION`."""
+        """Return the decided successor of a piece; without a decision in time, it goes on for `extension`."""
         asked = self._samples[-1].time
         future = self._future = self._future or self._pool.submit(decide)
         while not wait([future], timeout=0.01).done:
-            if self._samples[-1].time - asked > PATIENCE:
-                return piece.then(piece.amplitudes, EXTENSION, EXTENSION)
+            if self._samples[-1].time - asked > self.patience:
+                return piece.then(piece.amplitudes, self.extension, self.extension)
         self._future = None
         return replace(future.result(), begin=piece.begin + piece.seconds)
 

@@ -61,9 +61,6 @@ class Params:
 OFF_BY = 0.002
 """How far a closing gripper may pull the stem aside [m]: what is left of calibration and registration errors."""
 
-OPENINGS = 1.0, 0.576
-"""Of the pads on the way in, shares of the stroke, all tried: wide open forgives errors, half open fits between
-petioles."""
 DOUBT = 0.003
 """How far skeleton and cloud may lie beside the truth [m]: of petioles 1.8 to 3.2 mm in 90 of 100 places (measured on
 peppers); what comes this near the closing pads counts as between them."""
@@ -222,7 +219,8 @@ def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, towar
         few = (candidates.arc_length <= stem.arc_length[stem.fork]) | (candidates.station % 4 == 0)
         candidates = candidates.only(few & (candidates.outward() > 0))
     around, poses = surroundings_of(stem, skeleton, cloud), candidates.T_world_flange
-    openings = tuple(share * gripper.stroke for share in OPENINGS)
+    shares = 1.0, 0.576  # of the stroke on the way in: wide open forgives errors, half open fits between petioles
+    openings = tuple(share * gripper.stroke for share in shares)
     open_ = [(gripper.boxes(STAND_OFF, o), gripper.closing(DOUBT, o)) for o in openings]
     with ThreadPoolExecutor() as pool:
         met = Clearance.of(list(pool.map(lambda shape: clearance(poses, around, *shape), open_)))
@@ -254,8 +252,6 @@ STEM_CLEARANCE, OBSTACLE_CLEARANCE = 0.003, 0.015
 """Least distance of the open fingers from the stem's surface, and of the gripper from pot, soil and bench [m]."""
 SUPPORT_CLEARANCE = OFF_BY + DOUBT
 """Of the gripper from a string, stake or pole [m]: these are seen as well as the stem is."""
-SLACK = 0.6
-"""A grasp whose score is lower than the best's by more is a last resort: it is tried when the better ones failed."""
 DOUBTED = "probably not the main stem"
 
 
@@ -298,7 +294,7 @@ def _costs(c: Candidates, met: Clearance, cloud: Cloud, params: Params, length: 
         "near an attachment": 0.3 * np.exp(-c.attachment_distance / 0.015),
         "bent stem": c.bend / 0.0007,
         "a string between the fingers": 1.0 * (met.enclosed[:, STRING] > 0),
-        "half open": 0.3 * (c.opening < max(OPENINGS) * params.gripper.stroke),
+        "half open": 0.3 * (c.opening < params.gripper.stroke),
         "thick for the gripper": 2.5 * np.maximum(2 * c.radius / params.gripper.stroke - 0.6, 0),
         "far from the stem's middle": 0.4 * np.abs(c.arc_length / length - 0.5),
     }

@@ -147,10 +147,6 @@ def flange_pose(point: Array, tangent: Array, approach: Array, depth: float) -> 
     return T
 
 
-FITTED = (-6.67, 8.66, 1.13, 1.26, 3.08)
-"""Constant and weights of `place_evidence` in the log-odds: `python -m evaluation.perception.fit_confidence`."""
-
-
 def place_confidence(stem: Stem, skeleton: Skeleton, arcs: Array) -> Array | None:
     """Return (K,) the probability that what stands at these arc lengths [m] is the main stem.
 
@@ -159,7 +155,9 @@ def place_confidence(stem: Stem, skeleton: Skeleton, arcs: Array) -> Array | Non
     """
     if skeleton.confidence is None:
         return None
-    sure = probability(FITTED, place_evidence(stem, skeleton, arcs))
+    # constant and weights of the evidence in the log-odds: `python -m evaluation.perception.fit_confidence`
+    fitted = (-6.67, 8.66, 1.13, 1.26, 3.08)
+    sure = probability(fitted, place_evidence(stem, skeleton, arcs))
     little = 0.1  # of the plant's height: a leaf's tip, or too short to be held for sure
     most = 0.4  # so many such grasps on the development plants were right
     return np.minimum(sure, most) if rise_share(skeleton, stem.node_ids) < little else sure

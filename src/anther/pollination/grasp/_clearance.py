@@ -19,7 +19,6 @@ from anther.perception.stem import LEAF as ORGAN_LEAF
 from anther.perception.stem import Stem
 
 LEAF, FLOWER_POINT, BRANCH, STEM, OBSTACLE, RIGID, STRING = range(7)
-KINDS = 7
 FAR = 0.03  # m, distances beyond are not told apart
 
 
@@ -170,9 +169,10 @@ def clearance(poses: Array, surroundings: Surroundings, boxes: Array, closing: A
         boxes: (G, 6) lower and upper corners in the flange frame [m]; swept boxes make it the whole way in.
         closing: (6,) lower and upper corner of the space between the open pads.
     """
-    distance = np.full((len(poses), KINDS), FAR)
-    touched, enclosed = (np.zeros((len(poses), KINDS), dtype=np.int64) for _ in range(2))
-    spread, push = np.zeros((len(poses), KINDS)), np.zeros(len(poses))
+    shape = (len(poses), 7)  # kinds of ball
+    distance = np.full(shape, FAR)
+    touched, enclosed = (np.zeros(shape, dtype=np.int64) for _ in range(2))
+    spread, push = np.zeros(shape), np.zeros(len(poses))
     if len(surroundings.centers):
         order, start, cells = _cells(surroundings)
         s = surroundings

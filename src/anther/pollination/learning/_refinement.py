@@ -21,12 +21,6 @@ from anther.pollination.shake.pads import PADS, PADS_LEARNED, Pads, grip_rows, p
 from anther.pollination.shake.search import Phasors, Version, answer, draw_deviates, draw_version
 from anther.rods import Array
 
-CLOCK_ERROR = 0.02
-"""Standard deviation of the camera's clock against the gripper's [s]; frames are stamped on arrival, up to a frame
-late at 30 Hz. It is learned with the plant."""
-STEPS = 4
-"""Number of assimilation steps, each with error variances enlarged by that number."""
-
 
 @dataclass(frozen=True, slots=True)
 class Params(Record):
@@ -70,16 +64,21 @@ class Refinement:
 
 
 def refine(
-    plant: PlantModel, observed: Sequence[ObservedShake], params: Params = Params(), *, pads: Pads = PADS
+    plant: PlantModel,
+    observed: Sequence[ObservedShake],
+    params: Params = Params(),
+    *,
+    pads: Pads = PADS,
+    clock_error: float = 0.02,
 ) -> Refinement:
     """Update the belief about a plant's material and the pads that hold it from measured responses.
 
     An ensemble is drawn from the prior (`shake.search.scenarios`: E, damping, EI/GJ, pedicels, radius, gain; the pads'
     two stiffnesses; and each branch's own stiffness); linear theory predicts each member's motion in every shake. The
     members are then updated by an ensemble smoother with multiple data assimilation (Emerick and Reynolds 2013,
-    "Ensemble smoother with multiple data assimilation", Computers & Geosciences 55): `STEPS` Kalman updates of all
+    "Ensemble smoother with multiple data assimilation", Computers & Geosciences 55): four Kalman updates of all
     drawn numbers, the gains from the members' own covariances, the measurements perturbed for each member and their
-    variances times `STEPS`.
+    variances times four.
     The data are ln amplitude and phase of every measured flower, the grip's force, and the stem's motion near the
     grasp, which determines the pads' compliance. The camera's delay is drawn as well. Errors of flowers on one branch
     are correlated (`likeness`). The error of an outlier is enlarged as by a Student-t likelihood with 4 degrees of
@@ -97,6 +96,8 @@ def refine(
         observed: shakes of this plant; with none, the members are drawn from the prior.
         params: of the ensemble.
         pads: their prior.
+        clock_error: standard deviation of the camera's clock against the gripper's [s]; frames are stamped on arrival,
+            up to a frame late at 30 Hz.
 
     Raises:
         InputError: wrong number of flowers.
@@ -114,12 +115,11 @@ def refine(
     first, z = _build_standing_members(
         believed, np.concatenate([drawn, rng.normal(size=(len(drawn), 1))], axis=1), params
     )
-    members = first
-    for _ in range(STEPS if useful else 0):
-        wrong = collect_misfits(
-            plant, predict_members(believed, members, useful), useful, CLOCK_ERROR * z[:, -1], params
-        )
-        members, z = _build_standing_members(believed, z + _update(z, wrong, params, rng), params)
+    members, steps = first, 4 if useful else 0
+    for _ in range(steps):
+        delay = clock_error * z[:, -1]
+        wrong = collect_misfits(plant, predict_members(believed, members, useful), useful, delay, params)
+        members, z = _build_standing_members(believed, z + _update(z, wrong, params, rng, steps), params)
     before, after = ([m.plant.material for m in ms] for ms in (first, members))
     held_before, held_after = ([m.pads for m in ms] for ms in (first, members))
     return Refinement(
@@ -143,15 +143,15 @@ def _build_standing_members(believed: Version, z: Array, params: Params) -> tupl
     return members, z
 
 
-def _update(z: Array, wrong: Misfits, params: Params, rng: np.random.Generator) -> Array:
-    """Return the change (M, P) of the members' deviates z (M, P) by one Kalman update."""
+def _update(z: Array, wrong: Misfits, params: Params, rng: np.random.Generator, steps: int) -> Array:
+    """Return the change (M, P) of the members' deviates z (M, P) by one Kalman update of so many."""
     off = np.where(wrong.bound, np.minimum(wrong.miss, 0.0), wrong.miss)
     alike = (wrong.kind[:, None] == wrong.kind) & (wrong.branch[:, None] == wrong.branch)
     error = params.likeness * np.where(alike, np.outer(wrong.model, wrong.model), 0.0)
     np.fill_diagonal(error, wrong.model**2 + wrong.own**2)
     usual = off.mean(axis=0) ** 2 / (np.diag(error) + off.var(axis=0))
     larger = np.sqrt(np.maximum((4 + usual) / 5, 1.0))  # weight of a Student-t with 4 degrees of freedom, inverted
-    error *= STEPS * np.outer(larger, larger)
+    error *= steps * np.outer(larger, larger)
     noise = rng.normal(size=off.shape) @ np.linalg.cholesky(error + 1e-12 * np.eye(len(error))).T
     prediction, drawn = wrong.miss.mean(axis=0) - wrong.miss, z - z.mean(axis=0)
     gain = np.linalg.solve(prediction.T @ prediction + (len(z) - 1) * error, prediction.T @ drawn)
@@ -175,10 +175,6 @@ def _update_belief(
     return moved
 
 
-ON_STEM = -1
-"""Branch number of data on the main stem."""
-
-
 class Misfits(NamedTuple):
     """Differences between D data and the members' predictions.
 
@@ -188,7 +184,7 @@ class Misfits(NamedTuple):
         model: (D,) standard deviation of the model error, correlated where `kind` and `branch` are equal.
         own: (D,) of the measurement itself.
         kind: (D,) amplitudes, phases, ... of one shake have the same number.
-        branch: (D,) of the plant, or `ON_STEM`.
+        branch: (D,) of the plant; -1 on the main stem.
     """
 
     miss: Array
@@ -273,7 +269,7 @@ def collect_misfits(
     return Misfits(*(np.concatenate(column, axis=-1) for column in zip(*parts, strict=True)))
 
 
-def _make_misfits(miss: Array, model: float, own: Any, branch: Any = ON_STEM, *, bound: bool = False) -> Misfits:
+def _make_misfits(miss: Array, model: float, own: Any, branch: Any = -1, *, bound: bool = False) -> Misfits:
     count = miss.shape[1]
     own, branch = np.broadcast_to(own, count), np.broadcast_to(branch, count)
     return Misfits(miss, np.full(count, bound), np.full(count, model), own, np.zeros(count, int), branch)

@@ -21,10 +21,9 @@ from anther.pollination.response._near_grasp import StemMotion, StemNear, measur
 from anther.pollination.response.thresholds import (
     FEWEST_FRAMES,
     LEAST_SPREAD,
-    RELATIVE_RESIDUAL,
-    RESIDUAL_PIXELS,
     SEEN_SHARE,
     SPREAD,
+    most_residual,
     overtones,
 )
 from anther.robot.devices import Frame
@@ -121,7 +120,7 @@ def measure_response(
     times = np.array([f.time for f in frames])
     rest = transform_points(inverse(T), flowers.positions)
     found, mixed, remarks = follow_flowers(frames, intrinsics, rest, frequency_hint)
-    tracks, motions = np.full((len(frames), len(rest), 3), np.nan), [_UNSEEN] * len(rest)
+    tracks, motions = np.full((len(frames), len(rest), 3), np.nan), [_Motion.unseen()] * len(rest)
     for one in found:
         tracks[:, one.flower] = one.track @ T[:3, :3].T + T[:3, 3]
         measured = _motion(times, one, frequency_hint)
@@ -155,19 +154,23 @@ class _Motion(NamedTuple):
     """What `Response` says of one flower."""
 
     direction: Array
-    amplitude: float
-    amplitude_std: float
-    frequency: float
-    frequency_std: float
-    phase: float
-    phase_std: float
-    acceleration_peak: float
-    at_most: float
+    amplitude: float = float("nan")
+    amplitude_std: float = float("nan")
+    frequency: float = float("nan")
+    frequency_std: float = float("nan")
+    phase: float = float("nan")
+    phase_std: float = float("nan")
+    acceleration_peak: float = float("nan")
+    at_most: float = float("nan")
+
+    @staticmethod
+    def unseen(at_most: float = float("nan")) -> _Motion:
+        """Return that of a flower that was not measured: it moves by no more than `at_most` [m]."""
+        return _Motion(np.full(3, np.nan), at_most=at_most)
 
 
 _SIZES = ("amplitude", "amplitude_std", "acceleration_peak", "at_most")
 _NUMBERS = tuple(name for name in _Motion._fields if name != "direction")
-_UNSEEN = _Motion(np.full(3, np.nan), *[float("nan")] * len(_NUMBERS))
 
 
 SIGNIFICANCE = 3.0
@@ -191,11 +194,11 @@ def _motion(times: Array, one: Followed, hint: float) -> _Motion | str:
     least_pixels = 0.2  # of a swing in the image
     limit = max(SIGNIFICANCE * noise, least_pixels * one.pixel)
     sideways = float(np.linalg.norm(np.nanstd(clean - swing.at(times), axis=0)[:2]))
-    jumps = sideways > max(RESIDUAL_PIXELS * one.pixel, RELATIVE_RESIDUAL * amplitude)
+    jumps = sideways > most_residual(one.pixel, amplitude)
     if jumps or noise > _most_noise(amplitude):
         return "did not swing with the shake: partly hidden or confused. Shake less, or move the side camera"
     if amplitude < limit:
-        return _UNSEEN._replace(at_most=limit)
+        return _Motion.unseen(limit)
     weight = 1 / np.maximum(swing.axis_std, 0.3 * swing.axis_std.max())  # the surer an axis, the more it tells
     frequency, span = find_frequency(times, clean * weight, hint), float(np.ptp(times))
     mixed_up = 0.15  # `SPREAD` of flowers that may be mixed up
@@ -212,7 +215,6 @@ def _motion(times: Array, one: Followed, hint: float) -> _Motion | str:
         phase_std=float(np.hypot(noise / amplitude, phase_error)),
         # in depth noise passes for overtones
         acceleration_peak=swing.acceleration(limit, axes=2) * (frequency / hint) ** 2,
-        at_most=float("nan"),
     )
 
 

@@ -11,7 +11,9 @@ from anther.pollination.response._petals import Patch
 from anther.robot.devices import Frame
 
 
-def depth_along(frames: Sequence[Frame], patch: Patch, path: Array, swing: Array, depth: Array, gap: float) -> Array:
+def depth_along(
+    frames: Sequence[Frame], patch: Patch, path: Array, swing: Array, depth: Array, gap: float = 0.02
+) -> Array:
     """Return a flower's depth (T,) [m] along its path; NaN where fewer than 3 of its own pixels are read.
 
     All readings of all frames are fitted at once with how a flower may swing and one surface, a cubic in the offset

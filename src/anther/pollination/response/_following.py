@@ -29,7 +29,6 @@ from anther.pollination.response._petals import (
 from anther.pollination.response.thresholds import (
     DEPTH_GATE,
     DEPTH_REACH,
-    LEAST_COVER,
     LIKENESS,
     OUTLIER,
     REACH,
@@ -40,16 +39,6 @@ from anther.robot.devices import Frame
 
 FLOWER_RADIUS = 0.007
 """Of a flower [m]."""
-
-
-NEAR_SWING = 3
-"""A flower is matched again within so many pixels of its fitted swing."""
-
-OWN_LIKENESS = 0.4
-"""`LIKENESS` for the flower without its surroundings: what differs more is partly hidden."""
-
-OWN_DEPTH = 0.02
-"""Largest distance of a depth reading from the flower's depth at rest [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +79,7 @@ def follow_flowers(
         return [], [], {"not in front of the side camera": [*range(len(rest))]}
     begin = _begin(frames, intrinsics, rest)
     inside = np.all((begin.pixels >= 0) & (begin.pixels < [intrinsics.width, intrinsics.height]), axis=1)
-    shown = np.array([patch.cover >= LEAST_COVER for patch in begin.own])
+    shown = np.array([patch.is_shown for patch in begin.own])
     seen = np.flatnonzero(inside & shown)
     mixed = _overlapping(begin.pixels, 1.5 * begin.radius, seen)  # nearer in the image they may be confused
     found = []
@@ -172,14 +161,14 @@ def _path(frames: Sequence[Frame], begin: _Begin, k: int, hint: float) -> Array:
             swing = fit_swing(times, without_outliers(times, path, hint, overtones(hint)), hint, overtones(hint))
         except InputError:
             return path
-        path = seek(begin.images, begin.own[k], swing.at(times), NEAR_SWING, OWN_LIKENESS)
+        path = seek(begin.images, begin.own[k], swing.at(times))
     return path
 
 
 def _depth(frames: Sequence[Frame], patch: Patch, path: Array, hint: float, rest: float) -> tuple[bool, Array]:
     """Return whether a flower's depth is sure along its path (T, 2), and that depth (T,) [m], or `rest` where not."""
     swing = swing_basis(np.array([f.time for f in frames]), hint, overtones(hint))
-    depth = depth_along(frames, patch, path, swing, np.array(rest), OWN_DEPTH)
+    depth = depth_along(frames, patch, path, swing, np.array(rest))
     sure = bool(np.isfinite(depth).mean() >= 0.8 * np.isfinite(path[:, 0]).mean() > 0)
     return sure, depth if sure else np.full(len(frames), rest)
 

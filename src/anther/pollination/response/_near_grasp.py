@@ -25,11 +25,10 @@ from anther.pollination.response.thresholds import (
     LEAST_SPREAD,
     LIKENESS,
     REACH,
-    RELATIVE_RESIDUAL,
-    RESIDUAL_PIXELS,
     SEEN_SHARE,
     SHIFT,
     SPREAD,
+    most_residual,
 )
 from anther.robot.devices import Frame
 
@@ -218,7 +217,7 @@ def _swing(times: Array, moved: Array, hint: float, pixel: float) -> tuple[compl
     except InputError:
         return None
     spread = float(np.nanstd(path - swing.at(times)))
-    if spread > max(RESIDUAL_PIXELS * pixel, RELATIVE_RESIDUAL * swing.amplitude):
+    if spread > most_residual(pixel, swing.amplitude):
         return None
     cosine, sine = swing.coefficients[:2, 0]
     phasor = complex(sine, cosine) * np.exp(-2j * np.pi * hint * swing.span[0])

@@ -103,6 +103,11 @@ class Patch(NamedTuple):
         """Share of the flower's disc that its own pixels cover."""
         return float(np.count_nonzero(self.weight) / (np.pi * self.radius**2))
 
+    @property
+    def is_shown(self) -> bool:
+        """Whether enough of the disc is covered; if not, something hides the flower."""
+        return self.cover >= 0.12
+
 
 def smoothed(frame: Frame) -> Image:
     """Return the colours (H, W, 3), smoothed as far as sub-pixel matching needs."""
@@ -150,7 +155,7 @@ def flower_weight(frame: Frame, petals: Image, nearest: float, farthest: float) 
     return np.maximum(petals, 0.5 * pale).astype(np.float32)
 
 
-def seek(images: Sequence[Image], patch: Patch, places: Array, reach: int, worst: float) -> Array:
+def seek(images: Sequence[Image], patch: Patch, places: Array, reach: int = 3, worst: float = 0.4) -> Array:
     """Return the pixels (T, 2) of the patch in T images, within `reach` pixels of `places` (T, 2); NaN where not found.
 
     The place is where the sum of the weighted squared differences of the colours is least, to a fraction of a pixel.
@@ -159,8 +164,9 @@ def seek(images: Sequence[Image], patch: Patch, places: Array, reach: int, worst
         images: see `smoothed`.
         patch: what is looked for.
         places: (T, 2) [px].
-        reach: [px].
+        reach: [px]; by default that about a swing that was fitted.
         worst: the least sum must be below this share of the window's median, or else nothing there is like the patch.
+            By default that for a flower without its surroundings: what differs more is partly hidden.
     """
     half, found = patch.weight.shape[0] // 2 + reach, np.full((len(images), 2), np.nan)
     mask = np.repeat(patch.weight[..., None], 3, axis=2)

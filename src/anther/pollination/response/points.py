@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from anther.core.geometry import Array, Intrinsics, inverse, transform_points
 from anther.core.oscillation import MUCH_ALIKE
 from anther.pollination.response._depth import depth_along
-from anther.pollination.response._following import NEAR_SWING, OWN_DEPTH, OWN_LIKENESS, placed
+from anther.pollination.response._following import placed
 from anther.pollination.response._petals import Image, Patch, seek, smoothed
-from anther.pollination.response.thresholds import DEPTH_GATE, LEAST_COVER, OUTLIER, overtones
+from anther.pollination.response.thresholds import DEPTH_GATE, OUTLIER, overtones
 from anther.pollination.shake.observables import ComplexArray
 from anther.robot.devices import Frame
 
@@ -26,9 +26,6 @@ NEAR = 0.02
 """A point is visible where the measured depth agrees with its own within this [m]."""
 SLOW = 4
 """Number of Legendre polynomials fitted for slow motion: wind and decaying swings."""
-LEAST_ERROR = 0.03
-"""Least error of a position [px]: a guess, about the noise in films without motion."""
-NO_OVERTONES = np.zeros((0, 0, 3), np.complex128)
 
 
 class Sight(NamedTuple):
@@ -72,7 +69,7 @@ class Swings(NamedTuple):
     std: Array
     axes: Array
     growing: float = 0.0
-    overtones: ComplexArray = NO_OVERTONES
+    overtones: ComplexArray = np.zeros((0, 0, 3), np.complex128)
 
 
 def sight(frame: Frame, intrinsics: Intrinsics, T_world_cam: Array, flowers: Array, points: Array) -> Sight:
@@ -89,7 +86,7 @@ def sight(frame: Frame, intrinsics: Intrinsics, T_world_cam: Array, flowers: Arr
     if count and rest[:count, 2].min() > DEPTH_GATE:
         pixels[:count], alone = placed(frame, intrinsics, rest[:count])
         alone = [patch._replace(image=patch.image * gain) for patch in alone]
-        shown[:count] = inside[:count] & np.array([patch.cover >= LEAST_COVER for patch in alone])
+        shown[:count] = inside[:count] & np.array([patch.is_shown for patch in alone])
     axes = np.repeat(T_world_cam[None, :3, :3], len(rest), axis=0)
     axes[:, :, :2] -= axes[:, :, 2:] * (rest[:, :2] / np.maximum(rest[:, 2:], NEAR))[:, None]
     return Sight(_picture(frame, gain), pixels, rest[:, 2] / intrinsics.fx, rest[:, 2], axes, shown, tuple(alone))
@@ -131,7 +128,7 @@ def swings(at: Sight, frames: Sequence[Frame], tones: Array, expected: ComplexAr
         guess = None if expected is None or not flower else expected[point]
         if flower:
             path = _flower_path(at, int(point), images, around, middle, basis, guess)
-        across = _fitted(basis, path, LEAST_ERROR)
+        across = _fitted(basis, path)
         if flower and across is not None and _rough(path - basis @ across.coefficients):
             across = None
         known = None if guess is None else guess[: len(tones)]
@@ -236,11 +233,11 @@ def _flower_path(
         ways = [middle + scale * swing for scale in (1.0, 1.6, 0.6)]  # a guess at the error of a prediction + ways
     best, worth = np.full_like(path, np.nan), 0.0
     for way in ways:
-        found = seek(images, own, way - shift, 8, OWN_LIKENESS) + shift
-        fitted = _fitted(basis, found, LEAST_ERROR)
+        found = seek(images, own, way - shift, reach=8) + shift
+        fitted = _fitted(basis, found)
         if fitted is None:
             continue
-        found = seek(images, own, basis @ fitted.coefficients - shift, NEAR_SWING, OWN_LIKENESS) + shift
+        found = seek(images, own, basis @ fitted.coefficients - shift) + shift
         sure = float(np.isfinite(found[:, 0]).mean()) / (1 + fitted.std)
         if sure > worth:
             best, worth = found, sure
@@ -339,15 +336,18 @@ def _away(
     own, rest = at.flowers[k], at.depth[k]
     middle = path - (at.pixels[k] - own.centre)
     for about in ([] if expected is None else [rest + _swung(basis, expected)[:, 2]]) + [np.array(rest)]:
-        depth = depth_along(frames, own, middle, basis, about, OWN_DEPTH)
+        depth = depth_along(frames, own, middle, basis, about)
         found = _fitted(basis, depth[:, None], 0.0005)  # m, least error of a depth reading: a guess
         if found is not None:
             return found
     return None
 
 
-def _fitted(basis: Array, path: Array, least_error: float) -> _Fit | None:
-    """Return what a path (T, D) is a sum of, no place surer than `least_error`; None if it was lost."""
+def _fitted(basis: Array, path: Array, least_error: float = 0.03) -> _Fit | None:
+    """Return what a path (T, D) is a sum of, no place surer than `least_error`; None if it was lost.
+
+    The error of a position by default [px]: a guess, about the noise in films without motion.
+    """
     used, least = (
         np.isfinite(path).all(axis=1),
         max(0.6 * len(path), basis.shape[1] + 2),

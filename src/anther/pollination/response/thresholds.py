@@ -14,14 +14,8 @@ DEPTH_GATE = 0.08
 DEPTH_REACH = 0.025
 """Largest depth difference between a flower and its own pixels [m]: more than a flower's width."""
 
-LEAST_COVER = 0.12
-"""Least share of a flower's disc that its own pixels cover; below, the flower is occluded."""
-
 SEEN_SHARE = 0.7
 """Least share of the frames in which a flower is tracked."""
-
-RESIDUAL_PIXELS, RELATIVE_RESIDUAL = 0.75, 0.2
-"""A track is rejected if its sideways residual exceeds both the former [px] and the latter's share of the amplitude."""
 
 REACH = 0.012
 """Search range around a flower's extrapolated position in the next frame [m]."""
@@ -39,11 +33,17 @@ swings, and its depth mixes with its surroundings. Measured on films of simulate
 LEAST_SPREAD = 0.00015
 """Least standard deviation of an amplitude, see `SPREAD` [m]."""
 
-OVERTONES, LARGE = 2, 8.0
-"""Number of overtones fitted to a shake up to `LARGE` [Hz]: a pedicel is pulled twice a period and can excite
-a mode at twice the frequency. Above, overtones make amplitudes less accurate (films of simulated plants)."""
+
+def most_residual(pixel: float, amplitude: float) -> float:
+    """Return the sideways residual beyond which a track is rejected [m]: three quarters of a pixel [m], or a fifth of
+    the amplitude [m]."""
+    return max(0.75 * pixel, 0.2 * amplitude)
 
 
 def overtones(hertz: float) -> int:
-    """Return the number of overtones fitted to a shake."""
-    return OVERTONES if hertz <= LARGE else 0
+    """Return the number of overtones fitted to a shake.
+
+    A pedicel is pulled twice a period and can excite a mode at twice the frequency. Above 8 Hz overtones make
+    amplitudes less accurate (films of simulated plants).
+    """
+    return 2 if hertz <= 8.0 else 0

@@ -47,10 +47,6 @@ DRAWS = 6
 """Scenarios drawn from the material's spread, beside the best guess: quasi-random ones, few of which cover it."""
 
 
-LEAST_REGRET = 0.05
-"""A plan says which measure of motion it is not made for when another shake would be worth so much more."""
-
-
 def plan_shake(
     plant: PlantModel,
     grasps: Sequence[Grasp],
@@ -166,8 +162,9 @@ def _reason(plan: ShakePlan, *, kept: bool) -> str:
         f" and frequencies compared this is worth most: {plan.score:.2g} of all flowers' pollen, less what may be lost,"
         f" over {DRAWS} further drawings of the plant's stiffness and damping. {closest(plan.limits[:-1], kept=kept)}"
     )
+    least = 0.05  # so much more must another shake be worth for a measure of motion to be named
     for measure, regret in plan.regret:
-        if regret > LEAST_REGRET:
+        if regret > least:
             text += f" If {measure} alone frees pollen, another shake would be worth {regret:.2g} more."
     other = plan.runner_up
     if other is None:

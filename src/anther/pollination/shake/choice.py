@@ -33,11 +33,6 @@ PRESS = "force of the pads, against slip [N]"
 """The limit of what holds the stem: pads press as hard as it bears and the gripper can."""
 MOST_SPEED = 0.3
 """Of the grip [m/s]."""
-FLOWER_ACCELERATION = 200.0
-"""Of the flowers on average; more than this is not useful [m/s2]."""
-SIZES = 14
-"""Amplitudes that are weighed of each shake, evenly on a logarithmic scale: worth changes little from one to the
-next."""
 
 
 class Grips(NamedTuple):
@@ -67,12 +62,9 @@ class Search(NamedTuple):
     amplitude: Array  # (Q, G, D) that is worth most, or the largest where limits are not kept [m]
     score: Array  # (Q, G, D) what it is worth (`decision.Worth.net`); -1 where it is nothing, or for the map alone
     regret: dict[str, Array]  # (Q, G, D) how much more the best is worth if that measure of motion frees pollen
-    bounds: dict[str, Bound]  # by name; in the first `OF_THE_MACHINE` the plant has no part
+    bounds: dict[str, Bound]  # by name; in the first three, of the machine, the plant has no part
     delivered: tuple[Array, Array]  # (Q, 1, 1) each, see `Actuator.delivers`
     least: float  # a shake of less amplitude is none [m]
-
-
-OF_THE_MACHINE = 3
 
 
 def find_grips(
@@ -143,7 +135,8 @@ def search(
     reach = _reach(bounds)
     least = actuator.least_amplitude if params.least_amplitude is None else params.least_amplitude
     price = params.price if params.keeps_limits else 0.0
-    steps = np.linspace(0, 1, SIZES)[:, None, None, None] if params.keeps_limits else np.ones(1)[:, None, None, None]
+    sizes = 14  # weighed of each shake, evenly on a logarithmic scale: worth changes little from one to the next
+    steps = (np.linspace(0, 1, sizes) if params.keeps_limits else np.ones(1))[:, None, None, None]
     tried = least * np.maximum(reach / least, 1.0) ** steps
     held = params.held(1.0) * grips.press
     found = worth(answer, tried, hertz, held, price, delivered=delivered)
@@ -242,7 +235,7 @@ def match_earlier(found: Search, earlier: EarlierShake) -> Search | None:
 
 def _reach(bounds: dict[str, Bound]) -> Array:
     """Return the largest amplitude that the machine manages of every shake (Q, G, D) [m]."""
-    machine = list(bounds.values())[:OF_THE_MACHINE]
+    machine = list(bounds.values())[:3]  # in them the plant has no part
     return np.asarray(np.min([one.limit / np.maximum(one.value, 1e-12) for one in machine], axis=0))
 
 

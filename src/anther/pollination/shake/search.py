@@ -22,8 +22,6 @@ from anther.pollination.shake.observables import ComplexArray, branch_of, observ
 from anther.pollination.shake.pads import PADS, Pads, friction_force
 from anther.rods import Array, Observed, displacements, observed_response
 
-NO_POINTS = np.zeros(0, dtype=np.int64)
-
 
 class Gains(NamedTuple):
     """What one metre of grip amplitude does, within linear theory. Leading axes (M, Q, G, D).
@@ -162,7 +160,7 @@ def motions(
     grips: Sequence[NDArray[Any]],
     frequencies: Array,
     like: PlantModel | None = None,
-    points: NDArray[np.int64] = NO_POINTS,
+    points: Sequence[int] | NDArray[np.int64] = (),
 ) -> tuple[dict[str, ComplexArray], ComplexArray]:
     """Return what one metre of gripper motion along each axis does, (Q, G, K, 3, 3) by kind, and to the pads.
 
@@ -177,7 +175,7 @@ def motions(
         points: (P,) rod nodes that are observed too.
     """
     rods, seen = version.plant.rods, observables(version.plant, like)
-    operator = vstack([seen.operator, displacements(points, len(rods.nodes))], format="csr")
+    operator = vstack([seen.operator, displacements(np.asarray(points, dtype=np.int64), len(rods.nodes))], format="csr")
     response = _solve_response(version, grips, operator, frequencies)
     moved, held = response.vectors, np.array([grip[0] for grip in grips])
     stem = rods.nodes[held] - rods.nodes[rods.parent[held]]
