@@ -205,6 +205,7 @@ def report(table: dict[str, float]) -> Iterator[Table]:
                 between,
                 f"{table[f'flower_{key}']:.1f}",
                 f"{table[f'lost_{key}']:.1%}",
+                f"{table[f'priced_{key}']:.3f}",
             )
             text.add_row(words, *numbers)
         yield text
