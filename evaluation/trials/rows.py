@@ -32,7 +32,7 @@ from anther.plant.limits import MOVED
 from anther.pollination import visit_row_stem
 from anther.sim import build_row, grow_row, mapped_hook
 from anther.sim.cell import BENCH, NEIGHBOUR, POT, CellLog
-from anther.sim.judge import string_pull
+from anther.sim.judge import LETS_GO, string_pull
 from evaluation.harness import CROPS, by_turns, failed, finish, options, run_cases
 from evaluation.statistics import bootstrap, interval, median
 from evaluation.tables import markdown, percent
@@ -115,7 +115,7 @@ def touched(log: CellLog) -> dict[str, float]:
 def harmful(row: Row) -> bool:
     """Whether a visit touched or pulled what it must not."""
     touches = max(row.get("neighbour_force") or 0.0, row.get("part_force") or 0.0) > 0
-    return touches or (row.get("string_pull") or 0.0) > 2.0  # as the judge has it
+    return touches or (row.get("string_pull") or 0.0) > LETS_GO
 
 
 def held(row: Row) -> bool:

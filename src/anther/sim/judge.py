@@ -166,6 +166,8 @@ def net_fruit(
     return np.where(slips, 0.0, gain) - np.where(bent["stem"], 1.0, lost) - cost
 
 
+LETS_GO = 2.0
+"""A string that is pulled so many times as hard as it hangs slides through its clips or off its hook: a guess."""
 LEAF_BAND = 5.0
 """Up to which a leaf is taken to follow quasi-statically [Hz]."""
 
@@ -250,14 +252,13 @@ def judge(
     )
     effort = np.abs(log.torques / cell.arm.effort).max(axis=0)
     most_push = 2.0  # N that the robot may press on the plant before it closes
-    lets_go = 2.0  # a string pulled so many times as hard as it hangs slides through its clips or off its hook: a guess
     most_slip = 0.005  # m that the held point may wander between the pads
     findings: list[tuple[bool, FailureKind, str]] = [
         (bool(np.any(log.contact_other == NEIGHBOUR)), "collision", "the robot touched another plant or its string"),
         (bool(np.any(log.contact_other < 0)), "collision", "the robot touched the pot or the bench"),
         (push > most_push, "collision", f"the plant was pushed with {push:.1f} N before the gripper closed"),
         (bool(effort.max() >= 0.999), "limits_exceeded", f"motor {effort.argmax()} was at its torque limit"),
-        (pull > lets_go, "limits_exceeded", f"a string pulled with {pull:.1f} times what it hangs with"),
+        (pull > LETS_GO, "limits_exceeded", f"a string pulled with {pull:.1f} times what it hangs with"),
         (segment < 0, "nothing_grasped", "nothing was between the pads"),
         (organ != "stem", "branch_or_leaf_grasped", f"a {organ} was between the pads"),
         (shake is None, "nothing_grasped", "the plant was not shaken"),

@@ -80,6 +80,8 @@ class Air:
 
 
 TIMESTEP = 2e-3
+CALM = 2.0
+"""How long the wind has blown before the clock begins [s]."""
 
 
 def gusts(plant: SimPlant, wind: float) -> Iterator[tuple[PlantMechanics, Any]]:
@@ -122,9 +124,8 @@ def swaying(plant: SimPlant, wind: float, times: ArrayLike) -> Array:
     """
     times, blown = check_array("times", times, (None,)), gusts(plant, wind)
     mechanics, data = next(blown)
-    blows = 2.0  # before the clock begins [s]
     out = np.empty((len(times), len(plant.start), 4, 4))
-    for i, time in enumerate(times + blows):
+    for i, time in enumerate(times + CALM):
         while data.time < time - TIMESTEP / 2:
             next(blown)
         out[i] = mechanics.segment_poses(data)

@@ -19,6 +19,7 @@ from anther.core.errors import InputError, bad_input
 from anther.core.geometry import Array, Intrinsics, inverse, pose7, transform_from_pose7
 from anther.robot.calibration._hand_eye import (
     AGREED,
+    CERTAIN,
     METHODS,
     ODD,
     EyeToHand,
@@ -266,7 +267,7 @@ def _size_notes(problem: Problem, fit: Fit, noise: Noise, used: NDArray[Any]) ->
     except InputError:
         return ()  # these views do not tell
     away = float(np.linalg.norm(found.T_flange_cam[:3, 3] - fit.T_flange_cam[:3, 3]))
-    sure = abs(np.log(found.scale)) > 4 * np.sqrt(found.covariance[-1, -1])
+    sure = abs(np.log(found.scale)) > CERTAIN * np.sqrt(found.covariance[-1, -1])
     if not sure or away < LOOSE:
         return ()
     edges = np.diff(np.unique(np.round(problem.points[:, 0], 6)))  # [m]: corners are a square apart

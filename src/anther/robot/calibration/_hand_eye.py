@@ -294,6 +294,8 @@ def _nearest_rotation(R: Array) -> Array:
 # them has moved: a camera by the same way in the flange's frame in every view, a board by the same way in the base
 # frame. Each is fitted (`refine`); squared residuals tell which it was.
 Verdict = Literal["still", "camera", "board", "camera or board", "more"]
+CERTAIN = 4.0
+"""A movement counts beyond so many standard deviations of a normal distribution: once in 16 000 mornings by chance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -361,8 +363,7 @@ def find_movement(
 
 
 def _verdict(rest: dict[str, float], gain: Array, trifling: bool) -> Verdict:
-    # as likely as four standard deviations of a normal distribution: once in 16 000 mornings by chance
-    limit = float(chi2.isf(2 * norm.sf(4.0), 6))
+    limit = float(chi2.isf(2 * norm.sf(CERTAIN), 6))
     if trifling or gain.max() <= limit:
         return "still"
     if min(rest["camera"], rest["board"]) - rest["both"] > limit:

@@ -150,6 +150,8 @@ Board = CharucoBoard | Chessboard
 
 
 DICTIONARIES = ("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL")
+LEAST_CORNERS = 8
+"""Corners that a view needs, and that tell one board from another."""
 
 
 def explain_missing_board(image: NDArray[Any], board: Board) -> str:
@@ -162,7 +164,7 @@ def explain_missing_board(image: NDArray[Any], board: Board) -> str:
         if markers >= 2:
             alike = {text: len(other.find(image)[0]) for text, other in _alike(board).items()}
             text, count = max(alike.items(), key=lambda other: other[1])
-            if count > max(len(board.find(image)[0]), 8):  # with fewer corners one board looks like another
+            if count > max(len(board.find(image)[0]), LEAST_CORNERS):
                 return f"{markers} of its markers are seen, but they are another board's: {text}"
             do = "Show more of it, nearer; is it printed as --board says (squares, dictionary, :legacy)?"
             return f"{markers} of its markers are seen, but too few corners between them. {do}"

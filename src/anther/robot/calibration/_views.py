@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from anther.core.errors import InputError, bad_input
 from anther.core.geometry import Array, Intrinsics, small_transform, transform_points
-from anther.robot.calibration._inputs import Board, explain_missing_board
+from anther.robot.calibration._inputs import LEAST_CORNERS, Board, explain_missing_board
 
 CELLS = (8, 6)
 """Columns and rows of the grid in which covered cells are counted."""
@@ -60,7 +60,7 @@ class BoardViews:
         return self.corners.images
 
 
-def find_corners(images: Iterable[NDArray[Any]], board: Board, *, least: int = 8) -> BoardCorners:
+def find_corners(images: Iterable[NDArray[Any]], board: Board, *, least: int = LEAST_CORNERS) -> BoardCorners:
     """Return the board's corners in each image that shows at least so many of them, not all in one line.
 
     Args:
