@@ -285,17 +285,15 @@ def raised_slowly(shown: Any, **given: Any) -> World:
 
 
 @pytest.mark.parametrize(
-    ("shown", "noise", "times"),
-    [(SIGHTED, 1e-6, 2), (SIGHTED, 4e-4, 1), (np.arange(FLOWERS + POINTS) >= FLOWERS, 1e-6, 1)],
+    ("shown", "noise", "measured"),
+    [(SIGHTED, 1e-6, True), (SIGHTED, 4e-4, False), (np.arange(FLOWERS + POINTS) >= FLOWERS, 1e-6, False)],
     ids=["measured", "followed", "hidden"],
 )
-def test_a_turn_begins_at_twice_what_is_planned_only_where_a_flower_was_measured(
-    shaken: Shaken, shown: Any, noise: float, times: float
-) -> None:
+def test_a_turn_begins_at_what_is_planned(shaken: Shaken, shown: Any, noise: float, measured: bool) -> None:
     world = raised_slowly([shown], noise=noise)
     first = single(shaken(world))[0]
-    assert first.amplitudes == pytest.approx([times * 0.0005])
-    assert np.isfinite(first.flowers).any() == (times > 1)
+    assert first.amplitudes == pytest.approx([0.0005])
+    assert np.isfinite(first.flowers).any() == measured
 
 
 def test_no_turn_begins_beyond_what_is_worth_most(shaken: Shaken) -> None:
@@ -312,7 +310,7 @@ def test_a_step_is_twice_the_one_before_until_more_is_worth_nothing(shaken: Shak
     sizes = np.array([step.amplitudes[0] for step in steps])
     last = int(sizes.argmax())
     assert last >= 3
-    assert sizes[:last] == pytest.approx(0.001 * 2.0 ** np.arange(last))
+    assert sizes[:last] == pytest.approx(0.0005 * 2.0 ** np.arange(last))
     assert 1 < sizes[last] / sizes[last - 1] <= 2
 
 
@@ -335,7 +333,7 @@ def test_a_shake_that_loses_all_flowers_goes_back_to_where_they_were_seen(shaken
     watched = shaken(raised_slowly(losing(FLOWERS, look)))
     steps, at = single(watched), look - 1
     sure = steps[at - 1].amplitudes[0] if at else 0.0005
-    assert steps[at].amplitudes[0] > 1.5 * sure
+    assert steps[at].amplitudes[0] > 1.5 * sure or not at
     assert "Watched again" in steps[at].decided
     for step in steps[at + 1 :]:
         assert step.amplitudes[0] == pytest.approx(sure)
@@ -587,7 +585,7 @@ class Lying(World):
 def lied_to(shaken: Shaken, lie: str, since: int, *, soft: float = 1.0, seed: int = 1) -> tuple[Lying, Escalation]:
     """Shake a plant that is so much softer than believed while the camera lies from a look on."""
     foresight = made_foresight(seed)
-    world = Lying(foresight, soft * foresight.vectors[4], plan=made_plan((0.002,) * 3, (0.03,) * 3), noise=3e-5)
+    world = Lying(foresight, soft * foresight.vectors[4], plan=made_plan((0.0025,) * 3, (0.03,) * 3), noise=3e-5)
     world.share, world.since = LIES.get(lie, 1.0), since
     return world, shaken(world)
 
@@ -630,7 +628,7 @@ def test_motion_as_large_as_that_of_the_plant_but_not_its_own_harms_nothing(
     monkeypatch.setattr(foresight_module, "MISFIT", 0.2)
     for seed in range(3):
         foresight = made_foresight(seed)
-        world = Lying(foresight, foresight.vectors[4], plan=made_plan((0.002,) * 3, (0.03,) * 3), noise=3e-5)
+        world = Lying(foresight, foresight.vectors[4], plan=made_plan((0.004,) * 3, (0.03,) * 3), noise=3e-5)
         world.share = ANY_PHASE
         for step in single(shaken(world)):
             tone = int(np.abs(TONES - step.frequencies[0]).argmin())
@@ -740,7 +738,7 @@ def test_a_shake_seen_twice_to_move_nothing_is_left_for_what_the_model_allows_el
     monkeypatch.setattr(foresight_module, "MISFIT", 0.2)
     foresight = made_foresight(1)
     world, usual = (
-        kind(foresight, foresight.vectors[4], plan=made_plan((0.002,) * 3, (0.03,) * 3), noise=3e-5)
+        kind(foresight, foresight.vectors[4], plan=made_plan((0.004,) * 3, (0.03,) * 3), noise=3e-5)
         for kind in (Stiffer, World)
     )
     world.params = Params(most_seconds=30)
@@ -751,6 +749,6 @@ def test_a_shake_seen_twice_to_move_nothing_is_left_for_what_the_model_allows_el
     doubted = tones.count(world.stiff)
     assert tones[:doubted] == [world.stiff] * 2, "it is watched once more, and not turned back to"
     assert len(set(tones)) > 1
-    assert steps[doubted].amplitudes[0] <= 0.002 * 1.0001, "what follows begins as the model alone allows"
+    assert steps[doubted].amplitudes[0] <= 0.004 * 1.0001, "what follows begins as the model alone allows"
     assert steps[-1].median > 10 * steps[1].median
     check_pieces(world, watched)

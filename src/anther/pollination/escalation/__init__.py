@@ -334,11 +334,9 @@ class Escalation:
     def _switch_to(self, shake: int, doubted: bool = False) -> NextPiece:
         """Return the first piece of another shake; `doubted`: the looks at the present one prove nothing."""
         option, directions = self._options[shake], self.plan.tones.directions
-        probed = all(self._proofs[: len(self.plan.tones.probed)])
-        seen = bool(option.prediction.seen.any()) and probed and not doubted
         most = option.allowed
         self._proven_amplitude, self._repeated = option.planned, False
-        begin = min(most.amplitude, option.planned * (RAISED if seen else 1.0))
+        begin = min(most.amplitude, option.planned)
         turned = np.degrees(np.arccos(min(abs(float(directions[self._direction_index[shake]] @ directions[0])), 1.0)))
         words = (f"{UNPROVEN.capitalize()}, watched twice. " if doubted else "") + (
             f"At {self._frequencies[shake]:.3g} Hz, {turned:.0f}° from the plan's line, flowers may reach"
