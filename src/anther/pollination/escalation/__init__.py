@@ -29,6 +29,7 @@ from anther.pollination.escalation._knowledge import (
     shows_plant,
     sum_answers,
     update_answer,
+    update_directions,
 )
 from anther.pollination.escalation._option import SHORTEST, WORDS, Option, Params, limits_of
 from anther.pollination.execution import ShakeDirection, Step
@@ -116,6 +117,7 @@ class Escalation:
         self._friction_limit, self._price = limits.held(plan.press), limits.price
         self._probe_answers: list[list[Answer]] = []
         self._options: list[Option] = []
+        self._watched = set[int]()  # shakes that were observed alone
         self._camera_delay, self._visible_count, self._holding = 0.0, 0, False
         self._proofs: list[bool] = []  # by step, whether the observation can only show the plant
         self._proven_observations: list[Observation] = []  # of the steps that passed
@@ -190,7 +192,9 @@ class Escalation:
             self._probe_answers.append(answers)
             follows = self._after_probe(max(shares.values()))
         else:
+            self._update_other_directions(active[0], observation, before[0])
             self._options[active[0]].update(predictions[0])
+            self._watched.add(active[0])
             follows = self._decide(active[0])
         measured = [a * one.answer.flowers[0] for a, _, one in shaken]  # all members agree on a measured flower
         acceleration = np.sqrt(np.sum(np.square(measured), axis=0))
@@ -292,13 +296,27 @@ class Escalation:
             return self._excite(0, self.plan.amplitude, self.plan.duration, words)
         if len(self._probe_answers) < len(tones.probed):
             return self._probe_along(tones.probed[len(self._probe_answers)], gentler=max(largest_load, 1.0))
-        planned, reach = tones.amplitudes.ravel().tolist(), tones.reach.ravel().tolist()
-        for shake, (tone, line) in enumerate(zip(self._frequency_index, self._direction_index, strict=True)):
-            answer = sum_answers([along[tone] for along in self._probe_answers], tones.parts(int(line)))
-            prediction, hertz = self._predict(shake, answer), float(self._frequencies[shake])
-            option = Option(hertz, self._friction_limit, self._price, planned[shake], reach[shake], prediction)
-            self._options.append(option)
+        self._options = [self._make_option(n) for n in range(len(self._frequencies))]
         return self._decide(0) if len(self._frequencies) == 1 else self._switch_to(self._best())
+
+    def _make_option(self, shake: int) -> Option:
+        """Return a shake that was not watched alone: its response is the sum of those along the probed directions."""
+        tones, at = self.plan.tones, (self._frequency_index[shake], self._direction_index[shake])
+        answer = sum_answers([along[at[0]] for along in self._probe_answers], tones.parts(int(at[1])))
+        planned, reach = float(tones.amplitudes[at]), float(tones.reach[at])
+        hertz = float(self._frequencies[shake])
+        return Option(hertz, self._friction_limit, self._price, planned, reach, self._predict(shake, answer))
+
+    def _update_other_directions(self, shake: int, observation: Observation, before: Prediction) -> None:
+        """Update what is believed of shakes at this frequency along directions that were not watched alone."""
+        tone, parts = self._frequency_index[shake], self.plan.tones.parts(int(self._direction_index[shake]))
+        along = [answers[tone] for answers in self._probe_answers]
+        along = update_directions(self._foresight, observation, self._camera_delay, along, parts, before)
+        for answers, one in zip(self._probe_answers, along, strict=True):
+            answers[tone] = one
+        for n in np.flatnonzero(self._frequency_index == tone).tolist():
+            if n != shake and n not in self._watched:
+                self._options[n] = self._make_option(n)
 
     def _best(self) -> int:
         """Return the index of the shake of largest predicted worth."""

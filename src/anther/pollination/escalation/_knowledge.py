@@ -196,24 +196,61 @@ def update_answer(
         delay: of the camera's clock [s], see `fit_camera_delay`.
         before: previous prediction of the same shake.
     """
-    motion, std = _align_phase(foresight, observation, i, delay)
-    own = slice(foresight.where["flowers"].stop - foresight.where["flowers"].start)
     members = _predict_members(foresight, observation, i)
-    mistaken = ~_agrees_with_others(
-        members[:, foresight.where["flowers"]], motion[own], std[own], observation.swings.axes[own]
-    )
+    motion, std = _credible_motion(foresight, observation, i, delay, members, before)
+    axes, own = observation.swings.axes, foresight.where["flowers"]
+    found = update_members(members, motion, std, axes, observation.number)
+    return Answer(found, motion[own], std[own], axes[own], measure_sharpness(observation.swings, own))
+
+
+def update_directions(
+    foresight: Foresight,
+    observation: Observation,
+    delay: float,
+    answers: Sequence[Answer],
+    parts: Array,
+    before: Prediction,
+) -> list[Answer]:
+    """Return the responses along probed directions after a shake at the same frequency along a sum of them.
+
+    Members agree on how the plant answers along one direction more than on how it answers at all, so that what moves
+    less than predicted along one is predicted to move less along others too.
+
+    Args:
+        foresight: prior responses of the members.
+        observation: of the shake, at one frequency.
+        delay: of the camera's clock [s].
+        answers: along each probed direction.
+        parts: weights with which they add up to the shake.
+        before: previous prediction of the shake.
+    """
+    shaken = sum_answers(answers, parts).members
+    motion, std = _credible_motion(foresight, observation, 0, delay, shaken, before)
+    state = np.concatenate([shaken, *(one.members for one in answers)], axis=1)
+    found = update_members(state, motion, std, observation.swings.axes, observation.number)
+    along = np.split(found, len(answers) + 1, axis=1)[1:]
+    return [one._replace(members=members) for one, members in zip(answers, along, strict=True)]
+
+
+def _credible_motion(
+    foresight: Foresight,
+    observation: Observation,
+    i: int,
+    delay: float,
+    members: ComplexArray,
+    before: Prediction | None,
+) -> tuple[ComplexArray, Array]:
+    """Return motion and standard deviation as `_align_phase` does; NaN for flowers that were mistaken for another."""
+    (motion, std), axes = _align_phase(foresight, observation, i, delay), observation.swings.axes
+    own = foresight.where["flowers"]
+    mistaken = ~_agrees_with_others(members[:, own], motion[own], std[own], axes[own])
     if before is not None:
-        across, omega = (
-            np.linalg.norm(motion[own][:, :2], axis=1),
-            2 * np.pi * foresight.frequencies[observation.frequency_indices[i]],
-        )
+        omega = 2 * np.pi * foresight.frequencies[observation.frequency_indices[i]]
+        across = np.linalg.norm(motion[own][:, :2], axis=1)
         largest = 4.0  # times the detection limit of the previous observation; only wrong tracks did, by 5 to 12
         mistaken |= _measured(motion[own], std[own]) & (omega**2 * across > largest * before.detectable)
     motion[own][mistaken] = std[own][mistaken] = np.nan
-    found = update_members(members, motion, std, observation.swings.axes, observation.number)
-    return Answer(
-        found, motion[own], std[own], observation.swings.axes[own], measure_sharpness(observation.swings, own)
-    )
+    return motion, std
 
 
 def prior_answer(foresight: Foresight, observation: Observation, i: int) -> Answer:
