@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 from fake_robot import FakeCamera
-from made_foresight import ALONG, FLOWERS, POINTS, TONES, World, lines_across, made_foresight, made_plan
+from made_foresight import ALONG, AXES, FLOWERS, POINTS, TONES, World, lines_across, made_foresight, made_plan
 
 from anther.core.errors import InputError
 from anther.pollination import escalation
 from anther.pollination.decision import Answer as Answers
 from anther.pollination.decision import believed, worth
-from anther.pollination.escalation import Escalation, Params
+from anther.pollination.escalation import Escalation, Foresight, Params
 from anther.pollination.escalation import _foresight as foresight_module
 from anther.pollination.escalation._knowledge import (
     Answer,
@@ -24,7 +24,9 @@ from anther.pollination.escalation._knowledge import (
     draw_gripper_errors,
     extrapolate_growth,
     predict,
+    sum_answers,
     update_answer,
+    update_directions,
 )
 from anther.pollination.escalation._option import WORDS, limits_of
 from anther.pollination.response.points import Swings, likeness
@@ -752,3 +754,28 @@ def test_a_shake_seen_twice_to_move_nothing_is_left_for_what_the_model_allows_el
     assert steps[doubted].amplitudes[0] <= 0.004 * 1.0001, "what follows begins as the model alone allows"
     assert steps[-1].median > 10 * steps[1].median
     check_pieces(world, watched)
+
+
+def test_what_is_seen_along_one_direction_is_believed_of_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(foresight_module, "MISFIT", 0.02)
+    foresight, lines = made_foresight(3), lines_across(8)
+    own, parts = slice(0, FLOWERS + POINTS), np.array([1.0, 1.0]) / np.sqrt(2)
+    truth = Foresight(TONES, foresight.vectors[5:6], *foresight[2:])
+    nothing = np.full((FLOWERS, 3), np.nan)
+    along = [
+        Answer(foresight.of(0, line), nothing + 0j, nothing, AXES[:FLOWERS], observed=False) for line in lines[[0, 4]]
+    ]
+    moved = np.einsum("px,pxa->pa", truth.of(0, lines[2])[0, own], AXES)
+    seen = Swings(moved[:, None], np.full((FLOWERS + POINTS, 3), 1e-3), AXES)
+    at = Observation(np.array([0]), lines[2], np.ones(1, complex), lines[2][None] + 0j, np.zeros(1), seen)
+    before = predict(foresight, TONES[0], sum_answers(along, parts), 0.0)
+    before = before._replace(detectable=np.full(FLOWERS, np.inf))
+    found = update_directions(foresight, at, 0.0, along, parts, before)
+    for line, prior, posterior in zip(lines[[0, 4]], along, found, strict=True):
+        off = [np.linalg.norm(one.members.mean(axis=0) - truth.of(0, line)[0]) for one in (prior, posterior)]
+        assert off[1] < 0.2 * off[0]
+        assert posterior.members.std(axis=0).mean() < prior.members.std(axis=0).mean()
+        assert not posterior.observed
+    blind = at._replace(swings=seen._replace(std=np.full_like(seen.std, np.nan)))
+    for prior, same in zip(along, update_directions(foresight, blind, 0.0, along, parts, before), strict=True):
+        assert np.allclose(prior.members, same.members)
