@@ -30,9 +30,9 @@ from anther.plant.limits import (
     stalk_strain,
 )
 
-PRICES: dict[Preset, float] = {"gentle": 10.0, "default": 5.0, "bold": 1.0}
+PRICES: dict[Preset, float] = {"gentle": 10.0, "default": 3.0, "bold": 1.0}
 """By preset: so many fruit a person would forgo rather than lose one flower, which is one fruit at most. The dial is
-theirs. At 2 and at 3, whole trials of 36 and 28 plants lost 5 and 6 % of the flowers, for .02 more of net fruit."""
+theirs. At 3 the arm's shakes of 28 plants would lose 2.7 % of the flowers (docs/reports/shaking.md)."""
 COSTS = {"base_strain": 0.1, "stem_strain": 3.0, "leaf_load": 0.1, "grip_force": 0.1}
 """What it costs, in flowers lost for each flower of the plant, if the organ that is loaded most stays bent, or the grip
 slips. A judgement: a stem's bend costs this truss and the next two; a leaf is one of ten that feed the fruit, and the
