@@ -52,8 +52,8 @@ class FakeRails:
         return self.now
 
     def hear(self, message: Any) -> None:
-        speed = message.twist.linear.x if hasattr(message, "twist") else message.linear.x
-        self.heard.append((self.now, speed))
+        linear = message.twist.linear if hasattr(message, "twist") else message.linear
+        self.heard.append((self.now, linear.x if hasattr(linear, "x") else linear.y))
 
     def sleep(self, seconds: float) -> None:
         for _ in range(max(round(seconds / STEP), 1)):
@@ -127,8 +127,8 @@ class FakeCartNode(FakeNode):
     def tell(self, stamp: float, place: float, speed: float) -> None:
         if "/odom" in self.hears:
             time_ = SimpleNamespace(sec=int(stamp), nanosec=int(stamp % 1 * 1e9))
-            where = SimpleNamespace(pose=SimpleNamespace(position=SimpleNamespace(x=place, y=0.0)))
-            how = SimpleNamespace(twist=SimpleNamespace(linear=SimpleNamespace(x=speed, y=0.0)))
+            where = SimpleNamespace(pose=SimpleNamespace(position=SimpleNamespace(x=place, y=place)))
+            how = SimpleNamespace(twist=SimpleNamespace(linear=SimpleNamespace(x=speed, y=speed)))
             self.hears["/odom"](SimpleNamespace(header=SimpleNamespace(stamp=time_), pose=where, twist=how))
 
     def publisher(self, topic: str, kind: str) -> Any:

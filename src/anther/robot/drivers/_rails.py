@@ -13,8 +13,8 @@ from anther.robot.drivers._readings import RobotClock
 Axis = Literal["x", "-x", "y", "-y"]
 STOOD = 0.3
 """A cart stands that stayed in one place for so long [s]."""
-WINDOW, LAG, SLACK = 1.0, 0.3, 0.02
-"""In the last `WINDOW` [s] it goes as far as was sent, but for `LAG` [s] of the greatest speed sent, and `SLACK` [m].
+WINDOWS, LAG, SLACK = (1.0, 2.0), 0.3, 0.02
+"""In each of these times [s] it goes as far as was sent, but for `LAG` [s] of the greatest speed sent, and `SLACK` [m].
 
 Guesses: a drive that takes 0.2 s to follow, odometry that is 0.1 s old, wheels that slip by a few per cent."""
 BEHIND, GAIN = 0.15, 2.0
@@ -35,7 +35,7 @@ class Odometry:
     """One axis of a nav_msgs/Odometry.
 
     Attributes:
-        recent: readings of the last two seconds, in order.
+        recent: readings of the last three seconds, in order.
         trouble: why the newest message cannot be used; empty if it can.
         lost: why no place is believed any more; empty while it is.
         heard: when the last message came [s].
@@ -78,7 +78,7 @@ class Odometry:
             most, way = 0.03 + 2 * self._fastest * (new.time - last.time), abs(place - last.place)
             if way > most:
                 self.lost = f"its odometry jumped by {way:.3f} m from one reading to the next; allowed: {most:.3f} m"
-        self.recent = [*(r for r in self.recent if r.time > new.time - 2.0), new]
+        self.recent = [*(r for r in self.recent if r.time > new.time - 3.0), new]
 
     def newest(self, stale: float) -> Reading:
         """Return the newest reading.
@@ -128,7 +128,7 @@ class Sent:
     def add(self, now: float, speed: float) -> None:
         """Note a speed [m/s] that is sent now [s]."""
         before, way, v = self._rows[-1]
-        rows = [row for row in self._rows if row[0] > now - 3 * WINDOW]  # readings are younger
+        rows = [row for row in self._rows if row[0] > now - 4.0]  # readings are younger
         self._rows = [*rows, (now, way + v * (now - before), speed)]
 
     def check_followed(self, recent: list[Reading]) -> None:
@@ -137,7 +137,10 @@ class Sent:
         Raises:
             DeviceError: it does not.
         """
-        since = max(self._begin, recent[-1].time - WINDOW)
+        for window in WINDOWS:
+            self._check_window(recent, max(self._begin, recent[-1].time - window))
+
+    def _check_window(self, recent: list[Reading], since: float) -> None:
         rows = [r for r in recent if r.time >= since] or recent[-1:]
         times, ways, speeds = np.array(self._rows).T
         end = max(times[-1], rows[-1].time) + 1e-9
@@ -153,7 +156,7 @@ class Sent:
         elif abs(went) > abs(sent):
             do = "It goes where nobody sent it: end what else commands it"
         else:
-            do = "It does not follow: look what is in its way, and whether its odometry lives"
+            do = "It does not follow: look what is in its way, if its odometry lives, if it can go so fast"
         given = f"it went {went:+.3f} m where {sent:+.3f} m were sent"
         raise DeviceError(f"cart: {given}; allowed: within {allowed:.3f} m. {do}, then start anew.")
 
