@@ -114,6 +114,7 @@ def test_it_goes_where_it_is_sent_within_its_limits(axis: Any, stamped: bool, be
     [
         ({"speed": 1.0, "acceleration": 0.5}, {"delay": 0.1, "lag": 0.1}),
         ({}, {"delay": 0.1, "lag": 0.1}),
+        ({}, {"delay": 0.15, "lag": 0.15}),  # it coasts beyond its place, and comes back slower
         ({}, {"every": 0.1}),
         ({}, {"scale": 0.9}),
         ({"rate": 50.0}, {}),
@@ -222,7 +223,7 @@ def test_odometry_that_freezes_just_before_the_place_is_noticed(wire: Wire, befo
     wire.rails.after(0.01, freeze)
     with pytest.raises(DeviceError, match=r"does not follow|mm from its place after \d+ s"):
         cart.move(at(5.0))
-    assert wire.rails.place < 5.0 + 0.13
+    assert wire.rails.place < 5.0 + 0.04
 
 
 @pytest.mark.parametrize("late", [0.3, 2.0])
