@@ -44,6 +44,7 @@ def check(file: CellFile) -> int:
         ("wrist camera", file.wrist_camera, _describe_camera),
         ("side camera", file.side_camera, _describe_camera),
         ("shaker", file.shaker, lambda motor: [f"stroke {1e3 * motor.stroke:.2f} mm"]),
+        ("cart", file.cart, partial(_describe_cart, file=file)),
     )
     with own_cell(file) as keep:
         arm: Any = None
@@ -188,6 +189,22 @@ def _describe_camera(camera: Camera) -> list[str]:
         f"{lens.width} x {lens.height} px, f {lens.fx:.1f} px; depth in {len(near) / frame.depth.size:.0%} of it",
         f"a frame after {1e3 * took:.0f} ms, {1e3 * late:.0f} ms old by its stamp; {rate:.1f} a second",
         *filter(None, [plant]),
+    ]
+
+
+def _describe_cart(cart: Any, file: CellFile) -> list[str]:
+    from anther.core.checks import check_array
+
+    state, limits = cart.state(), file.cart_limits()
+    assert limits is not None
+    lower, upper = limits.lower, limits.upper
+    place = check_array("cart place", state.place, lower.shape)
+    ends = ", ".join(f"{a:g} .. {b:g}" for a, b in zip(lower, upper, strict=True))
+    between = "between" if np.all((lower <= place) & (place <= upper)) else "NOT between"
+    return [
+        f"{'MOVES' if state.is_moving else 'stands'} at {', '.join(f'{x:.3f}' for x in place)} m",
+        f"{between} its ends {ends} m",
+        *(cart.describe() if hasattr(cart, "describe") else []),
     ]
 
 

@@ -27,7 +27,7 @@ FOR = {
     "phones": "recordings of Record3D",
     "realsense": "a RealSense camera",
     "sawyer": "a Sawyer over ROS 1",
-    "ros2": "an arm under ROS 2, where none is sourced",
+    "ros2": "an arm or cart under ROS 2, where none is sourced",
     "ur": "a Universal Robots arm",
     "franka": "a Franka arm",
     "gripper": "a Robotiq gripper",

@@ -38,8 +38,8 @@ def run(args: Args) -> int:
         0 if every stem was visited or left with its reason, 1 if not.
     """
     if args.simulate is None:
-        do = "Add --simulate tomato, or pepper; docs/row.md says what a cart's driver is."
-        raise bad_input("robot", given="none", allowed="a simulated one: no cart has a driver yet", do=do)
+        do = "Add --simulate tomato, or pepper; docs/row.md says what drives a cart."
+        raise bad_input("robot", given="none", allowed="a simulated one: no real row was worked yet", do=do)
     check_range("seed", args.seed, 0, 10**6)
     check_range("robots", args.robots, 1, 100)
     if args.many:

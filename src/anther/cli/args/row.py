@@ -15,7 +15,7 @@ class Args:
     """Attributes: which rows, which robots, and where the visits are kept."""
 
     simulate: Crop | None = None
-    """Crop of the simulated rows. No cart has a driver yet, so it must be given (docs/row.md)."""
+    """Crop of the simulated rows. Rows are worked in simulation alone, so it must be given (docs/row.md)."""
     plants: int = 12
     """Plants along one row, on both sides of its path together: 2 to 16."""
     rows: int = 1

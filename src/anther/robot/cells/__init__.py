@@ -197,6 +197,7 @@ class CellFile:
             "speed_ratio": self.limits.speed_ratio,
             "arm_master": self.arm.table.get("master", ""),
             "arm_model": self.model,
+            "cart_limits": self.cart_limits(),
             **given,
         }
         return {name: value for name, value in rest.items() if _parts.takes(part.make, name)}

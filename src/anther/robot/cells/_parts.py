@@ -19,7 +19,8 @@ from anther.core.geometry import Intrinsics, transform_from_pose7
 from anther.robot.arm.model import ArmModel
 from anther.robot.arm.urdf import from_urdf
 from anther.robot.cells._reading import Pose
-from anther.robot.devices import Arm
+from anther.robot.devices import Arm, CartLimits
+from anther.robot.drivers._rails import Axis
 from anther.robot.drivers.franka import Franka, open_franka
 from anther.robot.drivers.free_running import FreeRunningCamera
 from anther.robot.drivers.intera import RethinkGripper, types
@@ -28,15 +29,17 @@ from anther.robot.drivers.robotiq import Name, Robotiq2F, open_line
 from anther.robot.drivers.ros1 import Node
 from anther.robot.drivers.ros2 import JointTrajectoryArm
 from anther.robot.drivers.ros2 import Node as Ros2Node
+from anther.robot.drivers.ros2_cart import VelocityCart
 from anther.robot.drivers.sawyer_ros1 import Mode, Sawyer
 from anther.robot.drivers.ur_controller import open_controller
 from anther.robot.drivers.ur_rtde import UniversalRobot
 from anther.robot.drivers.uvc import open_uvc
 from anther.robot.drivers.voice_coil import VoiceCoil, open_port
 
-GIVEN = ("arm", "speed_ratio", "arm_master", "arm_model")
+GIVEN = ("arm", "speed_ratio", "arm_master", "arm_model", "cart_limits")
 NAME = "/anther"
 GRIPPER_NAME = "/anther_gripper"
+CART_NAME = "/anther_cart"
 
 
 @contextmanager
@@ -116,6 +119,25 @@ def robotiq_2f(
     return Robotiq2F(open_line(port), model=model, force=force, speed=speed, counts=counts)
 
 
+def ros2_cart(
+    *,
+    cart_limits: CartLimits,
+    speed: float = 0.3,
+    acceleration: float = 0.2,
+    commands: str = "/cmd_vel",
+    odometry: str = "/odom",
+    stamped: bool = True,
+    axis: Axis = "x",
+    zero: float = 0.0,
+    rate: float = 20.0,
+) -> VelocityCart:
+    """Return a cart on rails under ROS 2; see `VelocityCart`."""
+    options: dict[str, Any] = {"speed": speed, "acceleration": acceleration, "commands": commands, "odometry": odometry}
+    options |= {"stamped": stamped, "axis": axis, "zero": zero, "rate": rate}
+    with _close_on_error(Ros2Node(CART_NAME.strip("/"))) as node:
+        return VelocityCart(node, cart_limits, **options)
+
+
 def voice_coil(port: str, *, arm: Arm) -> VoiceCoil:
     """Return a motor in the gripper at a serial port."""
     return VoiceCoil(open_port(port), arm)
@@ -140,8 +162,7 @@ def uvc(
 ARMS: dict[str, Callable[..., Any]] = {"sawyer-ros1": sawyer_ros1, "ros2": ros2, "ur": ur, "franka": franka}
 GRIPPERS: dict[str, Callable[..., Any]] = {"rethink": rethink, "robotiq-2f": robotiq_2f}
 CAMERAS: dict[str, Callable[..., Any]] = {"realsense": realsense, "uvc": uvc}
-CARTS: dict[str, Callable[..., Any]] = {}
-"""None yet: every cart has a driver of one's own."""
+CARTS: dict[str, Callable[..., Any]] = {"ros2": ros2_cart}
 SHAKERS: dict[str, Callable[..., Any]] = {"voice-coil": voice_coil}
 
 
