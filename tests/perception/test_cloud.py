@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from grown_plants import grown
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import csgraph
@@ -29,7 +30,6 @@ from anther.perception.cloud.ply import read_ply, write_ply
 from anther.perception.formats.kinect import read_kinect
 from anther.perception.masks import FLOWER, PLANT, Masks, segment
 from anther.sim.capture import CaptureTruth, capture_from_poses, orbit_poses
-from anther.sim.pepper import grow_pepper
 from anther.sim.plant import Organ
 from anther.sim.render import d455
 
@@ -40,7 +40,7 @@ WORKSPACE = Box(np.array([0.32, -0.4, -0.48]), np.array([1.12, 0.4, 0.5]))
 def seen() -> tuple[Capture, CaptureTruth, Masks, Cloud]:
     poses = orbit_poses(8, (0.72, 0, -0.1), distance=0.6)
     capture, truth = capture_from_poses(
-        grow_pepper(2), poses, intrinsics=d455(848, 480), rng=np.random.default_rng(2)
+        grown("pepper", 2), poses, intrinsics=d455(848, 480), rng=np.random.default_rng(2)
     )  # fmt: skip
     masks = segment(capture, WORKSPACE)
     return capture, truth, masks, fuse(capture, masks, WORKSPACE)
