@@ -150,7 +150,7 @@ def known(plant: PlantModel) -> PlantModel:
     return plant.with_material(replace(plant.material, **spreads))
 
 
-STIFF_BRANCHES = Params(members=512, branch_spread=0.05, model_error=0.1)
+STIFF_BRANCHES = Params(members=256, branch_spread=0.05, model_error=0.1)
 """With so many members that the draws do not decide."""
 
 

@@ -99,8 +99,8 @@ def test_the_grasp_that_was_carried_out_is_marked_though_others_were_tried_befor
     held = results.shake.grasp
     other = np.array(held.T_world_flange)
     other[:3, 3] += 0.05
-    rows = said(replace(results, grasps=(replace(held, T_world_flange=other), held)), "The grasp")
-    assert [row[0] for row in rows] == ["Rank", "1", "2 (carried out)"]
+    results = replace(results, grasps=(replace(held, T_world_flange=other), held))
+    assert [row[0] for row in said(results, "The grasp")] == ["Rank", "1", "2 (carried out)"]
     assert "is left for the next: nothing</li>" in page_of(results)
 
 
