@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import contextlib
 import tracemalloc
 from functools import cache
 from pathlib import Path
@@ -26,7 +25,6 @@ from anther.perception.cloud._fusion import (
     supported_pixels,
     voxel_groups,
 )
-from anther.perception.cloud.ply import read_ply, write_ply
 from anther.perception.formats.kinect import read_kinect
 from anther.perception.masks import FLOWER, PLANT, Masks, segment
 from anther.sim.capture import CaptureTruth, capture_from_poses, orbit_poses
@@ -195,20 +193,6 @@ def test_a_foreign_ply_is_a_cloud_without_obstacles(tmp_path: Path) -> None:
     np.testing.assert_allclose(cloud.points, points)
     assert cloud.normals is None
     assert len(cloud.obstacles) == 0
-
-
-@settings(max_examples=60)
-@given(cut=st.integers(0, 400), flip=st.integers(0, 120), value=st.integers(0, 255))
-def test_damaged_plys_load_or_are_refused(
-    tmp_path_factory: pytest.TempPathFactory, cut: int, flip: int, value: int
-) -> None:
-    path = tmp_path_factory.mktemp("ply") / "c.ply"
-    write_ply(path, np.ones((8, 3)))
-    data = bytearray(path.read_bytes())
-    data[min(flip, len(data) - 1)] = value
-    path.write_bytes(bytes(data[: max(1, len(data) - cut)]))
-    with contextlib.suppress(InputError):
-        assert read_ply(path)["points"].shape[1] == 3
 
 
 def test_flying_pixels_go_and_thin_lines_stay() -> None:
