@@ -128,7 +128,7 @@ def test_a_vague_measurement_leaves_the_belief_as_it_was(
     """Also of a plant that barely stands, whose softer draws are stiffened."""
     stands = plant.with_material(replace(plant.material, youngs=above_least * plant.least_youngs))
     vague = [ObservedShake(plan, plan.predicted_amplitude, 10 * plan.predicted_amplitude)]
-    after = refine(stands, vague, Params(model_error=10), pads=FIRM)
+    after = refine(stands, vague, Params(members=64, model_error=10), pads=FIRM)
     assert after.material.youngs == pytest.approx(stands.material.youngs, rel=0.02)
     assert after.material.youngs_spread == pytest.approx(stands.material.youngs_spread, rel=0.05)
 
@@ -237,8 +237,8 @@ def test_a_branch_that_is_softer_than_the_others_is_learned_and_no_other_one(
     for frequency in (3.0, 6.0, 9.0):
         (shake, _), (_, motion) = swing(known, plan, frequency), swing(truth.plant, plan, frequency)
         seen.append(ObservedShake(shake, semi_major(motion), 0.02 * semi_major(motion)))
-    after = refine(known, seen, Params(model_error=0.05, likeness=0.0))
-    first = refine(known, [], Params())
+    after = refine(known, seen, Params(members=64, model_error=0.05, likeness=0.0))
+    first = refine(known, [], Params(members=64))
 
     def softer(versions: Sequence[Version], of: int) -> float:
         node = int(known.branch_bases[of])
