@@ -130,7 +130,7 @@ def test_a_command_that_was_made_before_a_pause_is_not_sent_after_it(
     assert all(np.abs(joints - robot.q).max() < 1e-3 for _, _, joints, _ in after)
 
 
-def test_it_stops_when_its_joints_come_late(arm: Sawyer, robot: FakeSawyer) -> None:
+def test_it_stops_when_its_joints_become_stale(arm: Sawyer, robot: FakeSawyer) -> None:
     since = list[float]()
 
     def break_it() -> None:

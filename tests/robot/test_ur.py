@@ -94,7 +94,7 @@ def test_the_driver_brakes_within_the_arms_acceleration(arm: UniversalRobot, ur:
     assert rate[-1] == pytest.approx(0.0, abs=1e-3)
 
 
-def test_it_stops_when_its_joints_come_late(arm: UniversalRobot, ur: FakeUR) -> None:
+def test_it_stops_when_its_joints_become_stale(arm: UniversalRobot, ur: FakeUR) -> None:
     since = list[float]()
 
     def break_it() -> None:
