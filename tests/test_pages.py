@@ -244,7 +244,7 @@ GIVEN: dict[str, Callable[[], Any]] = {
 def run_page(page: Path, chosen: list[Block], monkeypatch: pytest.MonkeyPatch, *, slow: bool) -> None:
     home = Path.cwd()
     elsewhere = [words for b in table(COMMANDS_PAGE) if b not in chosen for words in commands(b.text)]
-    elsewhere = [words for words in elsewhere if words[1] != "history"]  # which adds to what the page tells before
+    elsewhere = [words for words in elsewhere if words[1] == "plan"]  # of the others pages take the results
     names: dict[str, Any] = GIVEN.get(page.name, dict)() or {}
     for block in chosen:
         monkeypatch.chdir(home)

@@ -16,7 +16,7 @@ def plant() -> SimPlant:
 
 
 def test_still_air_does_nothing(plant: SimPlant) -> None:
-    found = breezes.blown(plant, 0.0, 1.0)
+    found = breezes.blown(plant, 0.0, 2.0)
     assert found == dict.fromkeys(found, pytest.approx(0.0, abs=1e-3))
 
 
