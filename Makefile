@@ -7,6 +7,9 @@ SITE := .venv/.site-installed
 PIP_INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 PIP_LOCKED := $(PIP_INSTALL) --no-deps --require-hashes
 RUN ?=
+# To rewrite assert is half of what collecting costs, in each worker: only what failed is run again to tell its values.
+PLAIN := --assert=plain
+AGAIN := --last-failed --last-failed-no-failures none
 
 .PHONY: demo test slow check sync mutants bench docs site lock clean
 
@@ -15,10 +18,10 @@ demo: $(CORE)  ## install and run the main job: a simulated tomato is seen, gras
 
 test: $(DEV)  ## run the tests, four at a time: those of drivers mostly wait
 	$(BIN)/anther doctor --compile  # once, not in each of the four
-	$(BIN)/python -m pytest -n 4
+	$(BIN)/python -m pytest -n 4 $(PLAIN) || { $(BIN)/python -m pytest $(AGAIN); exit 1; }
 
 slow: $(DEV)  ## run the slow tests
-	$(BIN)/python -m pytest -n 2 -m slow
+	$(BIN)/python -m pytest -n 2 -m slow $(PLAIN) || { $(BIN)/python -m pytest -m slow $(AGAIN); exit 1; }
 
 check: $(DEV)  ## format, lint, types, layering
 	$(BIN)/ruff format --check .

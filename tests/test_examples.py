@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import functools
+import io
 import re
-import subprocess
-import sys
+import runpy
 import tempfile
+from contextlib import chdir, redirect_stdout
 from pathlib import Path
 
 import pytest
@@ -17,10 +18,16 @@ SLOW = {"02_cloud_to_grasp"}
 
 @functools.cache
 def output(example: Path) -> str:
-    with tempfile.TemporaryDirectory() as folder:
-        done = subprocess.run([sys.executable, str(example)], cwd=folder, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    said = io.StringIO()
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        chdir(folder),
+        redirect_stdout(said),
+        pytest.MonkeyPatch.context() as patch,
+    ):
+        patch.setattr("sys.argv", [str(example)])
+        runpy.run_path(str(example), run_name="__main__")
+    return said.getvalue()
 
 
 @pytest.mark.parametrize(

@@ -79,22 +79,26 @@ def test_the_wheel_runs_outside_the_repository(wheel: Path, tmp_path: Path) -> N
     (tmp_path / "home").mkdir()
     environment = {**os.environ, "PYTHONPATH": str(tmp_path / "site"), "COLUMNS": "200"}
 
-    def said(*words: str) -> str:
-        command = [sys.executable, "-m", "anther.cli", *words]
-        done = subprocess.run(
-            command, cwd=tmp_path / "home", env=environment, capture_output=True, text=True, check=False
-        )
-        assert done.returncode == 0, done.stderr
-        return done.stdout
-
-    assert "anther 0." in said("--version")
-    where = subprocess.run(
-        [sys.executable, "-c", "import anther; print(anther.__file__)"],
-        cwd=tmp_path / "home", env=environment, capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    assert str(tmp_path) in where.stdout
-    said("samples", "s")
-    assert "nodes" in said("view", "s/skeleton.swc", "--to", "plant.glb")
+    code = """if True:
+        import anther
+        from anther.cli.main import main
+        print(anther.__file__)
+        for words in ("--version", "samples s", "view s/skeleton.swc --to plant.glb"):
+            assert main(words.split()) == 0, words
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path / "home",
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    where, version, *_ = done.stdout.splitlines()
+    assert where.startswith(str(tmp_path))
+    assert version.startswith("anther 0.")
+    assert "nodes" in done.stdout
 
 
 CORE = [

@@ -55,7 +55,7 @@ def truth() -> Truth:
 @pytest.fixture(scope="module")
 def files(tmp_path_factory, truth: Truth) -> dict[str, Path]:
     """A test whose trace the nonlinear simulator made, and which a camera with 0.2 mm of noise saw."""
-    times, tip = nonlinear_trace(truth)
+    times, tip = nonlinear_trace(truth, seconds=4.0)
     noise = np.random.default_rng(1).normal(0, 2e-4, len(times))
     return write_files(tmp_path_factory.mktemp("stem"), truth, (times, tip + noise))
 

@@ -94,13 +94,3 @@ def test_a_parser_gives_a_result_or_one_message(tmp_path: Path, name: str, data:
         said = str(error).strip()
     assert "\n" not in said
     assert len(said) < 2000
-
-
-@given(seed=st.integers(0, 2**32 - 1), size=st.floats(0.05, 5.0))
-@settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_an_npz_keeps_points_and_units(tmp_path: Path, seed: int, size: float) -> None:
-    metres = size * np.random.default_rng(seed).uniform(-0.5, 0.5, (50, 3))
-    np.savez(tmp_path / "m.npz", points=metres, units="m", up=[0, 0, 1])
-    np.savez(tmp_path / "mm.npz", points=1e3 * metres, units="mm", up=[0, 0, 1])
-    for name in ("m.npz", "mm.npz"):
-        np.testing.assert_allclose(read_cloud(tmp_path / name).points, metres, rtol=1e-12, atol=1e-12)

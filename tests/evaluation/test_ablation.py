@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from grown_plants import grown
 
 from anther.rods import Clamp, Rods, natural_frequencies, with_gravity_equilibrium
 from anther.sim import plant_mechanics
-from anther.sim.tomato import grow_tomato
 from evaluation.prediction import ablated, ablation
 from evaluation.prediction.shaken_plant import Params, ShakenPlant
 from evaluation.prediction.true_rods import Builder
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def plant() -> Model:
-    return true_model(grow_tomato(11), 12.0)
+    return true_model(grown("tomato", 11), 12.0)
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +40,7 @@ def gain(model: Model) -> float:
 
 
 def test_rods_of_a_simulated_plant_keep_its_mass_and_place() -> None:
-    sim = grow_tomato(11)
+    sim = grown("tomato", 11)
     rods = Builder(sim).rods()
     mass = np.concatenate([sim.mass, sim.lump_mass])
     middles = np.concatenate([(sim.start + sim.end) / 2, sim.lump_centre])
@@ -108,7 +108,7 @@ def test_changes_and_errors_are_what_they_are_called() -> None:
 
 def test_rods_and_hinges_of_a_grown_plant_have_the_same_lowest_frequencies() -> None:
     """They are two codes. Leaves are stiff and without inertia of their own in the rods, which are a little faster."""
-    plant = grow_tomato(11)
+    plant = grown("tomato", 11)
     hinges = ShakenPlant(plant, plant.end[plant.stem_segments()[9]], [0, 1, 0], Params(plant=BENDING)).mechanics
     rods = true_model(plant, 0.0).rods
     found = natural_frequencies(rods, Clamp.root(rods), 8).frequencies

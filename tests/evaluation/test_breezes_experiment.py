@@ -4,31 +4,35 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from grown_plants import grown
 
-from anther.sim.tomato import grow_tomato
+from anther.sim.plant import SimPlant
 from evaluation.judge import breezes  # pyright: ignore[reportMissingImports]
 
-PLANT = grow_tomato(11)
+
+@pytest.fixture
+def plant() -> SimPlant:
+    return grown("tomato", 11)
 
 
-def test_still_air_does_nothing() -> None:
-    found = breezes.blown(PLANT, 0.0, 2.0)
+def test_still_air_does_nothing(plant: SimPlant) -> None:
+    found = breezes.blown(plant, 0.0, 2.0)
     assert found == dict.fromkeys(found, pytest.approx(0.0, abs=1e-3))
 
 
-def test_loads_grow_with_the_square_of_the_wind_or_so() -> None:
-    slow, fast = (breezes.blown(PLANT, wind, 4.0) for wind in (1.0, 2.0))
+def test_loads_grow_with_the_square_of_the_wind_or_so(plant: SimPlant) -> None:
+    slow, fast = (breezes.blown(plant, wind, 2.5) for wind in (1.0, 2.0))
     for what, value in slow.items():
         assert 2 * value < fast[what] < 8 * value, what
     assert fast["pedicel"] <= fast["pedicel_worst"]
 
 
-def test_each_leaf_has_its_own_mass_about_its_own_base() -> None:
-    base, moment = breezes._leaves(PLANT)
+def test_each_leaf_has_its_own_mass_about_its_own_base(plant: SimPlant) -> None:
+    base, moment = breezes._leaves(plant)
     assert len(base) == len(np.unique(base)) > 3
     assert np.all(moment > 0)
-    middle = np.where(PLANT.lump_mass[:, None] > 0, PLANT.lump_centre, (PLANT.start + PLANT.end) / 2)
-    total = np.sum((PLANT.mass + PLANT.lump_mass) * np.linalg.norm(middle - PLANT.start[0], axis=1))
+    middle = np.where(plant.lump_mass[:, None] > 0, plant.lump_centre, (plant.start + plant.end) / 2)
+    total = np.sum((plant.mass + plant.lump_mass) * np.linalg.norm(middle - plant.start[0], axis=1))
     assert moment.sum() < total
 
 

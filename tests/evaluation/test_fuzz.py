@@ -13,8 +13,8 @@ from evaluation.robustness import (
     fuzz_inputs,  # pyright: ignore[reportMissingImports]
 )
 
-FIRST, COUNT = 1000, 240
-PARTS = 12
+FIRST, COUNT = 1000, 120
+PARTS = 6
 
 
 @pytest.fixture(scope="module")

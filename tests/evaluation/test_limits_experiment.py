@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from grown_plants import grown
 
-from anther.sim.tomato import grow_tomato
 from evaluation.judge.limit_rods import bare, true_rods
 from evaluation.judge.limit_strains import StrainRow, strain_metrics, strain_rows
 
 
 @pytest.fixture(scope="module")
 def rows() -> list[StrainRow]:
-    return strain_rows(grow_tomato(10), 0.01)
+    return strain_rows(grown("tomato", 10), 0.01)
 
 
 def test_the_rods_are_the_simulated_plant() -> None:
-    plant = grow_tomato(10)
+    plant = grown("tomato", 10)
     found = true_rods(plant)
     rods, model = found.model.rods, found.model
     tissue = np.asarray(rods.density) * np.pi * np.asarray(rods.edge_radius) ** 2 * rods.lengths

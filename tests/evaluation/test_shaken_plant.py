@@ -6,14 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from grown_plants import grown
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from straight_plant import BASE, chain, plant_of, straight_plant
 
 from anther.pollination.shake.observables import semi_major
 from anther.sim import plant_mechanics
-from anther.sim.pepper import grow_pepper
-from anther.sim.tomato import grow_tomato
 from anther.sim.truth import Truth
 from evaluation.judge.finer_plant import divided
 from evaluation.prediction.shaken_plant import Params, ShakenPlant
@@ -113,7 +112,7 @@ def test_the_nearest_piece_of_the_stem_is_held_and_never_the_lowest() -> None:
 
 
 def test_a_slow_shake_turns_no_crooked_stem_about_itself() -> None:
-    plant = grow_pepper(11)
+    plant = grown("pepper", 11)
     shaken = ShakenPlant(plant, plant.stem_centreline()[0][1], SIDEWAYS)
     assert semi_major(shaken.linear([0.01])[0]) == pytest.approx(1, abs=1e-3)
 
@@ -132,7 +131,7 @@ def test_a_resonance_is_as_wide_as_the_plants_damping_ratio_asks() -> None:
 @given(st.floats(0.004, 0.2))
 @settings(max_examples=10)
 def test_a_divided_plant_is_the_same_plant_in_shorter_segments(longest: float) -> None:
-    plant = grow_pepper(11)
+    plant = grown("pepper", 11)
     finer, part = divided(plant, longest)
     assert finer.length.max() <= longest + 1e-9
     assert finer.length.sum() == pytest.approx(plant.length.sum(), rel=1e-9)
@@ -146,7 +145,7 @@ def test_a_divided_plant_is_the_same_plant_in_shorter_segments(longest: float) -
 
 def test_frequencies_have_converged() -> None:
     """Half as long pieces, one of each twisting, change no low frequency by a per cent; every second twisting does."""
-    plant = grow_tomato(31)
+    plant = grown("tomato", 31)
     place = plant.stem_centreline()[0][4]
 
     def lowest(**cut: Any) -> Any:

@@ -40,7 +40,7 @@ from anther.plant import Visit
 
 pytest.importorskip("ortools", reason="OR-Tools is not installed: pip install 'anther[row]'")
 EIGHT = datetime(2026, 6, 1, 8, tzinfo=UTC)
-KILLS = int(os.environ.get("ANTHER_KILLS", "20"))
+KILLS = int(os.environ.get("ANTHER_KILLS", "8"))
 ROOT = Path(__file__).parents[2]
 
 

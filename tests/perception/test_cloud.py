@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import contextlib
 import tracemalloc
 from functools import cache
 from pathlib import Path
@@ -8,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from grown_plants import grown
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.sparse import csgraph
@@ -25,11 +25,9 @@ from anther.perception.cloud._fusion import (
     supported_pixels,
     voxel_groups,
 )
-from anther.perception.cloud.ply import read_ply, write_ply
 from anther.perception.formats.kinect import read_kinect
 from anther.perception.masks import FLOWER, PLANT, Masks, segment
 from anther.sim.capture import CaptureTruth, capture_from_poses, orbit_poses
-from anther.sim.pepper import grow_pepper
 from anther.sim.plant import Organ
 from anther.sim.render import d455
 
@@ -40,7 +38,7 @@ WORKSPACE = Box(np.array([0.32, -0.4, -0.48]), np.array([1.12, 0.4, 0.5]))
 def seen() -> tuple[Capture, CaptureTruth, Masks, Cloud]:
     poses = orbit_poses(8, (0.72, 0, -0.1), distance=0.6)
     capture, truth = capture_from_poses(
-        grow_pepper(2), poses, intrinsics=d455(848, 480), rng=np.random.default_rng(2)
+        grown("pepper", 2), poses, intrinsics=d455(848, 480), rng=np.random.default_rng(2)
     )  # fmt: skip
     masks = segment(capture, WORKSPACE)
     return capture, truth, masks, fuse(capture, masks, WORKSPACE)
@@ -195,20 +193,6 @@ def test_a_foreign_ply_is_a_cloud_without_obstacles(tmp_path: Path) -> None:
     np.testing.assert_allclose(cloud.points, points)
     assert cloud.normals is None
     assert len(cloud.obstacles) == 0
-
-
-@settings(max_examples=60)
-@given(cut=st.integers(0, 400), flip=st.integers(0, 120), value=st.integers(0, 255))
-def test_damaged_plys_load_or_are_refused(
-    tmp_path_factory: pytest.TempPathFactory, cut: int, flip: int, value: int
-) -> None:
-    path = tmp_path_factory.mktemp("ply") / "c.ply"
-    write_ply(path, np.ones((8, 3)))
-    data = bytearray(path.read_bytes())
-    data[min(flip, len(data) - 1)] = value
-    path.write_bytes(bytes(data[: max(1, len(data) - cut)]))
-    with contextlib.suppress(InputError):
-        assert read_ply(path)["points"].shape[1] == 3
 
 
 def test_flying_pixels_go_and_thin_lines_stay() -> None:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from grown_plants import grown
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -22,7 +23,6 @@ from anther.perception.capture import Capture
 from anther.perception.masks import BACKGROUND, FLOWER, PLANT, Masks
 from anther.perception.masks.by_words import Params, find_models, label_views, paint, segment
 from anther.sim.capture import capture_from_poses, orbit_poses
-from anther.sim.pepper import grow_pepper
 from anther.sim.plant import Organ
 from anther.sim.render import d455
 
@@ -282,7 +282,9 @@ class Truth:
 
 def test_reconstruct_with_the_networks_masks(models: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     poses = orbit_poses(6, (0.72, 0, -0.1), distance=0.6)
-    capture, truth = capture_from_poses(grow_pepper(1), poses, intrinsics=d455(424, 240), rng=np.random.default_rng(1))
+    capture, truth = capture_from_poses(
+        grown("pepper", 1), poses, intrinsics=d455(424, 240), rng=np.random.default_rng(1)
+    )
     capture.save(tmp_path / "capture")
     loaded = stand_in(monkeypatch, Truth(truth.organ))
     command = ["reconstruct", str(tmp_path / "capture"), "--masks", "grounded-sam2", "--models", str(models)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,31 +12,25 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from lazy import Lazy
+from PIL import Image
 
-torch = pytest.importorskip("torch", reason="needs the extra anther[segmentation]")
-transformers = pytest.importorskip("transformers", reason="needs the extra anther[segmentation]")
+from anther.core.errors import InputError
+from anther.core.geometry import Intrinsics, look_at
+from anther.perception.capture import Capture
+from anther.perception.masks import FLOWER, PLANT
+from anther.perception.masks.by_words import Params, find_models, segment
 
-from made_networks import SIDE, save_tiny_grounded_sam2, save_tiny_sam3  # noqa: E402
-from PIL import Image  # noqa: E402
-from safetensors.torch import load_file, save_file  # noqa: E402
-
-from anther.core.errors import InputError  # noqa: E402
-from anther.core.geometry import Intrinsics, look_at  # noqa: E402
-from anther.perception.capture import Capture  # noqa: E402
-from anther.perception.masks import FLOWER, PLANT  # noqa: E402
-from anther.perception.masks._networks import (  # noqa: E402
-    GroundedSam2,
-    Sam3,
-    chosen_boxes,
-    full_size,
-    normalised,
-    words_of_tokens,
-)
-from anther.perception.masks.by_words import Params, find_models, segment  # noqa: E402
-
-CPU = torch.device("cpu")
+if find_spec("torch") is None or find_spec("transformers") is None:
+    pytest.skip("needs the extra anther[segmentation]", allow_module_level=True)
+torch, transformers, tensors = Lazy("torch"), Lazy("transformers"), Lazy("safetensors.torch")
+parts, made = Lazy("anther.perception.masks._networks"), Lazy("made_networks")
 WORDS = ("leaves.", "stem.", "flower.")
 HEIGHT, WIDTH = 48, 80
+
+
+def cpu() -> Any:
+    return torch.device("cpu")
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -51,12 +46,12 @@ def one_thread() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return save_tiny_sam3(save_tiny_grounded_sam2(tmp_path_factory.mktemp("models")))
+    return made.save_tiny_sam3(made.save_tiny_grounded_sam2(tmp_path_factory.mktemp("models")))
 
 
 @pytest.fixture(scope="module")
-def networks(models: Path) -> GroundedSam2:
-    return GroundedSam2.load(find_models(models), score=0.0, most=5)
+def networks(models: Path) -> Any:
+    return parts.GroundedSam2.load(find_models(models), score=0.0, most=5)
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +64,7 @@ def images() -> Any:
 def test_dots_part_the_words() -> None:
     #                     [CLS] lea ##ves .  stem  .   flower  .  [SEP]
     ids = torch.tensor([101, 200, 201, 1012, 202, 1012, 203, 1012, 102])
-    assert words_of_tokens(ids).tolist() == [-1, 0, 0, -1, 1, -1, 2, -1, -1]
+    assert parts.words_of_tokens(ids).tolist() == [-1, 0, 0, -1, 1, -1, 2, -1, -1]
 
 
 def found(logits: list[list[float]], boxes: list[list[float]], **options: Any) -> tuple[Any, Any]:
@@ -78,7 +73,7 @@ def found(logits: list[list[float]], boxes: list[list[float]], **options: Any) -
     rows = torch.full((len(logits), 8), float("-inf"))  # the detector pads the text like this
     rows[:, :6] = torch.tensor(logits)
     options = {"size": (100, 200), "score": 0.5, "most": 10} | options
-    corners, word = chosen_boxes(rows, torch.tensor(boxes), words, **options)
+    corners, word = parts.chosen_boxes(rows, torch.tensor(boxes), words, **options)
     return corners.tolist(), word.tolist()
 
 
@@ -105,16 +100,20 @@ def test_no_boxes() -> None:
 
 @pytest.mark.parametrize("side", [32, 160], ids=["smaller", "larger"])
 def test_images_are_prepared_as_pillow_would(images: Any, side: int) -> None:
-    ours = normalised(images, (side, side), CPU, GroundedSam2.mean, GroundedSam2.std).numpy().transpose(0, 2, 3, 1)
+    ours = (
+        parts.normalised(images, (side, side), cpu(), parts.GroundedSam2.mean, parts.GroundedSam2.std)
+        .numpy()
+        .transpose(0, 2, 3, 1)
+    )
     other = [np.asarray(Image.fromarray(i).resize((side, side), Image.Resampling.BILINEAR)) / 255 for i in images]
-    other = (np.stack(other) - GroundedSam2.mean) / GroundedSam2.std
-    one_grey_level = 1 / 255 / min(GroundedSam2.std)  # Pillow rounds once more, between rows and columns
+    other = (np.stack(other) - parts.GroundedSam2.mean) / parts.GroundedSam2.std
+    one_grey_level = 1 / 255 / min(parts.GroundedSam2.std)  # Pillow rounds once more, between rows and columns
     assert np.abs(ours - other).max() < 1.01 * one_grey_level
 
 
 def test_masks_return_to_the_images_size_as_opencv_would_do_it() -> None:
     logits = np.random.default_rng(1).normal(size=(2, 16, 16)).astype(np.float32)
-    masks = full_size(torch.tensor(logits), (HEIGHT, WIDTH))
+    masks = parts.full_size(torch.tensor(logits), (HEIGHT, WIDTH))
     other = np.stack([cv2.resize(part, (WIDTH, HEIGHT), interpolation=cv2.INTER_LINEAR) for part in logits])
     assert masks.shape == (2, HEIGHT, WIDTH)
     sure = np.abs(other) > 1e-4
@@ -140,8 +139,8 @@ class KnownOutliner:
         return SimpleNamespace(pred_masks=(2.0 * inside - 1)[None, :, None])
 
 
-def test_boxes_go_to_the_outliner_and_masks_come_back_in_image_pixels(networks: GroundedSam2, images: Any) -> None:
-    known = GroundedSam2(SimpleNamespace(device=CPU), None, None, KnownOutliner(), score=0.1, most=50)
+def test_boxes_go_to_the_outliner_and_masks_come_back_in_image_pixels(networks: Any, images: Any) -> None:
+    known = parts.GroundedSam2(SimpleNamespace(device=cpu()), None, None, KnownOutliner(), score=0.1, most=50)
     boxes = [torch.tensor([[10.0, 6.0, 50.0, 30.0]] * 17), torch.zeros((0, 4)), torch.tensor([[0.0, 0.0, 80.0, 48.0]])]
     masks = known.outlines(images, boxes)
     assert [m.shape for m in masks] == [(17, HEIGHT, WIDTH), (0, HEIGHT, WIDTH), (1, HEIGHT, WIDTH)]
@@ -152,14 +151,14 @@ def test_boxes_go_to_the_outliner_and_masks_come_back_in_image_pixels(networks: 
     assert [len(m) for m in known.outlines(images, [torch.zeros((0, 4))] * 3)] == [0, 0, 0]
 
 
-def test_boxes_agree_with_the_official_decoding(networks: GroundedSam2, models: Path, images: Any) -> None:
+def test_boxes_agree_with_the_official_decoding(networks: Any, models: Path, images: Any) -> None:
     folder = models / "grounding-dino"
     processor = transformers.GroundingDinoProcessor(
         transformers.GroundingDinoImageProcessorPil.from_pretrained(folder),
         transformers.AutoTokenizer.from_pretrained(folder),
     )
     network = transformers.GroundingDinoForObjectDetection.from_pretrained(folder)
-    every = GroundedSam2.load(find_models(models), score=0.0, most=900).boxes(images, WORDS)
+    every = parts.GroundedSam2.load(find_models(models), score=0.0, most=900).boxes(images, WORDS)
     for image, (ours, _) in zip(images, every, strict=True):
         asked = processor(images=[image], text=" ".join(WORDS), return_tensors="pt")
         with torch.inference_mode():
@@ -173,27 +172,29 @@ def test_boxes_agree_with_the_official_decoding(networks: GroundedSam2, models: 
         assert distance.max() < 0.01
 
 
-def test_masks_agree_with_the_whole_network_run_on_one_image(networks: GroundedSam2, models: Path, images: Any) -> None:
+def test_masks_agree_with_the_whole_network_run_on_one_image(networks: Any, models: Path, images: Any) -> None:
     """Here a batch is encoded once and each image's boxes are decoded in portions."""
     boxes = [corners for corners, _ in networks.boxes(images, WORDS)]
     ours = networks.outlines(images, boxes)
     whole = transformers.Sam2Model.from_pretrained(models / "sam2")
-    scale = torch.tensor([SIDE / WIDTH, SIDE / HEIGHT] * 2)
+    scale = torch.tensor([made.SIDE / WIDTH, made.SIDE / HEIGHT] * 2)
     for image, corners, masks in zip(images, boxes, ours, strict=True):
         with torch.inference_mode():
             answer = whole(
-                pixel_values=normalised(image[None], (SIDE, SIDE), CPU, GroundedSam2.mean, GroundedSam2.std),
+                pixel_values=parts.normalised(
+                    image[None], (made.SIDE, made.SIDE), cpu(), parts.GroundedSam2.mean, parts.GroundedSam2.std
+                ),
                 input_boxes=(corners.cpu() * scale)[None],
                 multimask_output=False,
             )
-        other = full_size(answer.pred_masks[0, :, 0], (HEIGHT, WIDTH))
+        other = parts.full_size(answer.pred_masks[0, :, 0], (HEIGHT, WIDTH))
         assert (other != masks).mean() < 1e-3
         assert 0.01 < masks.mean() < 0.99
 
 
 def test_sam3_agrees_with_the_whole_network_run_on_one_image(models: Path, images: Any) -> None:
     """Here a batch is encoded once for all words; the decoding is written anew."""
-    ours = Sam3.load(find_models(models, "sam3"), score=0.2, most=4).find(images, WORDS)
+    ours = parts.Sam3.load(find_models(models, "sam3"), score=0.2, most=4).find(images, WORDS)
     whole = transformers.Sam3Model.from_pretrained(models / "sam3").eval()
     tokenizer = transformers.AutoTokenizer.from_pretrained(models / "sam3")
     for image, (masks, word) in zip(images, ours, strict=True):
@@ -201,7 +202,9 @@ def test_sam3_agrees_with_the_whole_network_run_on_one_image(models: Path, image
         for k, words in enumerate(("leaves", "stem", "flower")):
             text = tokenizer([words], padding="max_length", max_length=32, return_tensors="pt")
             with torch.inference_mode():
-                answer = whole(pixel_values=normalised(image[None], (56, 56), CPU, Sam3.mean, Sam3.std), **text)
+                answer = whole(
+                    pixel_values=parts.normalised(image[None], (56, 56), cpu(), parts.Sam3.mean, parts.Sam3.std), **text
+                )
             score = (answer.pred_logits[0].sigmoid() * answer.presence_logits[0].sigmoid()).numpy()
             best = [q for q in np.argsort(-score)[:4] if score[q] >= 0.2]
             other = [
@@ -231,12 +234,12 @@ def test_the_whole_chain_from_a_folder_of_weights(models: Path, tmp_path: Path, 
     np.testing.assert_array_equal(kept.labels, masks.labels)
 
 
-def test_too_many_words_are_refused(networks: GroundedSam2, images: Any) -> None:
+def test_too_many_words_are_refused(networks: Any, images: Any) -> None:
     with pytest.raises(InputError, match="at most 256 tokens"):
         networks.boxes(images[:1], ["stem."] * 200)
 
 
-def test_too_little_gpu_memory_is_said(networks: GroundedSam2, images: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_little_gpu_memory_is_said(networks: Any, images: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: Any) -> None:
         raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 3 GiB")
 
@@ -261,11 +264,11 @@ def test_weights_that_are_no_good_are_refused(models: Path, tmp_path: Path, part
     if damage == "cut":
         path.write_bytes(path.read_bytes()[:1000])
     elif damage == "other":
-        save_file({"something": torch.zeros(3)}, path, metadata={"format": "pt"})
+        tensors.save_file({"something": torch.zeros(3)}, path, metadata={"format": "pt"})
     else:
-        numbers = load_file(path)
+        numbers = tensors.load_file(path)
         del numbers[next(n for n in sorted(numbers) if "mask_decoder" in n or "decoder.layers.0" in n)]
-        save_file(numbers, path, metadata={"format": "pt"})
-    kind, method = (Sam3, "sam3") if part == "sam3" else (GroundedSam2, "grounded-sam2")
+        tensors.save_file(numbers, path, metadata={"format": "pt"})
+    kind, method = (parts.Sam3, "sam3") if part == "sam3" else (parts.GroundedSam2, "grounded-sam2")
     with pytest.raises(InputError, match=rf"{part}.*[Dd]ownload"):
         kind.load(find_models(tmp_path / "models", method), score=0.2, most=5)

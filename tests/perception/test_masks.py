@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from grown_plants import grown
 
 from anther.core.errors import InputError, StageFailure
 from anther.core.geometry import Box, Intrinsics, look_at, transform_points
@@ -13,17 +14,15 @@ from anther.perception.formats.kinect import read_kinect
 from anther.perception.masks import BACKGROUND, FLOWER, PLANT, Masks, Params, segment
 from anther.perception.masks._survey import ground_cells
 from anther.sim.capture import CaptureTruth, capture_from_poses, orbit_poses
-from anther.sim.pepper import grow_pepper
 from anther.sim.plant import Organ
 from anther.sim.render import d455
-from anther.sim.tomato import grow_tomato
 
 WORKSPACE = Box(np.array([0.32, -0.4, -0.48]), np.array([1.12, 0.4, 0.5]))
 
 
 @cache
 def seen(species: str) -> tuple[Capture, CaptureTruth, Masks]:
-    plant = grow_tomato(1) if species == "tomato" else grow_pepper(1)
+    plant = grown(species, 1)
     height = 0.05 if species == "tomato" else -0.1
     poses = orbit_poses(6, (0.72, 0, height), distance=0.6)
     capture, truth = capture_from_poses(plant, poses, intrinsics=d455(848, 480), rng=np.random.default_rng(1))

@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import cv2
 import numpy as np
 import pytest
+import test_masks
 
 from anther.core.errors import InputError
 from anther.core.geometry import Box
 from anther.perception.capture import Capture
 from anther.perception.masks import Masks, without_ground
 from anther.perception.masks._survey import foot_cells
-from anther.sim.capture import CaptureTruth, capture_from_poses, orbit_poses
-from anther.sim.pepper import grow_pepper
+from anther.sim.capture import CaptureTruth
 from anther.sim.plant import SOIL_Z, Organ
-from anther.sim.render import d455
 
 WORKSPACE = Box(np.array([0.32, -0.4, -0.48]), np.array([1.12, 0.4, 0.5]))
 
 
-@cache
 def seen() -> tuple[Capture, CaptureTruth]:
-    poses = orbit_poses(6, (0.72, 0, -0.1), distance=0.65)
-    return capture_from_poses(grow_pepper(11), poses, intrinsics=d455(848, 480), rng=np.random.default_rng(1))
+    capture, truth, _ = test_masks.seen("pepper")
+    return capture, truth
 
 
 def bleeding(kind: str, truth: CaptureTruth) -> Masks:

@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from grown_plants import grown
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -21,7 +22,6 @@ from anther.perception.masks._cells import stake_cells
 from anther.perception.masks._light import GREEN, Light, green_rule
 from anther.sim.capture import CaptureTruth, capture_from_poses, orbit_poses
 from anther.sim.greenhouse import Setting
-from anther.sim.pepper import grow_pepper
 from anther.sim.plant import Organ
 from anther.sim.render import Scene, d455
 from evaluation.perception.colour_images import segment_images
@@ -33,7 +33,7 @@ WORKSPACE = Box(np.array([0.32, -0.4, -0.48]), np.array([1.12, 0.4, 0.5]))
 @cache
 def seen(setting: Setting) -> tuple[Capture, CaptureTruth]:
     poses = orbit_poses(6, (0.72, 0, -0.1), distance=0.65)
-    scene = Scene.of_plant(grow_pepper(11), setting)
+    scene = Scene.of_plant(grown("pepper", 11), setting)
     return capture_from_poses(scene, poses, intrinsics=d455(848, 480), rng=np.random.default_rng(1))
 
 
@@ -79,7 +79,7 @@ def test_a_stake_and_a_string_are_no_plant() -> None:
 
 
 def test_the_default_setting_changes_nothing() -> None:
-    plant, camera, pose = grow_pepper(11), d455(320, 180), orbit_poses(1, (0.72, 0, -0.1))[0]
+    plant, camera, pose = grown("pepper", 11), d455(320, 180), orbit_poses(1, (0.72, 0, -0.1))[0]
     image = Scene.of_plant(plant).render(camera, pose)
     assert np.array_equal(image.rgb, Scene.of_plant(plant, Setting()).render(camera, pose).rgb)
     dark = Scene.of_plant(plant, Setting(light=SETTINGS["dim"].light)).render(camera, pose)

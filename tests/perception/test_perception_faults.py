@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from grown_plants import grown
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
@@ -24,7 +25,6 @@ from anther.pollination.grasp import Grasp, plan_grasps
 from anther.sim.capture import CaptureTruth, capture_from_poses, orbit_poses
 from anther.sim.plant import SimPlant
 from anther.sim.render import Scene, d455
-from anther.sim.tomato import grow_tomato
 
 WORKSPACE = Box(np.array([0.32, -0.4, -0.48]), np.array([1.12, 0.4, 0.5]))
 NEAR = 0.005
@@ -47,7 +47,7 @@ class Seen:
 
 @pytest.fixture(scope="module")
 def plant() -> SimPlant:
-    return grow_tomato(11)
+    return grown("tomato", 11)
 
 
 @pytest.fixture(scope="module")
@@ -170,7 +170,7 @@ def together(one: SimPlant, two: SimPlant) -> Scene:
 @pytest.mark.parametrize("apart", [0.18, pytest.param(0.36, marks=pytest.mark.slow)])
 def test_two_plants_in_view(plant: SimPlant, apart: float) -> None:
     """Their leaves mingle at 0.18 m; at 0.36 m they hardly touch."""
-    two = grow_tomato(12, axis=(0.72, apart))
+    two = grown("tomato", 12, axis=(0.72, apart))
     both = together(plant, two)
     poses = orbit_poses(8, (0.72, apart / 2, -0.05), distance=0.7)
     capture, _ = capture_from_poses(both, poses, intrinsics=d455(640, 360), rng=np.random.default_rng(3))

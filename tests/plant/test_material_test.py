@@ -273,12 +273,12 @@ def test_the_truth_lies_within_the_stated_errors_as_often_as_it_should() -> None
 @pytest.mark.slow
 def test_both_estimates_cover_the_truth_and_agree() -> None:
     rng = np.random.default_rng(1)
-    found = [identify(simulated_test(rng, "upright", deflection=True)) for _ in range(100)]
+    found = [identify(simulated_test(rng, "upright", deflection=True)) for _ in range(50)]
     off = np.array([misses(one) for one in found])
     spread = np.sqrt(np.mean(off**2, axis=0))
-    assert np.all((spread > 0.8) & (spread < 1.2)), spread
-    assert np.all(np.mean(np.abs(off) < 1, axis=0) > 0.58)
-    assert np.all(np.mean(np.abs(off) < 2, axis=0) > 0.90)
+    assert np.all((spread > 0.75) & (spread < 1.25)), spread  # 2.5 sigma of the spread of 50
+    assert np.all(np.mean(np.abs(off) < 1, axis=0) > 0.54)
+    assert np.all(np.mean(np.abs(off) < 2, axis=0) > 0.88)
     assert np.mean([bool(one.warnings) for one in found]) < 0.12
 
 

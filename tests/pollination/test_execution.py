@@ -55,7 +55,7 @@ def test_a_trial_runs_its_phases_in_order_and_ends_clear_of_the_plant() -> None:
     assert len(trial.frames) == len(trial.frame_times) > 8
 
 
-@pytest.mark.parametrize("joint", range(7))
+@pytest.mark.parametrize("joint", [0, 3, 6])
 def test_an_arm_with_one_joint_elsewhere_reaches_before_it_approaches(joint: int) -> None:
     assert GRASP.joints is not None
     before = PLANNER.line(GRASP.joints, GRASP.pregrasp(STAND_OFF), APPROACH_SPEED).positions[-1]

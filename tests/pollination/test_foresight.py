@@ -124,13 +124,13 @@ def test_what_is_left_unknown_is_as_wide_as_the_error_of_what_is_believed() -> N
 OBSERVED = 2.0 - 1.0j
 
 
-@pytest.fixture
-def toy(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], tuple[Any, ...]]:
+@pytest.fixture(params=[1500])
+def toy(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Callable[[float], tuple[Any, ...]]:
     """Two points that move along x alone: of either part the deviations are 1 and 2, the correlation is 0.8. The first
-    is seen. Many members have exactly these moments."""
+    is seen. The members, however many, have exactly these moments."""
     monkeypatch.setattr(foresight_module, "MISFIT", 0.0)
-    rng, members = np.random.default_rng(1), np.zeros((1500, 2, 3), complex)
-    drawn = rng.normal(size=(1500, 2)) + 1j * rng.normal(size=(1500, 2))
+    rng, members = np.random.default_rng(1), np.zeros((request.param, 2, 3), complex)
+    drawn = rng.normal(size=(request.param, 2)) + 1j * rng.normal(size=(request.param, 2))
     drawn -= drawn.mean(axis=0)
     drawn = drawn @ np.linalg.inv(np.linalg.cholesky(np.cov(drawn.T))).T
     members[:, :, 0] = np.sqrt(2) * drawn @ np.linalg.cholesky(PRIOR).T
@@ -159,6 +159,7 @@ def test_the_update_is_exact_where_all_is_gaussian_and_members_are_many(
         assert np.cov(part.T) == pytest.approx(left, rel=0.12)
 
 
+@pytest.mark.parametrize("toy", [50], indirect=True)
 @pytest.mark.parametrize("std", [0.3, 1.0, 3.0])
 def test_the_misfit_is_the_exact_likelihood_where_all_is_gaussian(
     toy: Callable[..., tuple[Any, ...]], std: float
@@ -173,6 +174,7 @@ def test_the_misfit_is_the_exact_likelihood_where_all_is_gaussian(
         assert misfit(*toy(std, value)) == pytest.approx(expected(value, std)), "wide errors are no free explanation"
 
 
+@pytest.mark.parametrize("toy", [600], indirect=True)
 def test_errors_that_are_drawn_of_two_looks_have_nothing_in_common(toy: Callable[..., tuple[Any, ...]]) -> None:
     members, *given = toy(1.0)
     exact = members[:, 0, 0] + 0.5 * (OBSERVED - members[:, 0, 0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from pathlib import Path
 
 import cv2
@@ -61,6 +62,7 @@ def draw(shift: float, time: float, rng: np.random.Generator, wall: NDArray[np.u
     return Frame(time, np.clip(rgb + rng.normal(0, 2, rgb.shape), 0, 255).astype(np.uint8), near)
 
 
+@lru_cache(maxsize=4)
 def film(size: float, *, hidden: bool = False, began: float = 0.0) -> list[Frame]:
     rng = np.random.default_rng(0)
     wall = np.kron(rng.integers(90, 190, (45, 60, 3)), np.ones((16, 16, 1))).astype(np.uint8)

@@ -125,6 +125,13 @@ def test_what_is_nearly_black_has_no_colour() -> None:
     assert weight[0].tolist() == [0.5, 0.0, 0.5, 0.0, 0.5, 0.5], "green by more than 6 % of all light is a leaf"
 
 
+def test_what_is_not_green_and_as_far_as_flowers_counts_half_as_much_as_a_petal() -> None:
+    frame = plain((150, 155, 150), 0.5, 1, 2)
+    frame.depth[0, 0] = 0.3
+    assert flower_weight(frame, np.zeros((1, 2), np.float32), NEAREST, FARTHEST)[0].tolist() == [0, 0.5]
+    assert flower_weight(frame, np.ones((1, 2), np.float32), NEAREST, FARTHEST).min() == 1
+
+
 def spots(*centres: tuple[float, float], radius: float = 3.0) -> NDArray[np.float32]:
     """Return the weight (60, 80) of round spots."""
     v, u = np.mgrid[:HEIGHT, :WIDTH]

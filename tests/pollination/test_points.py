@@ -52,16 +52,22 @@ def wave(phasors: ComplexArray, tones: Array = TONES) -> Path:
     return lambda t: np.imag(np.exp(2j * np.pi * t[:, None] * tones) @ phasors)
 
 
+_V, _U = np.mgrid[: CAMERA.height, : CAMERA.width].astype(float)
+_FINE = 12 * np.sin(0.9 * _U) * np.sin(0.8 * _V)
+BACKGROUND = 90 + 25 * np.sin(0.31 * _U + 0.17 * _V) * np.cos(0.23 * _V - 0.11 * _U) + _FINE
+
+
 def drawn(centres: Array, light: float, rng: np.random.Generator, noise: float) -> np.ndarray:
     """Return a picture of blobs, each of its own texture, at centres (P, 2), NaN for none."""
-    v, u = np.mgrid[: CAMERA.height, : CAMERA.width].astype(float)
-    grey = 90 + 25 * np.sin(0.31 * u + 0.17 * v) * np.cos(0.23 * v - 0.11 * u) + 12 * np.sin(0.9 * u) * np.sin(0.8 * v)
+    grey = BACKGROUND.copy()
     for i, (x, y) in enumerate(centres):
         if np.isfinite(x):
-            a, b = u - x, v - y
+            left, top = (max(int(place) - RADIUS - 8, 0) for place in (x, y))
+            near = np.s_[top : max(int(y) + RADIUS + 9, 0), left : max(int(x) + RADIUS + 9, 0)]
+            a, b = _U[near] - x, _V[near] - y
             texture = 120 + 45 * np.sin((0.5 + 0.1 * i) * a + 0.3 * b + i) + 35 * np.cos(0.25 * a - (0.6 - 0.1 * i) * b)
             cover = 1 / (1 + np.exp(2 * (np.hypot(a, b) - RADIUS)))
-            grey = grey + cover * (texture - grey)
+            grey[near] += cover * (texture - grey[near])
     rgb = light * np.repeat(grey[..., None], 3, axis=2) + noise * rng.normal(size=(*grey.shape, 3))
     return np.clip(np.rint(rgb), 0, 255).astype(np.uint8)
 

@@ -93,7 +93,7 @@ def ros2s() -> Iterator[ArmRig]:
 def urs() -> Iterator[ArmRig]:
     with closing(FakeUR(clock=clock, sleep=sleep)) as robot:
         faults = {"stop": setting(robot, "pressed", True)}
-        yield rig_of(robot, lambda: fake_ur.connected(robot), fake_ur.MODEL.acceleration, notice=0.25, faults=faults)
+        yield rig_of(robot, lambda: fake_ur.connected(robot), fake_ur.model().acceleration, notice=0.25, faults=faults)
 
 
 def frankas() -> Iterator[ArmRig]:

@@ -13,7 +13,7 @@ from typing import Any
 
 import fake_franka
 import pytest
-from fake_franka import MODEL, READY, FakeFranka, RealtimeConfig, connected, far, library
+from fake_franka import READY, FakeFranka, RealtimeConfig, connected, far, library, model
 
 from anther.core.errors import InputError, MissingExtra
 from anther.robot.cells import _parts, read_cell
@@ -53,7 +53,7 @@ def test_a_cell_file_names_it(tmp_path: Path, fr3: FakeFranka, monkeypatch: pyte
         assert arm.joints() == pytest.approx(READY, abs=2e-3)
     assert asked["host"] == "fr3.local"
     assert not asked["realtime"]
-    assert asked["acceleration"] == pytest.approx(MODEL.acceleration)
+    assert asked["acceleration"] == pytest.approx(model().acceleration)
 
 
 @pytest.mark.parametrize(
@@ -102,7 +102,7 @@ def test_what_keeps_it_from_connecting_is_told() -> None:
 def test_an_absent_robot_is_told_by_the_real_library() -> None:
     pytest.importorskip("pylibfranka", reason=NO_LIBRARY)
     with pytest.raises(DeviceError, match=r"no Franka arm answers at 127.0.0.77|kernel"):
-        open_franka("127.0.0.77", names=MODEL.joints, acceleration=MODEL.acceleration, realtime=False)
+        open_franka("127.0.0.77", names=model().joints, acceleration=model().acceleration, realtime=False)
 
 
 def arguments(doc: str) -> list[tuple[str, bool]]:

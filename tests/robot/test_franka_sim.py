@@ -29,7 +29,6 @@ pytest.importorskip("pylibfranka", reason="no pylibfranka; run: pip install 'ant
 if not has_server():
     pytest.skip(NO_SERVER, allow_module_level=True)
 pytestmark = AGAIN_IF_HELD_UP
-FR3 = find_arm("fr3")
 HOST = f"127.0.2.{1 + os.getpid() % 250}"  # libfranka's port is always the same
 
 
@@ -43,7 +42,7 @@ class Server:
         """Return the arm as the driver of a served cell has it."""
         from served import franka  # noqa: PLC0415  # found on the path above
 
-        return franka(HOST, world=str(self.world), arm_model=FR3)
+        return franka(HOST, world=str(self.world), arm_model=find_arm("fr3"))
 
     def rows(self) -> np.ndarray:
         lines = self._log.read_text().splitlines()[:-1]
@@ -86,7 +85,7 @@ def test_it_moves_within_the_limits_that_the_simulator_enforces(server: Server) 
     with closing(server.connected()) as arm:
         assert "ready to move" in arm.describe()
         for way in (0.1, -0.1):
-            path = SmallPlanner(FR3).move(arm.joints(), arm.joints() + way)
+            path = SmallPlanner(find_arm("fr3")).move(arm.joints(), arm.joints() + way)
             record = arm.follow(path)
             assert record.commanded[-1] == pytest.approx(path.positions[-1], abs=1e-6)
             assert arm.joints() == pytest.approx(path.positions[-1], abs=5e-3)
@@ -99,7 +98,7 @@ def test_it_moves_within_the_limits_that_the_simulator_enforces(server: Server) 
                 raise DeviceError("enough")
 
         with pytest.raises(DeviceError, match="enough"):
-            arm.follow(SmallPlanner(FR3).move(arm.joints(), arm.joints() + 0.2), enough)
+            arm.follow(SmallPlanner(find_arm("fr3")).move(arm.joints(), arm.joints() + 0.2), enough)
         assert "ready to move" in arm.describe()
 
 
@@ -140,7 +139,7 @@ def test_an_arm_stands_after_kill_9(server: Server, who: str) -> None:
 @pytest.mark.parametrize("late", [0.0, 0.006, 0.018])
 def test_the_served_arm_goes_as_told_however_late_it_hears(late: float) -> None:
     """Commands wait for up to 18 ms, which the robot allows: the arm is never further behind than at its best."""
-    world, rng = SimpleNamespace(time=100.0, timestep=0.001, arm=FR3), np.random.default_rng(0)
+    world, rng = SimpleNamespace(time=100.0, timestep=0.001, arm=find_arm("fr3")), np.random.default_rng(0)
     arm, heard, until = Controller(world, np.zeros(7)), 0, 0.0
     for cycle in range(6000):
         if world.time >= until:

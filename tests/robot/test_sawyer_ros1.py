@@ -17,7 +17,7 @@ from fake_ros_master import DEBIAN, NO_ROSCORE, FakeMaster, debian_roscore, free
 from fake_sawyer import CLOCK, FakeSawyer, swing
 from slow_clock import AGAIN_IF_HELD_UP, clock, sleep
 from small_planner import SmallPlanner
-from streamed_motions import check_kept_up, halfway, raising_beyond, thought_about, three_pieces
+from streamed_motions import check_kept_up, halfway
 
 from anther.core.errors import InputError
 from anther.robot.arm import sawyer
@@ -81,7 +81,7 @@ def stopped_after(robot: FakeSawyer, since: float) -> float:
     return max(float(times[speed > 1e-3].max()) - since, 0.0)
 
 
-@WITH_ROS
+@pytest.mark.parametrize("master", ["roscore"], indirect=True)
 def test_it_goes_where_it_is_told_and_says_so(arm: Sawyer, robot: FakeSawyer) -> None:
     conforms: Arm = arm
     start, seen = conforms.joints(), list[ArmSample]()
@@ -100,6 +100,7 @@ def test_what_the_robot_is_set_to_before_anything_moves(arm: Sawyer, robot: Fake
     sleep(0.2)
     assert (robot.ratio, robot.timeout) == (0.1, 0.03)
     assert robot.heard == []
+    assert arm.joints() == pytest.approx(sawyer.NEUTRAL, abs=1e-9)  # though the robot names its joints in another order
     assert arm.readings.clock.offset == pytest.approx(-CLOCK, abs=0.05)
 
 
@@ -107,25 +108,6 @@ def test_in_position_mode_the_arm_takes_its_time(master: str, robot: FakeSawyer)
     with closing(connected(master, speed_ratio=1.0)) as arm:
         record = arm.follow(far(arm, 0.1))
         assert record.measured[-1] == pytest.approx(record.commanded[-1], abs=2e-3)
-
-
-def test_motions_join_without_a_stop_while_the_next_is_thought_about(arm: Sawyer, robot: FakeSawyer) -> None:
-    begin, middle, end = three_pieces(arm.joints())
-    record = arm.follow(begin, None, thought_about(middle, end))
-    assert record.commanded[-1] == pytest.approx(end.positions[-1], abs=1e-6)
-    times, speed = robot.speed()
-    moving = times[speed > 0.01]
-    assert speed[(times > moving[0] + 0.3) & (times < moving[-1] - 0.3)].min() > 0.1
-    assert np.diff(robot.heard).max() < 0.05
-
-
-def test_what_comes_too_late_ends_in_a_braked_hold(arm: Sawyer, robot: FakeSawyer) -> None:
-    t = np.linspace(0, 0.5, 50)[:, None]
-    begin = JointTrajectory(t[:, 0], arm.joints() + 0.25 * t**2, 0.5 * np.tile(t, (1, 7)))
-    with pytest.raises(DeviceError, match="next motion comes too late"):
-        arm.follow(begin, None, lambda: sleep(0.6))
-    assert stopped_after(robot, clock()) < 0.05
-    assert np.abs(robot.q - begin.positions[-1]).max() < 0.05
 
 
 def test_a_command_that_was_made_before_a_pause_is_not_sent_after_it(
@@ -148,41 +130,20 @@ def test_a_command_that_was_made_before_a_pause_is_not_sent_after_it(
     assert all(np.abs(joints - robot.q).max() < 1e-3 for _, _, joints, _ in after)
 
 
-@pytest.mark.parametrize("error", [DeviceError("enough"), KeyboardInterrupt()])
-def test_it_stops_where_its_watcher_raises(arm: Sawyer, error: BaseException) -> None:
-    start = arm.joints()
-    with pytest.raises(type(error), match=str(error) or None):
-        arm.follow(far(arm), raising_beyond(start, error))
-    sleep(0.1)
-    there = arm.joints()
-    assert np.abs(there - start).max() == pytest.approx(0.1, abs=0.06)
-    arm.hold()
-    sleep(0.1)
-    assert arm.joints() == pytest.approx(there, abs=2e-3)
-
-
-@pytest.mark.parametrize("how", ["mute", "lag"])
-def test_it_stops_when_its_joints_become_stale(arm: Sawyer, robot: FakeSawyer, how: str) -> None:
+def test_it_stops_when_its_joints_become_stale(arm: Sawyer, robot: FakeSawyer) -> None:
     since = list[float]()
 
     def break_it() -> None:
         since.append(clock())
-        setattr(robot, how, True if how == "mute" else 0.2)
+        robot.lag = 0.2
 
     path = far(arm, 0.4)
     halfway(path, break_it)
     with pytest.raises(DeviceError, match="ms old"):
         arm.follow(path)
-    robot.mute, robot.lag = False, 0.0
+    robot.lag = 0.0
     check_kept_up(robot.heard)
     assert stopped_after(robot, since[0]) < 0.05 + 0.1  # to notice, and to brake
-
-
-def test_a_clock_that_jumps_is_not_believed(arm: Sawyer, robot: FakeSawyer) -> None:
-    robot.ahead -= 1.0
-    sleep(0.2)
-    with pytest.raises(DeviceError, match="old"):
-        arm.joints()
 
 
 @pytest.mark.parametrize(
@@ -276,8 +237,8 @@ def test_behind_the_guard_it_is_an_arm(arm: Sawyer, robot: FakeSawyer) -> None:
 
 @pytest.mark.parametrize(
     ("what", "value", "message"),
-    [("dead", True, "the same to the last bit"), ("force", np.nan, "or no number"), ("numb", True, "or no number")],
-    ids=["stuck", "not a number", "silent"],
+    [("dead", True, "the same to the last bit"), ("force", np.nan, "or no number")],
+    ids=["stuck", "not a number"],
 )
 def test_a_force_that_is_lost_on_the_way_stops_the_arm(
     arm: Sawyer, robot: FakeSawyer, what: str, value: Any, message: str

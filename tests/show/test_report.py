@@ -16,6 +16,7 @@ from test_viewer import shaken
 from anther.plant.visit import TruthRecord, Visit
 from anther.pollination.execution import Step
 from anther.pollination.response import Response
+from anther.show import report
 from anther.show.pictures.report import draw_steps
 from anther.show.report import write_report
 from anther.show.results import PARAMS, RunResults, read_run
@@ -54,10 +55,19 @@ def trial(folder: Path, **more: Any) -> RunResults:
     return replace(results, executed=done, trial=stepped, response=response, **more)
 
 
-def said(results: RunResults, section: str, folder: Path) -> list[list[str]]:
+def page_of(results: RunResults, *, drawn: bool = False) -> str:
+    """Return the report; its pictures take most of the time, and are drawn only where they are looked at."""
+    path = results.folder / "report.html"
+    with pytest.MonkeyPatch.context() as patch:
+        if not drawn:
+            patch.setattr(report, "_image", lambda draw, alt: "")
+        write_report(path, results)
+    return path.read_text(encoding="utf-8")
+
+
+def said(results: RunResults, section: str) -> list[list[str]]:
     """Return the rows of the tables in a section of the report, each its cells, without markup."""
-    write_report(folder / "report.html", results)
-    page = (folder / "report.html").read_text(encoding="utf-8")
+    page = page_of(results)
     begin = page.index(f"<h2>{section}</h2>")
     part = page[begin : page.index("</section>", begin)]
     rows = re.findall(r"<tr[^>]*>(.*?)</tr>", part)
@@ -65,18 +75,16 @@ def said(results: RunResults, section: str, folder: Path) -> list[list[str]]:
 
 
 def test_plan_and_execution_stand_in_one_table_in_one_unit(tmp_path: Path) -> None:
-    rows = said(trial(tmp_path), "The shake", tmp_path)
+    rows = said(trial(tmp_path), "The shake")
     assert rows[0] == ["", "Planned", "Executed"]
     assert ["Amplitude of the grip", "5.00 mm", "8.00 mm"] in rows
     assert ["Frequency", "4.00 Hz", "4.00 Hz"] in rows
-    alone = said(replace(trial(tmp_path), executed=None), "The shake", tmp_path)
+    alone = said(replace(trial(tmp_path), executed=None), "The shake")
     assert alone[0] == ["", "Planned"]
 
 
 def test_a_flower_has_amplitude_and_acceleration_from_the_same_look(tmp_path: Path) -> None:
-    rows = {
-        row[0]: row[2::2] for row in said(trial(tmp_path), "How the flowers moved", tmp_path) if row[0][:6] == "Flower"
-    }
+    rows = {row[0]: row[2::2] for row in said(trial(tmp_path), "How the flowers moved") if row[0][:6] == "Flower"}
     assert rows["Flower 1"] == ["4.00 mm ± 0.40", "3.00 m/s²"]
     of_the_step = 1e3 * 6.0 / (2 * np.pi * 4.0) ** 2
     assert rows["Flower 2"] == [f"{of_the_step:.2f} mm (last step)", "6.00 m/s² (last step)"]
@@ -91,9 +99,9 @@ def test_the_grasp_that_was_carried_out_is_marked_though_others_were_tried_befor
     held = results.shake.grasp
     other = np.array(held.T_world_flange)
     other[:3, 3] += 0.05
-    rows = said(replace(results, grasps=(replace(held, T_world_flange=other), held)), "The grasp", tmp_path)
-    assert [row[0] for row in rows] == ["Rank", "1", "2 (carried out)"]
-    assert "is left for the next: nothing</li>" in (tmp_path / "report.html").read_text(encoding="utf-8")
+    results = replace(results, grasps=(replace(held, T_world_flange=other), held))
+    assert [row[0] for row in said(results, "The grasp")] == ["Rank", "1", "2 (carried out)"]
+    assert "is left for the next: nothing</li>" in page_of(results)
 
 
 def test_what_a_negative_clearance_means_is_said_where_there_is_one(tmp_path: Path) -> None:
@@ -101,8 +109,7 @@ def test_what_a_negative_clearance_means_is_said_where_there_is_one(tmp_path: Pa
     assert results.shake is not None
     grasp = results.shake.grasp
     for clearance, told in ((0.005, False), (-0.015, True)):
-        write_report(tmp_path / "report.html", replace(results, grasps=(replace(grasp, clearance=clearance),)))
-        page = (tmp_path / "report.html").read_text(encoding="utf-8")
+        page = page_of(replace(results, grasps=(replace(grasp, clearance=clearance),)))
         assert ("pushes leaves, petioles or flowers aside" in page) == told
 
 
@@ -124,8 +131,7 @@ def test_measured_and_true_are_explained_in_simulation_alone(true: float | None,
         if true
         else None
     )
-    write_report(tmp_path / "report.html", trial(tmp_path, visit=Visit("tomato", "1", held_unharmed=True, truth=truth)))
-    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    page = page_of(trial(tmp_path, visit=Visit("tomato", "1", held_unharmed=True, truth=truth)))
     assert ("Measured is what the side camera tells" in page) == (true is not None)
 
 
@@ -147,7 +153,7 @@ def test_processor_time_and_memory_have_a_column_where_they_are_known(
     (tmp_path / "timing.json").write_text(json.dumps({"seconds": {"cloud": 2.0, "stem": 1.0}} | timing))
     results = read_run(tmp_path)
     assert results.seconds == {"cloud": 2.0, "stem": 1.0}
-    rows = said(results, "Where the time went", tmp_path)
+    rows = said(results, "Where the time went")
     assert rows[0] == header
     assert rows[-1][:2] == ["total", "3.0 s"]
     if len(header) > 3:
@@ -155,21 +161,17 @@ def test_processor_time_and_memory_have_a_column_where_they_are_known(
 
 
 def test_each_picture_is_there_for_a_desk_and_for_a_phone(tmp_path: Path) -> None:
-    write_report(tmp_path / "report.html", trial(tmp_path))
-    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    page = page_of(trial(tmp_path), drawn=True)
     assert page.count("<picture>") == page.count("<source media='(max-width:640px)'") >= 3
     assert 'data-name="Predicted acceleration"' in page, "a card of a phone names its values"
 
 
 def test_what_a_simulated_cell_file_lacked_is_told_with_its_arm(tmp_path: Path) -> None:
     visit = Visit("tomato", "1", held_unharmed=True)
-    write_report(tmp_path / "report.html", trial(tmp_path, visit=visit))
-    assert "The cell that was simulated" not in (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "The cell that was simulated" not in page_of(trial(tmp_path, visit=visit))
     notes = ("no machine is contacted: arm, gripper and cameras are simulated", "wrist camera: no intrinsics")
     asked = {"cell": "/home/me/mine.toml", "arm": "sawyer"}
-    results = trial(tmp_path, visit=replace(visit, simulated_as=notes), params=asked)
-    write_report(tmp_path / "report.html", results)
-    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    page = page_of(trial(tmp_path, visit=replace(visit, simulated_as=notes), params=asked))
     assert "As mine.toml says, with its sawyer." in page
     assert all(f"<li>{note}</li>" in page for note in notes)
     assert "sawyer, simulated</p>" in page

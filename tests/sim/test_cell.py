@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fake_robot import horizontal_grasp
+from grown_plants import GROW, grown
 from scipy.signal import find_peaks
 from small_planner import solve
 from straight_plant import BASE, chain, plant_of, straight_plant, with_blade
@@ -18,11 +19,9 @@ from anther.robot.devices import JointTrajectory
 from anther.sim import plant_mechanics
 from anther.sim.cell import Cell, Params, mujoco
 from anther.sim.growth import Growth
-from anther.sim.pepper import grow_pepper
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.plant_mechanics import leaf_boxes
 from anther.sim.robot import SimArm
-from anther.sim.tomato import grow_tomato
 
 LENGTH, RADIUS, YOUNGS, DENSITY = 0.5, 0.004, 1e9, 1000.0
 
@@ -168,11 +167,11 @@ def test_a_rod_of_one_piece_bends_under_a_weight_at_its_end_as_beam_theory_says(
     assert frequencies[0] == pytest.approx(frequencies[1], rel=0.01)
 
 
-@pytest.mark.parametrize("grow", [grow_tomato, grow_pepper])
-def test_a_grown_plant_is_fine_enough_and_swings_as_one_cut_finer(grow, monkeypatch) -> None:
-    coarse = grow(11)
+@pytest.mark.parametrize("species", ["tomato", "pepper"])
+def test_a_grown_plant_is_fine_enough_and_swings_as_one_cut_finer(species: str, monkeypatch) -> None:
+    coarse = grown(species, 11)
     monkeypatch.setattr(Growth, "longest", 0.015)
-    fine = grow(11)
+    fine = GROW[species](11)
     assert coarse.length.max() <= 0.05 + 1e-9
     assert fine.length.max() <= 0.015 + 1e-9
     assert fine.vertices == pytest.approx(coarse.vertices)
@@ -215,9 +214,9 @@ def test_leaf_blades_are_boxes_that_touch_and_midribs_are_not() -> None:
     assert at == pytest.approx(centre, abs=1e-6)
 
 
-@pytest.mark.parametrize("grow", [grow_tomato, grow_pepper])
-def test_the_blades_of_a_grown_plant_cover_its_leaves(grow) -> None:
-    plant = grow(10)
+@pytest.mark.parametrize("species", ["tomato", "pepper"])
+def test_the_blades_of_a_grown_plant_cover_its_leaves(species: str) -> None:
+    plant = grown(species, 10)
     half = np.array([half for *_, half in leaf_boxes(plant)])
     a, b, c = np.swapaxes(plant.vertices[plant.faces[plant.face_organ == Organ.LEAF]], 0, 1)
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
@@ -235,7 +234,7 @@ def test_a_pedicel_of_two_segments_swings_as_a_cantilever_with_a_tip_mass() -> N
 
 
 def test_a_leaf_pushed_too_far_stops_short_of_a_right_angle() -> None:
-    cell = Cell(grow_tomato(10))
+    cell = Cell(grown("tomato", 10))
     heavy = [
         b for b in range(cell.model.nbody) if "plant_" in cell.model.body(b).name and cell.model.body_mass[b] > 2e-3
     ]

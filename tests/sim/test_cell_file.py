@@ -205,7 +205,7 @@ def test_the_viewer_shows_the_arm_that_the_run_kept(tmp_path: Path) -> None:
 def test_a_trial_of_a_cell_file_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = f'[arm]\ndriver = "ur"\nhost = "192.0.2.1"\nmodel = "ur5e"\n[gripper]{SHAPE}[limits]\nspeed_ratio = 1.0'
     cell(tmp_path, text)
-    words = ["--cell", str(tmp_path / "mine.toml"), "--simulate", "--plant", "pepper", "--preset", "fast"]
+    words = ["--cell", str(tmp_path / "mine.toml"), "--simulate", "--plant", "pepper", "--preset", "fast", "--no-watch"]
     out = tmp_path / "run"
     assert main(["trial", *words, "--out", str(out), "--history", str(tmp_path / "h.sqlite")]) in (0, 1)
     assert "no machine is contacted" in capsys.readouterr().out

@@ -56,9 +56,15 @@ def trial_of(cell: Cell, plan: Plan) -> tuple[Trial, Verdict]:
     return trial, judge(cell, (times[0], times[-1]) if len(times) else None, plan.frequency)
 
 
-def test_a_stem_in_the_middle_is_held_through_the_shake() -> None:
+@pytest.fixture(scope="module")
+def held() -> tuple[Cell, Trial, Verdict]:
+    """A cell in which the stem was held in the middle and shaken."""
     cell = near_plant(GRASP.joints)  # type: ignore[arg-type]
-    trial, verdict = trial_of(cell, Plan())
+    return cell, *trial_of(cell, Plan())
+
+
+def test_a_stem_in_the_middle_is_held_through_the_shake(held: tuple[Cell, Trial, Verdict]) -> None:
+    _, trial, verdict = held
     assert trial.finished, trial.stop_reason
     assert verdict.held, verdict.reason
     assert verdict.unharmed, verdict.harm.words
@@ -80,14 +86,15 @@ def test_a_stem_in_the_middle_is_held_through_the_shake() -> None:
 
 def test_a_shake_that_moves_the_flowers_as_well_is_a_success() -> None:
     cell = near_plant(GRASP.joints)  # type: ignore[arg-type]
-    verdict = trial_of(cell, Plan(amplitude=0.002, frequency=6.0))[1]
+    verdict = trial_of(cell, Plan(amplitude=0.002, frequency=6.0, duration=0.6))[1]
     assert verdict.flower_acceleration_peak[0] > 5
     assert verdict.success, (verdict.reason, verdict.harm.loads)
 
 
-def test_what_this_plant_bears_decides_what_counts_as_damage(monkeypatch: pytest.MonkeyPatch) -> None:
-    cell = near_plant(GRASP.joints)  # type: ignore[arg-type]
-    trial, verdict = trial_of(cell, Plan())
+def test_what_this_plant_bears_decides_what_counts_as_damage(
+    held: tuple[Cell, Trial, Verdict], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cell, trial, verdict = held
     assert min(verdict.harm.loads.values()) > 0, "every kind of organ bears something"
     for kind, load in verdict.harm.loads.items():
         weak = {**verdict.harm.limits, kind: 0.99 * load}
@@ -152,7 +159,7 @@ def test_a_petiole_between_the_pads_beside_the_stem_is_told() -> None:
 def test_a_stem_too_slippery_to_hold_has_slipped() -> None:
     cell = near_plant(GRASP.joints)  # type: ignore[arg-type]
     cell.model.pair_friction[:, :2] = 0.005
-    up = Plan(amplitude=0.01, frequency=2.0, duration=1.5, direction=np.array([0, 0, 1.0]))
+    up = Plan(amplitude=0.01, frequency=2.0, duration=1.0, direction=np.array([0, 0, 1.0]))
     trial, verdict = trial_of(cell, up)
     assert trial.finished, trial.stop_reason
     assert verdict.slip > 0.005

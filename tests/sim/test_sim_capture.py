@@ -8,6 +8,7 @@ from typing import cast
 
 import numpy as np
 import pytest
+from grown_plants import grown
 from scipy.spatial.transform import Rotation
 from straight_plant import BASE, straight_plant, with_blade
 
@@ -23,7 +24,6 @@ from anther.sim.capture import (
     orbit_poses,
     perturbed_hand_eye,
 )
-from anther.sim.pepper import grow_pepper
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.render import Scene, d455
 from anther.sim.simulated_cell import in_wind
@@ -43,7 +43,7 @@ T_FLANGE_CAM = small_transform([0.1, 0.0, -0.4], [0.03, 0.0, 0.05])
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    return Scene.of_plant(grow_pepper(0))
+    return Scene.of_plant(grown("pepper", 0))
 
 
 def forward(q: Array) -> Array:

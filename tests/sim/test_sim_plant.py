@@ -6,23 +6,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from grown_plants import GROW, grown
 from scipy.spatial.transform import Rotation
 
 from anther.core.errors import InputError
 from anther.core.geometry import small_transform, transform, transform_points
 from anther.sim.growth import SELF_SUPPORT, Growth, buckling_factor, pedicel_radius
-from anther.sim.pepper import grow_pepper
 from anther.sim.plant import GRAVITY, POT_AXIS, SOIL_Z, Organ, SimPlant
-from anther.sim.tomato import grow_tomato
 
-GROW = {"tomato": grow_tomato, "pepper": grow_pepper}
 SEEDS = range(6)
 
 
 @pytest.fixture(scope="module", params=[(s, n) for s in GROW for n in SEEDS], ids=lambda p: f"{p[0]}{p[1]}")
 def plant(request: pytest.FixtureRequest) -> SimPlant:
     species, seed = request.param
-    return GROW[species](seed)
+    return grown(species, seed)
 
 
 def test_is_one_connected_tree(plant: SimPlant) -> None:
@@ -84,7 +82,7 @@ def test_size_and_stem_are_plausible(plant: SimPlant) -> None:
 
 def test_tomato_taper_trusses_and_leaves() -> None:
     for seed in SEEDS:
-        plant = grow_tomato(seed)
+        plant = grown("tomato", seed)
         _, radii, _ = plant.stem_centreline()
         assert 0.4 <= radii[-1] / radii[0] <= 0.6
         trusses = centrelines(plant, Organ.PEDUNCLE)
@@ -96,7 +94,7 @@ def test_tomato_taper_trusses_and_leaves() -> None:
 
 def test_pepper_leaves_below_the_first_fork() -> None:
     for seed in SEEDS:
-        plant = grow_pepper(seed)
+        plant = grown("pepper", seed)
         stem = set(plant.stem_segments().tolist())
         petioles = np.flatnonzero(plant.organ == Organ.PETIOLE)
         on_stem = [k for k in petioles if int(plant.parent[k]) in stem]
@@ -140,7 +138,7 @@ def test_one_rigid_motion_moves_the_plant_but_not_the_pot(plant: SimPlant) -> No
 
 
 def test_posed_vertices_follow_their_own_segment() -> None:
-    plant = grow_tomato(0)
+    plant = grown("tomato", 0)
     T = np.tile(np.eye(4), (len(plant.parent), 1, 1))
     k = int(plant.flower_segment[0])
     T[k, :3, 3] = [0.1, 0.0, 0.0]
@@ -157,7 +155,7 @@ def test_same_seed_same_plant_and_other_seed_another(species: str) -> None:
 
 
 def test_viewpoint_turns_the_plant_about_the_pot_axis() -> None:
-    a, b = grow_pepper(1), grow_pepper(1, viewpoint=90.0)
+    a, b = grown("pepper", 1), grown("pepper", 1, viewpoint=90.0)
     axis = np.array([*POT_AXIS, 0.0])
     T = transform(Rotation.from_euler("z", 90, degrees=True).as_matrix(), np.zeros(3))
     np.testing.assert_allclose(b.vertices - axis, transform_points(T, a.vertices - axis), atol=1e-12)
@@ -165,7 +163,7 @@ def test_viewpoint_turns_the_plant_about_the_pot_axis() -> None:
 
 
 def test_placement_moves_everything() -> None:
-    a, b = grow_tomato(1), grow_tomato(1, axis=(0.0, 0.5))
+    a, b = grown("tomato", 1), grown("tomato", 1, axis=(0.0, 0.5))
     shift = np.array([0.0 - POT_AXIS[0], 0.5 - POT_AXIS[1], 0.0])
     np.testing.assert_allclose(b.flower_position - a.flower_position, np.tile(shift, (len(a.flower_segment), 1)))
     assert b.pot.soil_z == SOIL_Z
@@ -173,7 +171,7 @@ def test_placement_moves_everything() -> None:
 
 
 def test_masses_are_frusta_and_lumps() -> None:
-    plant = grow_tomato(2)
+    plant = grown("tomato", 2)
     np.testing.assert_allclose(
         plant.mass[0],
         1000 * np.pi / 3 * plant.length[0] * np.polyval([1, 0, 0], [plant.radius_start[0]]) *
@@ -220,7 +218,7 @@ def test_pedicel_resonates_as_asked() -> None:
 
 
 def test_a_tree_out_of_order_is_refused() -> None:
-    plant = grow_tomato(0)
+    plant = grown("tomato", 0)
     parent = plant.parent.copy()
     parent[3] = 9
     with pytest.raises(InputError, match="parent"):

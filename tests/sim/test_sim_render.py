@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
+from grown_plants import grown
 
 from anther.core.errors import InputError
 from anther.core.geometry import Intrinsics, inverse, look_at, transform_points
-from anther.sim.pepper import grow_pepper
 from anther.sim.plant import Organ
 from anther.sim.render import Scene, d455
-from anther.sim.tomato import grow_tomato
 
 SMALL = Intrinsics(160, 120, 150.0, 150.0, 79.5, 59.5)
 LEVEL = look_at([0, 0, 0], [1, 0, 0])
@@ -88,7 +87,7 @@ def test_nothing_is_seen_past_the_last_surface() -> None:
 
 
 def test_moved_scene_moves_the_plant_only() -> None:
-    plant = grow_tomato(0)
+    plant = grown("tomato", 0)
     scene = Scene.of_plant(plant)
     T = look_at([0.0, 0, 0.1], [0.72, 0, 0.0])
     before = scene.render(SMALL, T)
@@ -101,10 +100,9 @@ def test_moved_scene_moves_the_plant_only() -> None:
     assert np.median(after.depth[stem] - before.depth[stem]) == pytest.approx(0.05, abs=0.005)
 
 
-@pytest.mark.parametrize(
-    "plant", [grow_tomato(0), grow_tomato(3), grow_pepper(2)], ids=["tomato0", "tomato3", "pepper2"]
-)
-def test_flowers_are_seen_where_the_truth_has_them(plant) -> None:
+@pytest.mark.parametrize(("species", "seed"), [("tomato", 0), ("tomato", 3), ("pepper", 2)])
+def test_flowers_are_seen_where_the_truth_has_them(species: str, seed: int) -> None:
+    plant = grown(species, seed)
     scene, camera = Scene.of_plant(plant), d455(848, 480)
     seen = 0
     for azimuth in np.radians([90, 180, 270]):
@@ -127,7 +125,7 @@ def test_visible_says_what_stands_in_between() -> None:
 
 
 def test_organs_have_believable_colours() -> None:
-    plant = grow_tomato(1)
+    plant = grown("tomato", 1)
     target = np.array([0.72, 0, 0.0])
     image = Scene.of_plant(plant).render(d455(640, 360), look_at(target + np.array([-0.7, 0, 0.1]), target))
     leaf = image.rgb[image.organ == Organ.LEAF].astype(int)

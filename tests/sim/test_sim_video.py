@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from grown_plants import grown
 from straight_plant import BASE, straight_plant, with_blade
 
 from anther.core.geometry import Intrinsics, look_at, transform_points
@@ -11,7 +12,6 @@ from anther.sim.cell import Cell
 from anther.sim.plant import Organ
 from anther.sim.render import Scene
 from anther.sim.robot import SimCamera
-from anther.sim.tomato import grow_tomato
 
 CAMERA = Intrinsics(200, 160, 600.0, 600.0, 99.5, 79.5)
 
@@ -77,7 +77,7 @@ def test_what_moves_while_a_frame_is_exposed_is_blurred_there_and_nothing_else()
 
 
 def test_a_pixel_of_a_flower_gathers_light_from_its_area() -> None:
-    plant = grow_tomato(3, axis=(0.72, 0.0))
+    plant = grown("tomato", 3, axis=(0.72, 0.0))
     cell, scene, flower = Cell(plant), Scene.of_plant(plant), plant.flower_position[0]
     pose = look_at(flower - [0.0, 0.4, 0.0], flower)
     frame = SimCamera(cell, scene, CAMERA, lambda: pose, errors=None).read()

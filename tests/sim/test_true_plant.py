@@ -6,17 +6,16 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from grown_plants import grown
 from straight_plant import BASE, chain, plant_of, straight_plant
 
 from anther.core.errors import InputError
 from anther.pollination.shake.observables import semi_major
 from anther.sim.growth import buckling_factor
-from anther.sim.pepper import grow_pepper
 from anther.sim.pieces import Params
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.plant_mechanics import alone
 from anther.sim.sway import swaying
-from anther.sim.tomato import grow_tomato
 from anther.sim.true_plant import as_true, branches
 from anther.sim.truth import NOMINAL, WIDE, Truth, draw
 from evaluation.prediction.shaken_plant import ShakenPlant
@@ -26,7 +25,7 @@ UP, SIDEWAYS = np.eye(3)[2], np.eye(3)[1]
 
 @pytest.fixture(scope="module")
 def tomato() -> SimPlant:
-    return grow_tomato(5002)
+    return grown("tomato", 5002)
 
 
 def test_every_doubt_is_drawn_in_one_group_and_within_its_range() -> None:
@@ -58,11 +57,11 @@ def test_a_plant_supports_itself_as_the_truth_says(tomato: SimPlant, support: fl
 
 def test_weak_plants_are_tied_and_all_stand() -> None:
     for seed in (5000, 5003):
-        plant = as_true(grow_pepper(seed), draw(seed))
+        plant = as_true(grown("pepper", seed), draw(seed))
         assert draw(seed).self_support < 1.5
         assert plant.tie is not None
         assert alone(plant, Params(twist_every=1)).frequencies[0] >= 0.3
-    assert as_true(grow_tomato(5002), Truth(self_support=2.0)).tie is None
+    assert as_true(grown("tomato", 5002), Truth(self_support=2.0)).tie is None
 
 
 def test_a_tie_holds_the_stem_sideways_with_its_stiffness() -> None:
@@ -126,7 +125,7 @@ def test_an_oval_stem_bends_more_easily_across_its_wider_axis() -> None:
 
 def test_sections_and_side_branches_turn_with_the_plant() -> None:
     truth = Truth(oval=1.5)
-    straight, turned = (as_true(grow_tomato(5002, viewpoint=angle), truth) for angle in (0.0, 90.0))
+    straight, turned = (as_true(grown("tomato", 5002, viewpoint=angle), truth) for angle in (0.0, 90.0))
     x, y, z = straight.oval.T
     assert turned.oval == pytest.approx(np.stack([-y, x, z], axis=1), abs=1e-9)
 

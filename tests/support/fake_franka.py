@@ -20,15 +20,20 @@ from small_planner import SmallPlanner
 
 from anther.core.geometry import Array
 from anther.robot.arm.arms import find_arm
+from anther.robot.arm.model import ArmModel
 from anther.robot.devices import Arm, JointTrajectory
 from anther.robot.drivers._franka_loop import CYCLE, Loop
 from anther.robot.drivers.franka import Franka
 
-MODEL = find_arm("fr3")
 READY = (0.3, -0.5, 0.1, -1.9, 0.2, 1.6, 0.7)
 ACCELERATION, JERK, LOST = 10.0, 5000.0, 20  # FR3: Franka's robot specifications, network requirements
 PATIENCE = 0.5  # s of the wall's clock in which a state is to be answered
 CLOCK = 57.7  # s by which the robot's clock is behind
+
+
+def model() -> ArmModel:
+    """Return the arm; what reads it the first time takes a second."""
+    return find_arm("fr3")
 
 
 class FrankaException(Exception):
@@ -92,6 +97,7 @@ class FakeFranka:
     the rest is set by tests: `mute` says nothing, `lag` [s], `dead` hears nothing, `force` [N]."""
 
     def __init__(self) -> None:
+        model()  # before the robot's clock runs
         self.now, self.mode, self.force, self.sag, self.lag = 100.0, RobotMode.Idle, 1.0, 1e-3, 0.0
         self.aim, self.v, self.a = np.array(READY), np.zeros(7), np.zeros(7)
         self.log, self.calls, self.recovered = list[tuple[float, Array]](), list[str](), True
@@ -185,7 +191,7 @@ class FakeFranka:
         v = (q - self.aim) / CYCLE
         a = (v - self.v) / CYCLE
         jerk = (a - self.a) / CYCLE
-        if np.any(np.abs(v) > MODEL.velocity):
+        if np.any(np.abs(v) > model().velocity):
             self.reflex("joint_motion_generator_velocity_limits_violation")
         elif np.abs(a).max() > ACCELERATION:
             self.reflex("joint_motion_generator_velocity_discontinuity")
@@ -266,12 +272,12 @@ def connected(fake: FakeFranka, **options: Any) -> Franka:
     """Return the driver, and its loop in a thread."""
     here, there = Pipe()
     sdk = library(fake)
-    loop = Loop(there, sdk, sdk.Robot("fake"), MODEL.acceleration, fake.clock)
+    loop = Loop(there, sdk, sdk.Robot("fake"), model().acceleration, fake.clock)
     thread = threading.Thread(target=loop.serve, daemon=True)
     thread.start()
-    given = {"names": MODEL.joints, "clock": fake.clock, "sleep": fake.sleep, **options}
+    given = {"names": model().joints, "clock": fake.clock, "sleep": fake.sleep, **options}
     return Franka(here, gone=lambda: thread.join(5), **given)
 
 
 def far(arm: Arm, way: float = 0.3) -> JointTrajectory:
-    return SmallPlanner(MODEL).move(arm.joints(), arm.joints() + way * np.array([1, 1, 1, 1, 1, 1, 1]))
+    return SmallPlanner(model()).move(arm.joints(), arm.joints() + way * np.array([1, 1, 1, 1, 1, 1, 1]))

@@ -18,16 +18,21 @@ from small_planner import SmallPlanner
 
 from anther.core.geometry import Array
 from anther.robot.arm.arms import find_arm
+from anther.robot.arm.model import ArmModel
 from anther.robot.devices import Arm, JointTrajectory
 from anther.robot.drivers._streamed import prioritize_thread
 from anther.robot.drivers.ur_controller import Controller
 from anther.robot.drivers.ur_rtde import UniversalRobot
 
-MODEL = find_arm("ur5e")
 CLOCK = 3.7  # s by which the controller's clock is ahead
 FOLLOWS = 0.02  # s, the servo's time constant
 GAP = 0.012  # s without a command after which the servo goes on by itself
 READY = (0.36, -1.08, 2.62, -1.54, 1.94, 1.57)
+
+
+def model() -> ArmModel:
+    """Return the arm; what reads it the first time takes a second."""
+    return find_arm("ur5e")
 
 
 class FakeUR:
@@ -43,6 +48,7 @@ class FakeUR:
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
+        model()  # before the controller's clock runs
         self.clock, self.sleep, self.rate, self.acceleration = clock, sleep, rate, acceleration
         self.q, self.v = np.array(READY), np.zeros(6)
         self.version, self.model, self.remote, self.mode = "5.11.1.108318", "UR5", True, 7
@@ -265,10 +271,10 @@ class FakeDashboard:
 
 
 def connected(ur: FakeUR, **options: Any) -> UniversalRobot:
-    given: dict[str, Any] = {"names": MODEL.joints, "acceleration": MODEL.acceleration, "model": "ur5e", **options}
+    given: dict[str, Any] = {"names": model().joints, "acceleration": model().acceleration, "model": "ur5e", **options}
     make = lambda: Controller(FakeReceive(ur), FakeDashboard(ur), ur.start, clock=ur.clock)  # noqa: E731
     return UniversalRobot(make, clock=ur.clock, sleep=ur.sleep, **given)
 
 
 def far(arm: Arm, way: float = 0.3) -> JointTrajectory:
-    return SmallPlanner(MODEL).move(arm.joints(), arm.joints() + way)
+    return SmallPlanner(model()).move(arm.joints(), arm.joints() + way)

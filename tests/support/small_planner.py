@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -35,16 +36,23 @@ class SmallPlanner:
         return JointTrajectory(t, q_from + shape[:, None] * (q_to - q_from), rate[:, None] * (q_to - q_from))
 
     def line(self, q_from: Any, T_world_to: Any, speed: float) -> JointTrajectory:
-        T = sawyer.forward(q_from)
-        distance = np.linalg.norm(T_world_to[:3, 3] - T[:3, 3])
-        duration = max(1.875 * float(distance) / speed, 0.1)
-        t = np.linspace(0, duration, int(duration * RATE) + 2)
-        s = t / duration
-        path = (10 * s**3 - 15 * s**4 + 6 * s**5)[:, None] * (T_world_to[:3, 3] - T[:3, 3]) + T[:3, 3]
-        return _timed(t, follow(q_from, T[:3, :3], path))
+        return _line(np.asarray(q_from, dtype=float).tobytes(), np.asarray(T_world_to).tobytes(), speed)
 
     def swing(self, q: Any, direction: Any, pieces: Sequence[Swing], reach: float) -> JointTrajectory:
         return swing_trajectory(sawyer.SAWYER, q, direction, pieces, reach)
+
+
+@lru_cache(maxsize=200)
+def _line(q: bytes, T_world: bytes, speed: float) -> JointTrajectory:
+    """Return the straight motion of the flange from joints (7,) to a pose (4, 4); many trials go the same way."""
+    q_from, end = np.frombuffer(q), np.frombuffer(T_world).reshape(4, 4)[:3, 3]
+    T = sawyer.forward(q_from)
+    distance = np.linalg.norm(end - T[:3, 3])
+    duration = max(1.875 * float(distance) / speed, 0.1)
+    t = np.linspace(0, duration, int(duration * RATE) + 2)
+    s = t / duration
+    path = (10 * s**3 - 15 * s**4 + 6 * s**5)[:, None] * (end - T[:3, 3]) + T[:3, 3]
+    return _timed(t, follow(q_from, T[:3, :3], path))
 
 
 def follow(q: Any, rotation: Array, path: Array) -> Array:
