@@ -4,7 +4,8 @@ Keys of the worth of shakes (`anther.sim.judge.net_fruit`), of each way: net_fru
 net_fruit_<way>_<measure> by another measure of motion that frees pollen, "drawn" for the mean over all;
 oracle_share_<way>, net fruit over the oracle's on the same plants (a ratio of sums); regret_<way>_<measure>, by how
 much less it is; regret_<way>, the largest of them; bent_<way>, plants with a stem, fork or base that stays bent;
-robot_s_<way>, what the robot's views, approach, shake and retreat take.
+robot_s_<way>, what the robot's views, approach, shake and retreat take; flowers_probably_lost_<way>, the share of the
+flowers that are lost on average over what plants may bear.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from rich.console import RenderableType
 from anther.core import Array
 from anther.plant.limits import MOVED
 from anther.sim.judge import net_fruit
+from anther.sim.truth import TOLERANCE
 from evaluation.statistics import bootstrap, interval, median
 from evaluation.tables import markdown
 from evaluation.trials.oracle import ACCELERATIONS, ACTUATORS, MEASURES
@@ -27,6 +29,8 @@ Row = dict[str, Any]
 ACCELERATION = "true_flower_acceleration_median_ms2"
 ROBOT_SECONDS = ("simulated_capture_seconds", "simulated_execution_seconds")
 """Of a visit, without the thought between [s]."""
+STALKS = {"pedicel": "true_pedicel_strains", "base": "true_peduncle_strains"}
+"""Kind of stalk that a flower hangs on -> the key of each flower's bending strain."""
 MAIN = "acceleration"
 """The measure of motion by which worth is told, where no other is named."""
 
@@ -62,6 +66,20 @@ def flowers_lost(rows: Sequence[Row]) -> float:
     """Return the share of all flowers that hang on stalks bent further than their plant's bear."""
     flowers = sum(len(row.get(ACCELERATIONS) or ()) for row in rows)
     return sum(row.get("flowers_lost") or 0 for row in rows) / max(flowers, 1)
+
+
+def probably_lost(rows: Sequence[Row]) -> float:
+    """Return the share of all flowers that such shakes lose on average over what plants bear.
+
+    What one plant bears of a kind is one draw, so that the flowers that were lost say little: one weak plant of 28 that
+    loses six is as many as all others.
+    """
+    shares = [
+        1 - np.prod([1 - TOLERANCE[kind].share_below(row[key]) for kind, key in STALKS.items()], axis=0)
+        for row in rows
+        if all(row.get(key) for key in STALKS.values())
+    ]
+    return float(np.mean(np.concatenate(shares))) if shares else float("nan")
 
 
 def bent(row: Row, *kinds: str) -> bool:
@@ -132,6 +150,7 @@ def metrics(rows: Sequence[Row]) -> dict[str, float]:
         table[f"share_above_5_{name}"] = float(np.mean(values >= MOVED))
         table[f"past_limit_{name}"] = float(sum(map(harmed, mine)))
         table[f"flowers_lost_{name}"] = flowers_lost(mine)
+        table[f"flowers_probably_lost_{name}"] = probably_lost(mine)
         table |= worth(rows, way, name)
         table[f"held_{name}"] = float(np.mean([bool(row.get("held")) for row in mine]))
         table[f"harm_probability_{name}"] = float(np.mean([row.get("harm_probability") or 0.0 for row in mine]))
