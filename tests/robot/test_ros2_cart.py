@@ -152,7 +152,7 @@ FAULTS: dict[str, tuple[dict[str, Any], str]] = {
         r"where nobody sent it.*It moves at \+0\.4\d* m/s after 2\.5 s of zero.*Press its",
     ),
     "jump": ({"offset": 0.3}, r"its odometry jumped by 0\.3\d\d m.*allowed: 0\.04\d m"),
-    "no number": ({"offset": np.nan}, r"its odometry tells nan m.*finite numbers"),
+    "no number": ({"offset": np.nan}, r"its odometry reports nan m.*finite numbers"),
 }
 
 
@@ -298,9 +298,9 @@ def test_where_it_may_not_move_nothing_is_sent(wire: Wire, strike: Callable[[Wir
 @pytest.mark.parametrize(
     ("strike", "message"),
     [
-        (lambda wire: setattr(wire.rails, "mute", True), "tells no odometry on /odom in 5 s. Is it on"),
+        (lambda wire: setattr(wire.rails, "mute", True), "reports no odometry on /odom in 5 s. Is it on"),
         (lambda wire: setattr(wire.rails, "old", True), "whose stamps stand still"),
-        (lambda wire: setattr(wire.rails, "offset", np.nan), "tells no odometry.*nan m"),
+        (lambda wire: setattr(wire.rails, "offset", np.nan), "reports no odometry.*nan m"),
         (lambda wire: setattr(wire.node, "listeners", 0), "nobody who listens to /cmd_vel"),
     ],
 )
@@ -479,7 +479,7 @@ def test_cell_check_shows_it_and_moves_nothing(
     wire.rails.mute = True
     wire.rails.sleep(0.1)
     check(replace(cell, arm=replace(cell.arm, make=_missing)))
-    assert "MISSING: the cart tells no odometry on /odom" in re.sub(r"[\s│]+", " ", capsys.readouterr().out)
+    assert "MISSING: the cart reports no odometry on /odom" in re.sub(r"[\s│]+", " ", capsys.readouterr().out)
 
 
 def _missing(**keys: Any) -> Any:

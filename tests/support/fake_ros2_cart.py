@@ -33,7 +33,7 @@ class FakeRails:
         mute, frozen, old, stuck, deaf: it tells nothing; tells the same place, or the same stamp, again and again; does
             not move; goes on with the last speed whatever it hears, and without a time-out.
         sign, scale: of its drive; drift: speed that nobody sent [m/s]; offset: of its odometry [m].
-        delay: until what it tells is heard [s]; lag: until it follows [s]; every: between two tellings [s].
+        delay: until what it reports is heard [s]; lag: until it follows [s]; every: between two reports [s].
         at: called at a time [s], once: (time, what to do).
     """
 

@@ -1,4 +1,4 @@
-"""A cart of one axis: what it tells, put on this machine's clock; the next speed; whether it goes as it was sent."""
+"""A cart of one axis: what it reports, put on this machine's clock; the next speed; whether it goes as it was sent."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class Odometry:
         self.heard, stamp = self._now(), message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
         place = self._sign * (getattr(message.pose.pose.position, self._name) - self._zero)
         speed = self._sign * getattr(message.twist.twist.linear, self._name)
-        self.trouble = "" if np.isfinite([place, speed]).all() else f"its odometry tells {place} m, {speed} m/s"
+        self.trouble = "" if np.isfinite([place, speed]).all() else f"its odometry reports {place} m, {speed} m/s"
         if self.trouble:
             return
         self.clock.receive(stamp, self.heard)

@@ -31,9 +31,9 @@ TWIST, STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 
 
 class VelocityCart:
-    """A cart of one axis that hears geometry_msgs/TwistStamped or Twist and tells nav_msgs/Odometry.
+    """A cart of one axis that takes geometry_msgs/TwistStamped or Twist and reports nav_msgs/Odometry.
 
-    Attributes: `node` through which it is spoken to; `odometry`, what it tells.
+    Attributes: `node` through which it is spoken to; `odometry`, what it reports.
     """
 
     _patience = 5.0
@@ -67,7 +67,7 @@ class VelocityCart:
             axis: of odometry and command, along the rails as the travel grows.
             zero: what the odometry reads where the travel is 0 [m].
             rate: of the commands [1/s].
-            clock, sleep: [s]; the clock that readings are told on.
+            clock, sleep: [s]; the clock of readings.
 
         Raises:
             InputError: a number or topic is not possible, or the limits have a lift.
@@ -87,8 +87,8 @@ class VelocityCart:
         self.odometry = Odometry(axis, zero, speed, clock)
         node.subscribe(odometry, "nav_msgs/msg/Odometry", self.odometry.receive)
         self._commands = node.publisher(commands, self._kind)
-        self._wait(lambda: bool(self.odometry.recent), f"tells no odometry on {odometry}")
-        self._wait(lambda: self.odometry.span > STOOD, f"tells odometry on {odometry} whose stamps stand still")
+        self._wait(lambda: bool(self.odometry.recent), f"reports no odometry on {odometry}")
+        self._wait(lambda: self.odometry.span > STOOD, f"reports odometry on {odometry} whose stamps stand still")
         self._wait(self._listens, f"has nobody who listens to {commands}")
         self._message(0.0)  # slow at first
 
