@@ -192,7 +192,7 @@ class Escalation:
             self._probe_answers.append(answers)
             follows = self._after_probe(max(shares.values()))
         else:
-            self._update_other_directions(active[0], observation, before[0])
+            self._update_other_directions(active[0], observation)
             self._options[active[0]].update(predictions[0])
             self._watched.add(active[0])
             follows = self._decide(active[0])
@@ -307,10 +307,11 @@ class Escalation:
         hertz = float(self._frequencies[shake])
         return Option(hertz, self._friction_limit, self._price, planned, reach, self._predict(shake, answer))
 
-    def _update_other_directions(self, shake: int, observation: Observation, before: Prediction) -> None:
+    def _update_other_directions(self, shake: int, observation: Observation) -> None:
         """Update what is believed of shakes at this frequency along directions that were not watched alone."""
         tone, parts = self._frequency_index[shake], self.plan.tones.parts(int(self._direction_index[shake]))
         along = [answers[tone] for answers in self._probe_answers]
+        before = self._options[shake].prediction
         along = update_directions(self._foresight, observation, self._camera_delay, along, parts, before)
         for answers, one in zip(self._probe_answers, along, strict=True):
             answers[tone] = one
