@@ -310,14 +310,15 @@ class Escalation:
     def _update_other_directions(self, shake: int, observation: Observation) -> None:
         """Update what is believed of shakes at this frequency along directions that were not watched alone."""
         tone, parts = self._frequency_index[shake], self.plan.tones.parts(int(self._direction_index[shake]))
-        along = [answers[tone] for answers in self._probe_answers]
-        before = self._options[shake].prediction
+        others = set(np.flatnonzero(self._frequency_index == tone).tolist()) - self._watched - {shake}
+        if not others:
+            return
+        along, before = [answers[tone] for answers in self._probe_answers], self._options[shake].prediction
         along = update_directions(self._foresight, observation, self._camera_delay, along, parts, before)
         for answers, one in zip(self._probe_answers, along, strict=True):
             answers[tone] = one
-        for n in np.flatnonzero(self._frequency_index == tone).tolist():
-            if n != shake and n not in self._watched:
-                self._options[n] = self._make_option(n)
+        for n in others:
+            self._options[n] = self._make_option(n)
 
     def _best(self) -> int:
         """Return the index of the shake of largest predicted worth."""
