@@ -163,28 +163,25 @@ class FakeNode:
             self.hears["/joint_states"](state)
 
 
-class RosNode:
-    """The controller's end of the real ROS 2, with the QoS of the real controller (the system's default)."""
+class RosEnd:
+    """The machine's end of the real ROS 2, with the QoS of the real controller (the system's default).
 
-    def __init__(self) -> None:
+    Attributes: `deliver`, called with each command.
+    """
+
+    def __init__(self, name: str, told: tuple[Any, str], commanded: tuple[Any, str]) -> None:
+        """Begin; `told` and `commanded` are kinds of message and topics."""
         import rclpy  # noqa: PLC0415
         from rclpy.context import Context  # noqa: PLC0415
         from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415
         from rclpy.qos import qos_profile_system_default  # noqa: PLC0415
-        from sensor_msgs.msg import JointState  # noqa: PLC0415
-        from trajectory_msgs.msg import JointTrajectory  # noqa: PLC0415
 
-        self._context, self._rclpy, self._state = Context(), rclpy, JointState
+        self._context, self._rclpy, self._kind = Context(), rclpy, told[0]
         rclpy.init(context=self._context)
-        self._node = rclpy.create_node("fake_controller", context=self._context)
+        self._node = rclpy.create_node(name, context=self._context)
         self.deliver: Callable[[Any], None] = lambda message: None
-        self._states = self._node.create_publisher(JointState, "/joint_states", qos_profile_system_default)
-        self._node.create_subscription(
-            JointTrajectory,
-            "/joint_trajectory_controller/joint_trajectory",
-            self._take,
-            qos_profile_system_default,
-        )
+        self._publisher = self._node.create_publisher(*told, qos_profile_system_default)
+        self._node.create_subscription(*commanded, self._take, qos_profile_system_default)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._thread = threading.Thread(target=self._spin, daemon=True)
@@ -202,13 +199,26 @@ class RosNode:
         except ExternalShutdownException:
             pass
 
-    def tell(self, names: list[str], joints: Array, stamp: float) -> None:
+    def publish(self, message: Any, stamp: float) -> None:
         if self._context.ok():
-            message = self._state(name=names, position=joints.tolist())
             message.header.stamp.sec, message.header.stamp.nanosec = int(stamp), int(stamp % 1 * 1e9)
-            self._states.publish(message)
+            self._publisher.publish(message)
 
     def close(self) -> None:
         self._rclpy.try_shutdown(context=self._context)
         self._thread.join(5)
         self._node.destroy_node()
+
+
+class RosNode(RosEnd):
+    """The controller's end."""
+
+    def __init__(self) -> None:
+        from sensor_msgs.msg import JointState  # noqa: PLC0415
+        from trajectory_msgs.msg import JointTrajectory  # noqa: PLC0415
+
+        commands = "/joint_trajectory_controller/joint_trajectory"
+        super().__init__("fake_controller", (JointState, "/joint_states"), (JointTrajectory, commands))
+
+    def tell(self, names: list[str], joints: Array, stamp: float) -> None:
+        self.publish(self._kind(name=names, position=joints.tolist()), stamp)

@@ -14,7 +14,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from fake_ros2 import FakeNode
+from fake_ros2 import FakeNode, RosEnd
 
 from anther.robot.drivers._streamed import prioritize_thread
 
@@ -143,49 +143,20 @@ class FakeCartNode(FakeNode):
         return SimpleNamespace(publish=publish, get_subscription_count=there.get_subscription_count)
 
 
-class RosCartNode:
-    """The cart's end of the real ROS 2, with the QoS of the real controller (the system's default)."""
+class RosCartNode(RosEnd):
+    """The cart's end."""
 
     def __init__(self) -> None:
-        import rclpy  # noqa: PLC0415
         from geometry_msgs.msg import TwistStamped  # noqa: PLC0415
         from nav_msgs.msg import Odometry  # noqa: PLC0415
-        from rclpy.context import Context  # noqa: PLC0415
-        from rclpy.executors import SingleThreadedExecutor  # noqa: PLC0415
-        from rclpy.qos import qos_profile_system_default  # noqa: PLC0415
 
-        self._context, self._rclpy, self._odometry = Context(), rclpy, Odometry
-        rclpy.init(context=self._context)
-        self._node = rclpy.create_node("fake_cart", context=self._context)
-        self.deliver: Callable[[Any], None] = lambda message: None
-        self._places = self._node.create_publisher(Odometry, "/odom", qos_profile_system_default)
-        self._node.create_subscription(TwistStamped, "/cmd_vel", self._take, qos_profile_system_default)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
-        self._thread = threading.Thread(target=self._spin, daemon=True)
-        self._thread.start()
+        super().__init__("fake_cart", (Odometry, "/odom"), (TwistStamped, "/cmd_vel"))
 
     def _take(self, message: Any) -> None:
         if time.time() - message.header.stamp.sec - 1e-9 * message.header.stamp.nanosec <= TIMEOUT:
-            self.deliver(message)
-
-    def _spin(self) -> None:
-        from rclpy.executors import ExternalShutdownException  # noqa: PLC0415
-
-        try:
-            with prioritize_thread():
-                self._executor.spin()
-        except ExternalShutdownException:
-            pass
+            super()._take(message)
 
     def tell(self, stamp: float, place: float, speed: float) -> None:
-        if self._context.ok():
-            message = self._odometry()
-            message.header.stamp.sec, message.header.stamp.nanosec = int(stamp), int(stamp % 1 * 1e9)
-            message.pose.pose.position.x, message.twist.twist.linear.x = place, speed
-            self._places.publish(message)
-
-    def close(self) -> None:
-        self._rclpy.try_shutdown(context=self._context)
-        self._thread.join(5)
-        self._node.destroy_node()
+        message = self._kind()
+        message.pose.pose.position.x, message.twist.twist.linear.x = place, speed
+        self.publish(message, stamp)
