@@ -100,13 +100,13 @@ def count() -> dict[str, float]:
     shape.x[2:] += 1e-5 * rng.standard_normal((n - 2, 3))
     constants, old, new = numbers(constants), numbers(_stepping.new_state(rods.nodes, frames)), numbers(shape)
     blocks, turn, move = numbers(_assembly.new_blocks(n)), numbers(np.zeros(n)), numbers(np.zeros((n, 4)))
-    rate = Number(1000)
+    rate, tree = Number(1000), (constants.order, constants.near, constants.far)
     steps: dict[str, Callable[[], Any]] = {
         "evaluate": lambda: _stepping._evaluate(constants, old, new, new.x, turn, rate, blocks),
         "residual": lambda: _stepping._residual(free, blocks.gradient, constants.length),
-        "constrain": lambda: _tree_solver.constrain(constants, free, blocks),
-        "factor": lambda: _tree_solver.factor(constants, blocks),
-        "solve": lambda: _tree_solver.solve(constants, blocks, blocks.gradient),
+        "constrain": lambda: _tree_solver.constrain(*tree[1:], free, blocks),
+        "factor": lambda: _tree_solver.factor(*tree, blocks),
+        "solve": lambda: _tree_solver.solve(*tree, blocks, blocks.gradient),
         "limit": lambda: _stepping._largest_turn(constants.parent, new.x, move),
         "move": lambda: _stepping._move(new.x, turn, move, Number(1)),
     }

@@ -50,7 +50,7 @@ from evaluation.tables import markdown
 
 # The floor of a Newton iteration is stated from two counts per node.
 # Operations: count_operations.py runs the kernels on numbers that count, when this benchmark starts. On the 86-node
-# network it finds 2691 (a multiply-add is two): forces and matrix 1922, factoring 578, solving 158, the rest 33. Rods
+# network it finds 2627 (a multiply-add is two): forces and matrix 1886, factoring 550, solving 158, the rest 33. Rods
 # without twist run the same kernels with a very stiff twist.
 # Bytes: every array crosses once in each sweep that needs it, 8 bytes a number. Constants 23 read; positions,
 # velocities, directors 22 read and 12 written; matrix and residual (52 numbers) written by the assembly, read and

@@ -86,12 +86,12 @@ def test_tree_elimination_solves_the_assembled_system(seed, n):
     model, frames = build_model(rods, NO_GRAVITY, planted=True)
     free = Clamp.root(rods).free(rods)
     blocks = assembled(model, rods.nodes, frames)
-    constrain(model, free, blocks)
+    constrain(model.near, model.far, free, blocks)
     matrix = dense(model, blocks)
     wanted = np.random.default_rng(seed).normal(size=4 * n)
     right = (matrix @ wanted).reshape(n, 4)
-    assert factor(model, blocks) == 0
-    solve(model, blocks, right)
+    assert factor(model.order, model.near, model.far, blocks) == 0
+    solve(model.order, model.near, model.far, blocks, right)
     np.testing.assert_allclose(right.ravel(), wanted, atol=1e-6)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from anther.rods import GRAVITY, Clamp, Rods, Springs
 from anther.rods._assembly import new_blocks
-from anther.rods._linear import dense, linearise, set_dynamic
+from anther.rods._linear import dense, linearise, moving_parts, set_dynamic
 
 
 def dense_answer(rods: Rods, pad: list[int], springs: Springs, hertz: float, ways: Any, loss: float = 0.0) -> Any:
@@ -18,7 +18,7 @@ def dense_answer(rods: Rods, pad: list[int], springs: Springs, hertz: float, way
     """
     system, omega = linearise(rods, Clamp.root(rods), GRAVITY, loss), 2 * np.pi * hertz
     blocks, held = new_blocks(len(rods.nodes), np.complex128), np.array(pad)
-    set_dynamic(system, omega, blocks)
+    set_dynamic(moving_parts(system), omega, blocks)
     matrix = dense(system.model, blocks)
     edges = [j for j in pad if rods.parent[j] in pad]
     rows = np.concatenate([(4 * held[:, None] + np.arange(3)).ravel(), 4 * np.array(edges) + 3])

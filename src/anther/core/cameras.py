@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.core.compiling import numba
+from anther.core.compiling import compiled
 from anther.core.errors import bad_input
 from anther.core.geometry import Array, Intrinsics
 
@@ -97,7 +97,7 @@ def laid_over(depth: NDArray[np.float32], of: Intrinsics, onto: Intrinsics, T_on
     return out
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _lay(depth: Any, of: Any, onto: Any, T: Any, half: Any, out: Any) -> None:
     # A point that comes nearer to the colour camera than this share of its depth is not drawn larger for it
     nearest = 0.25

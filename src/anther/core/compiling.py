@@ -14,9 +14,10 @@ import numba
 import numpy as np
 from numba import njit
 from numba.core import event
+from numba.extending import register_jitable
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["COMPILED", "inlined", "njit", "numba", "read_only"]
+__all__ = ["COMPILED", "OPTIONS", "compiled", "inlined", "inner", "njit", "numba", "read_only"]
 
 
 class _Compiled(event.Listener):
@@ -62,6 +63,19 @@ class _Compiled(event.Listener):
 
 COMPILED = _Compiled()
 event.register("numba:compile", COMPILED)
+
+OPTIONS = {"cache": True, "nogil": True, "error_model": "numpy", "_nrt": False, "no_cfunc_wrapper": True}
+"""How kernels are compiled that allocate nothing: kept on disk, a division by 0 gives infinity or NaN as in NumPy.
+
+To be ready to allocate, to raise, or to be a callback of C takes a third of the time of compiling. So Python makes the
+arrays that kernels fill. `np.zeros`, `np.round` or `int` in a kernel are kernels more to compile.
+"""
+
+compiled: Any = njit(**OPTIONS)
+"""For a kernel that is called from Python; the types of its arguments must not vary, each combination is compiled."""
+
+inner: Any = register_jitable(**OPTIONS)
+"""For a part of kernels that stands in several places and is long: it is compiled once, without the door to Python."""
 
 inlined: Any = njit(inline="always")
 """For a part of a kernel: it is only ever compiled within it, with the kernel's own options."""

@@ -18,8 +18,10 @@ from anther.rods._model import Frames, Model, joint_ends
 from anther.rods._rods import Array
 from anther.rods._vectors import (
     LANES,
+    apart,
     compiled,
     dot,
+    filled,
     get,
     get3,
     halves,
@@ -62,12 +64,12 @@ def move_frames(model: Model, x_old: Any, m1_old: Any, x: Any, turn: Any, m1: An
     """Carry the directors m1_old from positions x_old to x, turn edge j by turn[j] (Cayley, `spin`), into m1."""
     parent = model.parent
     for first in range(1, len(x), LANES):
-        count = min(LANES, len(x) - first)
+        count = filled(len(x), first)
         for i in range(count):
             j = first + i
             p = parent[j]
-            put3(buffer, _springs.OLD_EDGE, i, subtract(load(x_old, j), load(x_old, p)))
-            put3(buffer, _springs.NEW_EDGE, i, subtract(load(x, j), load(x, p)))
+            put3(buffer, _springs.OLD_EDGE, i, apart(x_old, j, p))
+            put3(buffer, _springs.NEW_EDGE, i, apart(x, j, p))
             put3(buffer, _springs.OLD_DIRECTOR, i, load(m1_old, j))
             put(buffer, _springs.TURN, i, turn[j])
         _springs.frame_lanes(buffer)
@@ -80,7 +82,7 @@ def elastic_energy(model: Model, x: Any, frames: Frames) -> float:
     """Return the stored elastic energy [J]."""
     total, m1 = 0.0, frames.m1
     for j in range(1, len(x)):
-        strain = norm(subtract(load(x, j), load(x, model.parent[j]))) / model.length[j] - 1
+        strain = norm(apart(x, j, model.parent[j])) / model.length[j] - 1
         total += 0.5 * model.stretch[j] * model.length[j] * strain * strain
         if model.joint[j, 0] > 0:
             e, m1e, f = joint_ends(model, x, m1, j)
@@ -91,12 +93,12 @@ def elastic_energy(model: Model, x: Any, frames: Frames) -> float:
             total += 0.5 * (s1 * k1 + s2 * k2 + s3 * tau)
     supports, turning = model.supports, model.turning
     for k in range(len(supports)):
-        away = subtract(load(x, int(supports[k, 0])), _three(supports, k, 1))
+        away = subtract(load(x, np.int64(supports[k, 0])), _three(supports, k, 1))
         if dot(_three(supports, k, 10), away) < supports[k, 13]:
             total += 0.5 * dot(away, _springs.moments(_six(supports, k, 4), away))
     for k in range(len(turning)):
-        j = int(turning[k, 0])
-        f, W = subtract(load(x, j), load(x, model.parent[j])), _six(turning, k, 7)
+        j = np.int64(turning[k, 0])
+        f, W = apart(x, j, model.parent[j]), _six(turning, k, 7)
         turned = _springs.strains(_springs.bent(_three(turning, k, 1), f), _three(turning, k, 4), load(m1, j), 0.0)
         total += 0.5 * dot(turned, _springs.moments(W, turned))
     return total
@@ -105,16 +107,16 @@ def elastic_energy(model: Model, x: Any, frames: Frames) -> float:
 def assemble(model: Model, x_start: Any, x: Any, frames: Frames, velocity: Any, rate: float, blocks: Blocks) -> None:
     """Fill blocks with the gradient (minus the force) and Hessian by nodes; arguments as of `assemble_edges`."""
     assemble_edges(model, x_start, x, frames, velocity, rate, blocks)
-    on_nodes(model, blocks)
-    add_supports(model, x, blocks)
+    on_nodes(model.order, model.parent, model.near, model.far, model.swapped, blocks)
+    add_supports(model.supports, x, blocks)
 
 
 @compiled
-def add_supports(model: Model, x: Any, blocks: Blocks) -> None:
+def add_supports(supports: Any, x: Any, blocks: Blocks) -> None:
     """Add the supports that draw nodes back to their places to gradient and matrix by nodes."""
-    supports, D, g = model.supports, blocks.diagonal, blocks.gradient
+    D, g = blocks.diagonal, blocks.gradient
     for k in range(len(supports)):
-        j = int(supports[k, 0])
+        j = np.int64(supports[k, 0])
         away, K = subtract(load(x, j), _three(supports, k, 1)), _six(supports, k, 4)
         if dot(_three(supports, k, 10), away) >= supports[k, 13]:  # one-sided, and open
             continue
@@ -148,11 +150,11 @@ def _add_turning_supports(model: Model, x: Any, m1: Any, blocks: Blocks) -> None
     turning, parent, b = model.turning, model.parent, blocks.lanes
     D, g, still = blocks.diagonal, blocks.gradient, (0.0, 0.0, 0.0)
     for first in range(0, len(turning), LANES):
-        count = min(LANES, len(turning) - first)
+        count = filled(len(turning), first)
         for i in range(count):
             k = first + i
-            j = int(turning[k, 0])
-            edge = subtract(load(x, j), load(x, parent[j]))
+            j = np.int64(turning[k, 0])
+            edge = apart(x, j, parent[j])
             put3(b, _springs.EDGE_E, i, _three(turning, k, 1))
             put3(b, _springs.EDGE_F, i, edge)
             put3(b, _springs.DIRECTOR_E, i, _three(turning, k, 4))
@@ -169,7 +171,7 @@ def _add_turning_supports(model: Model, x: Any, m1: Any, blocks: Blocks) -> None
             put(b, _springs.TWIST, i, twist_angle(get(b, _springs.SINE, i), get(b, _springs.COSINE, i), 0.0))
         _springs.spring_lanes(b, 0.0)
         for i in range(count):
-            j = int(turning[first + i, 0])
+            j = np.int64(turning[first + i, 0])
             low, high = get3(b, _springs.FF, i), get3(b, _springs.FF + 3, i)
             D[j, 0, 0], D[j, 0, 1], D[j, 1, 1] = D[j, 0, 0] + low[0], D[j, 0, 1] + low[1], D[j, 1, 1] + low[2]
             D[j, 0, 2], D[j, 1, 2], D[j, 2, 2] = D[j, 0, 2] + high[0], D[j, 1, 2] + high[1], D[j, 2, 2] + high[2]
@@ -201,7 +203,7 @@ def assemble_edges(
     g[0] = 0
     _clear(D, 0)
     for first in range(1, n, LANES):
-        count = min(LANES, n - first)
+        count = filled(n, first)
         _gather_springs(model, x_start, x, frames, velocity, b, first, count)
         _springs.spring_lanes(b, rate)
         for i in range(count):
@@ -215,9 +217,8 @@ def assemble_edges(
 
 
 @compiled
-def on_nodes(model: Model, blocks: Blocks) -> None:
+def on_nodes(order: Any, parent: Any, near: Any, far: Any, swapped: Any, blocks: Blocks) -> None:
     """Turn a gradient and a matrix by edges into those by nodes: d_j = x_j - x_parent."""
-    order, parent, near, far, swapped = model.order, model.parent, model.near, model.far, model.swapped
     D, U, V, g = blocks.diagonal, blocks.near, blocks.far, blocks.gradient
     for k in range(len(order) - 2, -1, -1):  # from the root outward: what is added to has been turned
         j = order[k]
@@ -226,52 +227,36 @@ def on_nodes(model: Model, blocks: Blocks) -> None:
             g[m, i] -= g[j, i]
             for c in range(i, 3):
                 D[m, i, c] += D[j, i, c]
-        if o < 0:
-            _less_own(U, D, j)
-            continue
+        between = U  # the block of edge j with the node m
+        if o >= 0:
+            _couple_nodes(D, U, V, j, m, a, swapped[j], near[a] == o)
+            between = V if swapped[j] else U
         for i in range(4):
             for c in range(3):
-                V[j, i, c] = -U[j, i, c]
-        if swapped[j]:  # node a is the hub, node m the root
-            _add_coupling(D, U, j, m, 1.0)
-            for i in range(3):
-                U[a, 3, i] -= U[j, i, 3]
-                for c in range(3):
-                    U[a, c, i] -= U[j, i, c]
-            _less_own(V, D, j)
-            continue
-        _add_coupling(D, U, j, m, -1.0)
-        for i in range(3):
-            D[m, i, 3] -= U[j, i, 3]
-        if near[a] == o:
-            _add_beyond(U, U, j, m)
-        else:
-            _add_beyond(V, U, j, m)
-        _less_own(U, D, j)
+                between[j, i, c] -= D[j, i, c] if i < c else D[j, c, i]
 
 
 @inlined
-def _less_own(target: Any, D: Any, j: Any) -> None:
-    """Subtract the symmetric block j, of which the upper triangle is kept, but for its last column."""
+def _couple_nodes(D: Any, U: Any, V: Any, j: Any, m: Any, a: Any, swapped: Any, consecutive: Any) -> None:
+    """Turn the coupling of edge j with the near one into couplings of nodes; m is where they meet."""
+    sign = 1.0 if swapped else -1.0
     for i in range(4):
         for c in range(3):
-            target[j, i, c] -= D[j, min(i, c), max(i, c)]
-
-
-@inlined
-def _add_coupling(D: Any, U: Any, j: Any, m: Any, sign: float) -> None:
-    """Add what the coupling of edge j with the near one means for node m, where they meet."""
+            V[j, i, c] = -U[j, i, c]
     for i in range(3):
         for c in range(i, 3):
             D[m, i, c] += sign * (U[j, i, c] + U[j, c, i])
-
-
-@inlined
-def _add_beyond(target: Any, U: Any, j: Any, m: Any) -> None:
-    """Add the coupling of edge j with edge m before it to node m's with the node before that."""
+    if swapped:  # node a is the hub, node m the root
+        for i in range(3):
+            U[a, 3, i] -= U[j, i, 3]
+            for c in range(3):
+                U[a, c, i] -= U[j, i, c]
+        return
+    beyond = U if consecutive else V  # of node m with the node before that of edge m
     for i in range(3):
+        D[m, i, 3] -= U[j, i, 3]
         for c in range(3):
-            target[m, i, c] += U[j, i, c]
+            beyond[m, i, c] += U[j, i, c]
 
 
 @inlined
@@ -286,16 +271,16 @@ def _gather_springs(
     for i in range(count):
         j = order[n - 1 - first - i]  # from the root outward, so that a block is written before it is added to
         m, a, o = parent[j], near[j], far[j]
+        start, end, edge, sign = o, m, a, 1.0
         if o < 0:  # joined to the soil, or, where there is none, to itself with stiffness 0
-            _gather(x, m1, velocity, b, j, m, m, j, j, 1.0, i)
-            if joint[j, 0] > 0:
-                _gather_soil(soil, b, j, i)
+            start, end, edge = m, j, j
         elif swapped[j]:  # from the hub back to the root: the hub edge reversed
-            _gather(x, m1, velocity, b, j, m, a, m, a, -1.0, i)
-        else:
-            _gather(x, m1, velocity, b, j, m, o, m, a, 1.0, i)
+            start, end, sign = a, m, -1.0
+        _gather(x, m1, velocity, b, j, m, start, end, edge, sign, i)
+        if o < 0 and joint[j, 0] > 0:
+            _gather_soil(soil, b, j, i)
         put6(b, _springs.JOINT, i, six(joint, j))
-        put3(b, _springs.START_F, i, subtract(load(x_start, j), load(x_start, m)))
+        put3(b, _springs.START_F, i, apart(x_start, j, m))
         put3(b, _springs.VISCOUS, i, (viscous[j], curvature[j, 0], curvature[j, 1]))
         put3(b, _springs.NATURAL_TWIST, i, (natural_twist[j], stretch[j], length[j]))
     _springs.twist_lanes(b)
@@ -310,12 +295,12 @@ def _gather(
     x: Any, m1: Any, velocity: Any, b: Any, j: Any, m: Any, start: Any, end: Any, edge: Any, sign: float, i: int
 ) -> None:
     """Write edge e (from node start to end, director and spin of the given edge) and edge f (m to j) into lane i."""
-    put3(b, _springs.EDGE_E, i, subtract(load(x, end), load(x, start)))
-    put3(b, _springs.EDGE_F, i, subtract(load(x, j), load(x, m)))
+    put3(b, _springs.EDGE_E, i, apart(x, end, start))
+    put3(b, _springs.EDGE_F, i, apart(x, j, m))
     put3(b, _springs.DIRECTOR_E, i, load(m1, edge))
     put3(b, _springs.DIRECTOR_F, i, load(m1, j))
-    put3(b, _springs.SPEED_E, i, subtract(load(velocity, end), load(velocity, start)))
-    put3(b, _springs.SPEED_F, i, subtract(load(velocity, j), load(velocity, m)))
+    put3(b, _springs.SPEED_E, i, apart(velocity, end, start))
+    put3(b, _springs.SPEED_F, i, apart(velocity, j, m))
     put(b, _springs.SPIN_E, i, sign * velocity[edge, 3])
     put(b, _springs.SPIN_F, i, velocity[j, 3])
 

@@ -88,7 +88,7 @@ class Tangent:
     def solve(self, loads: Array) -> Array:
         """Return the motion of nodes (N, 4) under forces on nodes (N, 4)."""
         own = self.forces(loads)
-        solve(self.model, self.blocks, own)
+        solve(self.model.order, self.model.near, self.model.far, self.blocks, own)
         return self.moves(own)
 
 
@@ -99,12 +99,12 @@ def tangent(model: Model, free: Any, x: Array, frames: Frames, blocks: Blocks, s
     if together:
         model = by_edges(model)
     else:
-        on_nodes(model, blocks)
-        add_supports(model, x, blocks)
+        on_nodes(model.order, model.parent, model.near, model.far, model.swapped, blocks)
+        add_supports(model.supports, x, blocks)
     blocks.diagonal[:, range(4), range(4)] += shift * np.array([1, 1, 1, 1e-4])
     gradient = blocks.gradient.copy()
-    constrain(model, free, blocks)
-    unstable = int(factor(model, blocks))
+    constrain(model.near, model.far, free, blocks)
+    unstable = int(factor(model.order, model.near, model.far, blocks))
     blocks.gradient[:] = gradient
     return Tangent(model, free, blocks, together, unstable)
 
@@ -297,7 +297,7 @@ def _descend(model: Model, free: Any, state: State, blocks: Blocks) -> tuple[flo
             shift = max(4 * shift, 1e-3)
             continue
         step = gradient.copy()
-        solve(stiffness.model, blocks, step)
+        solve(stiffness.model.order, stiffness.model.near, stiffness.model.far, blocks, step)
         moves = stiffness.moves(step)
         moves[:, 3] *= arm
         correction, before = float(np.abs(moves).max()), correction

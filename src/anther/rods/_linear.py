@@ -24,7 +24,6 @@ from anther.rods._motion import Clamp, ComplexArray, unit_direction
 from anther.rods._rods import GRAVITY, Array, Rods
 from anther.rods._stepping import State
 from anther.rods._tree_solver import constrain, factor, solve
-from anther.rods._vectors import compiled
 
 MATRIX = ("diagonal", "near", "far")
 
@@ -81,14 +80,14 @@ def linearise(
     damping = per_rate(model)
     _add_diagonal(damping, np.repeat(model.drag[:, None], 3, axis=1))
     loss = per_rate(model._replace(viscous=np.full(n, loss_factor))) if loss_factor > 0 else new_blocks(n)
-    constrain(model, free, stiffness)
+    constrain(model.near, model.far, free, stiffness)
     return Linear(model, free, stiffness, damping, loss, _mass(model), state)
 
 
 def _mass(model: Model) -> Blocks:
     blocks = new_blocks(len(model.mass))
     _add_diagonal(blocks, np.repeat(model.rotary[:, None], 3, axis=1))
-    on_nodes(model, blocks)
+    on_nodes(model.order, model.parent, model.near, model.far, model.swapped, blocks)
     _add_diagonal(blocks, np.repeat(model.mass[:, None], 3, axis=1))
     blocks.diagonal[:, 3, 3] = model.spin_inertia
     return blocks
@@ -98,21 +97,28 @@ def _add_diagonal(blocks: Blocks, values: Array) -> None:
     blocks.diagonal[:, range(3), range(3)] += values
 
 
-def set_dynamic(system: Linear, omega: float, dynamic: Blocks) -> None:
+Moving = tuple[tuple[Array, Array, Array, Array], ...]
+"""Of the diagonal, near and far blocks K, C, the loss and M."""
+
+
+def moving_parts(system: Linear) -> Moving:
+    """Return the matrices without what couples held unknowns, but for the ones of `stiffness`."""
+    found, free = [], system.free
+    for name, other in zip(MATRIX, (slice(None), system.model.near, system.model.far), strict=True):
+        moves = free[:, :, None] & free[other][:, None]
+        damping, loss, mass = (
+            np.where(moves, getattr(blocks, name), 0) for blocks in (system.damping, system.loss, system.mass)
+        )
+        found.append((getattr(system.stiffness, name), damping, loss, mass))
+    return tuple(found)
+
+
+def set_dynamic(parts: Moving, omega: float, dynamic: Blocks) -> None:
     """Fill `dynamic` (complex) with K + i omega C + i loss - omega^2 M, held unknowns as in the identity."""
-    for name in MATRIX:
-        parts = [getattr(blocks, name) for blocks in (system.stiffness, system.damping, system.loss, system.mass)]
-        _combine(*parts, omega, getattr(dynamic, name))
-    constrain(system.model, system.free, dynamic)
-
-
-@compiled
-def _combine(stiffness: Any, damping: Any, loss: Any, mass: Any, omega: float, out: Any) -> None:
-    for j in range(len(out)):
-        for i in range(4):
-            for k in range(4):
-                real = stiffness[j, i, k] - omega * omega * mass[j, i, k]
-                out[j, i, k] = complex(real, omega * damping[j, i, k] + loss[j, i, k])
+    for name, (stiffness, damping, loss, mass) in zip(MATRIX, parts, strict=True):
+        out = getattr(dynamic, name)
+        np.subtract(stiffness, omega**2 * mass, out=out.real)
+        np.add(omega * damping, loss, out=out.imag)
 
 
 def product(model: Model, blocks: Blocks, vectors: Array) -> Array:
@@ -286,19 +292,21 @@ def base_response(
     if not len(clamp.nodes):
         raise bad_input("clamp", given="no node", allowed="the nodes that move with the base", do="Use Clamp.root.")
     system = linearise(rods, clamp, gravity, loss_factor)
+    model, tree = system.model, (system.model.order, system.model.near, system.model.far)
     carried = np.zeros((len(rods.nodes), 4))
     carried[:, :3] = unit_direction(direction)
     inertia = product(system.model, system.mass, carried[..., None])[..., 0]
     air, springs = system.model.drag[:, None] * carried, new_blocks(len(rods.nodes))
-    add_supports(system.model, system.state.x, springs)
+    add_supports(model.supports, system.state.x, springs)
     held = product(system.model, springs, carried[..., None])[..., 0]
     out = np.empty((len(hertz), len(rods.nodes), 3), np.complex128)
     dynamic = new_blocks(len(system.free), np.complex128)
+    parts = moving_parts(system)
     for q, omega in enumerate(2 * np.pi * hertz):
-        set_dynamic(system, float(omega), dynamic)
-        factor(system.model, dynamic)
+        set_dynamic(parts, float(omega), dynamic)
+        factor(*tree, dynamic)
         relative = np.where(system.free, omega**2 * inertia - 1j * omega * air - held, 0)
-        solve(system.model, dynamic, relative)
+        solve(*tree, dynamic, relative)
         out[q] = (carried + relative)[:, :3]
     return out
 

@@ -13,16 +13,16 @@ from anther.rods import _springs
 from anther.rods._rods import Array, NaturalShape, Rods
 from anther.rods._supports import hold_joint, springs_of, upper
 from anther.rods._vectors import (
+    apart,
     compiled,
     cross,
     halves,
+    inlined,
     load,
-    merged,
     norm,
     scale,
     spin,
     store,
-    subtract,
     transport,
 )
 
@@ -458,7 +458,7 @@ def _carry_frames(
     nodes: Any, parent: Any, near: Any, far: Any, swapped: Any, hub: int, m1: Any, curvature: Any
 ) -> None:
     """Carry the directors from the hub edge outward, along the connectivity, and note the curvatures."""
-    e = subtract(load(nodes, hub), load(nodes, 0))
+    e = apart(nodes, hub, 0)
     side = cross(e, (0.0, 1.0, 0.0))
     if norm(side) < 1e-3 * norm(e):
         side = cross(e, (0.0, 0.0, -1.0))
@@ -475,20 +475,20 @@ def _carry_frames(
         curvature[j, 0], curvature[j, 1] = kappa
 
 
-@merged
+@inlined
 def spring_edges(x: Any, parent: Any, near: Any, far: Any, swapped: Any, j: int) -> Any:
     """Return the edge vectors e (the parent edge, running towards edge j) and f (edge j) of spring j [m]."""
-    e = subtract(load(x, near[j]), load(x, far[j]))
+    e = apart(x, near[j], far[j])
     if swapped[j]:
         e = scale(-1.0, e)
-    return e, subtract(load(x, j), load(x, parent[j]))
+    return e, apart(x, j, parent[j])
 
 
-@merged
+@inlined
 def joint_ends(model: Model, x: Any, m1: Any, j: int) -> Any:
     """Return the edge before joint j with its director, which of a planted root are the soil's, and edge j."""
     if model.far[j] < 0:
         e, m1e = halves(model.soil, j)
-        return e, m1e, subtract(load(x, j), load(x, model.parent[j]))
+        return e, m1e, apart(x, j, model.parent[j])
     e, f = spring_edges(x, model.parent, model.near, model.far, model.swapped, j)
     return e, load(m1, model.near[j]), f

@@ -20,7 +20,7 @@ from scipy.sparse import csr_array
 
 from anther.core.checks import check_array, check_range, check_room
 from anther.rods._assembly import new_blocks
-from anther.rods._linear import checked_hertz, linearise, set_dynamic
+from anther.rods._linear import checked_hertz, linearise, moving_parts, set_dynamic
 from anther.rods._model import Model
 from anther.rods._motion import (
     RIGID,
@@ -197,6 +197,7 @@ def observed_response(
         StageFailure: kind "no_convergence" when there is no stable equilibrium.
     """
     system = linearise(rods, clamp, gravity, loss_factor)
+    parts = moving_parts(system)
     held = [_held_unknowns(rods.parent, pad) for pad in grip_nodes]
     loads = np.unique(np.concatenate(held))
     view = _view(system.model, loads, operator)
@@ -209,23 +210,23 @@ def observed_response(
     branch = np.empty((len(frequencies), operator.shape[0], 8), np.complex128)
 
     def solve_some(which: NDArray[Any]) -> None:
-        n = len(system.free)
+        n, order, near, far = len(system.free), system.model.order, system.model.near, system.model.far
         dynamic, columns, M = new_blocks(n, np.complex128), np.zeros((2, n, 4, width)), np.empty((2, 4, 4))
         eight, motion = np.empty((2, n, 4, 8)), np.empty((n, 4, 8), np.complex128)
         node, part = np.divmod(view.wanted, 4)
         for q in which:
-            set_dynamic(system, 2 * np.pi * float(frequencies[q]), dynamic)
-            factor(system.model, dynamic)
+            set_dynamic(parts, 2 * np.pi * float(frequencies[q]), dynamic)
+            factor(order, near, far, dynamic)
             for first in range(0, len(loads), width):
                 loaded, way = np.divmod(loads[first : first + width], 4)
                 columns[:, view.trunk] = 0
                 columns[0, loaded, way, np.arange(len(loaded))] = 1
-                eliminate_columns(system.model, dynamic, view.trunk, *columns, M)
-                substitute_columns(system.model, dynamic, view.trunk, *columns, M)
+                eliminate_columns(near, far, dynamic, view.trunk, *columns, M)
+                substitute_columns(near, far, dynamic, view.trunk, *columns, M)
                 some = trunk[q, first : first + width].T
                 some.real, some.imag = columns[:, node, part, : len(loaded)]
             eight[0], eight[1] = view.preset, 0
-            substitute_columns(system.model, dynamic, view.branches, *eight, M)
+            substitute_columns(near, far, dynamic, view.branches, *eight, M)
             motion.real, motion.imag = eight
             branch[q] = view.beyond @ motion.reshape(4 * n, 8)
 

@@ -22,13 +22,14 @@ from anther.rods._vectors import (
     get,
     get3,
     get6,
+    inlined,
     inner,
     merged,
+    mix,
     norm,
     put,
     put3,
     put6,
-    put9,
     scale,
     spin,
     transport,
@@ -75,31 +76,31 @@ class Slopes(NamedTuple):
     spin_f: float
 
 
-@merged
+@inlined
 def bent(e: Vector, f: Vector) -> Bent:
     """Return the geometry of two edges that meet."""
     per_e, per_f = 1 / norm(e), 1 / norm(f)
     te, tf = scale(per_e, e), scale(per_f, f)
     chi = 1 + dot(te, tf)
-    return Bent(te, tf, per_e, per_f, chi, scale(2 / chi, cross(te, tf)), scale(1 / chi, add(te, tf)))
+    return Bent(te, tf, per_e, per_f, chi, scale(2 / chi, cross(te, tf)), combine(1 / chi, te, 1 / chi, tf))
 
 
-@merged
+@inlined
 def curvatures(b: Bent, m1e: Vector, m1f: Vector) -> Any:
     """Return (kappa1, kappa2), the integrated curvatures [-]."""
-    kappa1 = 0.5 * dot(add(cross(b.te, m1e), cross(b.tf, m1f)), b.kb)
-    kappa2 = -0.5 * dot(add(m1e, m1f), b.kb)
+    kappa1 = dot(combine(0.5, cross(b.te, m1e), 0.5, cross(b.tf, m1f)), b.kb)
+    kappa2 = dot(combine(-0.5, m1e, -0.5, m1f), b.kb)
     return kappa1, kappa2
 
 
-@merged
+@inlined
 def twist_parts(b: Bent, m1e: Vector, m1f: Vector) -> tuple[float, float]:
     """Return sine and cosine of the twist from edge e to edge f."""
     carried = transport(m1e, b.te, b.tf)
     return dot(cross(carried, m1f), b.tf), dot(carried, m1f)
 
 
-@merged
+@inlined
 def strains(b: Bent, m1e: Vector, m1f: Vector, twist: float) -> Vector:
     """Return (kappa1, kappa2, twist [rad]), the twist on the branch nearest to the given one."""
     k1, k2 = curvatures(b, m1e, m1f)
@@ -107,7 +108,7 @@ def strains(b: Bent, m1e: Vector, m1f: Vector, twist: float) -> Vector:
     return k1, k2, twist_angle(sine, cosine, twist)
 
 
-@merged
+@inlined
 def twist_lanes(buffer: Any) -> None:
     """Fill the rows SINE and COSINE of all lanes."""
     for i in range(LANES):
@@ -117,7 +118,7 @@ def twist_lanes(buffer: Any) -> None:
         put(buffer, COSINE, i, cosine)
 
 
-@merged
+@inlined
 def frame_lanes(b: Any) -> None:
     """Carry the directors of all lanes from their old edges to the new ones and spin them."""
     for i in range(LANES):
@@ -127,12 +128,13 @@ def frame_lanes(b: Any) -> None:
         put3(b, NEW_DIRECTOR, i, spin(carried, t_new, get(b, TURN, i)))
 
 
-@merged
+@inlined
 def gradients(b: Bent, m1e: Vector, m1f: Vector) -> tuple[Slopes, Slopes, Slopes]:
     """Return the gradients of kappa1, kappa2 and twist."""
     m2e, m2f = cross(b.te, m1e), cross(b.tf, m1f)
     k1, k2 = curvatures(b, m1e, m1f)
-    m1, m2 = scale(1 / b.chi, add(m1e, m1f)), scale(1 / b.chi, add(m2e, m2f))
+    per = 1 / b.chi
+    m1, m2 = combine(per, m1e, per, m1f), combine(per, m2e, per, m2f)
     first = Slopes(
         combine(-k1 * b.per_e, b.tt, b.per_e, cross(b.tf, m2)),
         combine(-k1 * b.per_f, b.tt, -b.per_f, cross(b.te, m2)),
@@ -148,47 +150,26 @@ def gradients(b: Bent, m1e: Vector, m1f: Vector) -> tuple[Slopes, Slopes, Slopes
     return first, second, Slopes(scale(0.5 * b.per_e, b.kb), scale(0.5 * b.per_f, b.kb), -1.0, 1.0)
 
 
-@merged
+@inlined
 def rate_of(g: Slopes, ve: Vector, vf: Vector, we: float, wf: float) -> float:
     """Return the rate of a strain, given the velocities of the edge vectors and the spin rates."""
     return dot(g.e, ve) + dot(g.f, vf) + g.spin_e * we + g.spin_f * wf
 
 
 @merged
-def _both(a: Vector, b: Vector) -> Any:
-    """Return a b^T + b a^T: its upper triangle, column by column."""
+def _plus_both(s: Any, a: Vector, b: Vector) -> Any:
+    """Return s + a b^T + b a^T; of symmetric matrices the upper triangle, column by column."""
     return (
-        2 * a[0] * b[0],
-        a[0] * b[1] + b[0] * a[1],
-        2 * a[1] * b[1],
-        a[0] * b[2] + b[0] * a[2],
-        a[1] * b[2] + b[1] * a[2],
-        2 * a[2] * b[2],
+        s[0] + 2 * a[0] * b[0],
+        s[1] + a[0] * b[1] + b[0] * a[1],
+        s[2] + 2 * a[1] * b[1],
+        s[3] + a[0] * b[2] + b[0] * a[2],
+        s[4] + a[1] * b[2] + b[1] * a[2],
+        s[5] + 2 * a[2] * b[2],
     )
 
 
-@merged
-def _sum(a: Any, b: Any) -> Any:
-    return (a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5])
-
-
-@merged
-def _plus_identity(s: float, a: Any) -> Any:
-    return (a[0] + s, a[1], a[2] + s, a[3], a[4], a[5] + s)
-
-
-@merged
-def _outer(a: Vector, b: Vector) -> Any:
-    """Return the rows of a b^T."""
-    return scale(a[0], b), scale(a[1], b), scale(a[2], b)
-
-
-@merged
-def _sum9(s: float, a: Any, t: float, b: Any) -> Any:
-    return combine(s, a[0], t, b[0]), combine(s, a[1], t, b[1]), combine(s, a[2], t, b[2])
-
-
-@merged
+@inlined
 def moments(W: Any, strain: Vector) -> Vector:
     """Return the symmetric matrix W = (11, 12, 22, 13, 23, 33) times (kappa1, kappa2, twist)."""
     k1, k2, tau = strain
@@ -199,46 +180,37 @@ def moments(W: Any, strain: Vector) -> Vector:
     )
 
 
-@merged
-def _weighted(W: Any, g1: Vector, g2: Vector, g3: Vector) -> Any:
-    """Return W times the column (g1, g2, g3) of vectors."""
-    return (
-        add(combine(W[0], g1, W[1], g2), scale(W[3], g3)),
-        add(combine(W[1], g1, W[2], g2), scale(W[4], g3)),
-        add(combine(W[3], g1, W[4], g2), scale(W[5], g3)),
-    )
+@inlined
+def _plus_stiffness(s: Any, W: Any, g1: Vector, g2: Vector, g3: Vector) -> Any:
+    """Return s and the material part of a symmetric block: sum of W_ij gradient_i gradient_j^T."""
+    s = _plus_both(s, g1, mix((0.5 * W[0], W[1], W[3]), g1, g2, g3))
+    s = _plus_both(s, g2, combine(0.5 * W[2], g2, W[4], g3))
+    return _plus_both(s, g3, scale(0.5 * W[5], g3))
 
 
-@merged
-def _stiffness(W: Any, g1: Vector, g2: Vector, g3: Vector) -> Any:
-    """Return the material part of a symmetric block: sum of W_ij gradient_i gradient_j^T."""
-    first = _both(g1, add(combine(0.5 * W[0], g1, W[1], g2), scale(W[3], g3)))
-    second = _both(g2, combine(0.5 * W[2], g2, W[4], g3))
-    return _sum(_sum(first, second), _both(g3, scale(0.5 * W[5], g3)))
-
-
-@merged
+@inlined
 def _turning(b: Bent, t: Vector, arm: Vector, w: Vector, k: float, s3: float, per2: float) -> Any:
     """Return the geometric part of the Hessian in one edge vector of tangent t."""
-    side = combine(0.25, w, -0.25 * s3, add(t, b.tt))
-    a = _sum(_both(b.tt, combine(k, b.tt, 1.0, arm)), _both(t, scale(0.5 * k / b.chi, t)))
-    a = _plus_identity(-k / b.chi, _sum(a, _both(b.kb, side)))
+    d = -k / b.chi
+    a = _plus_both((d, 0.0, d, 0.0, 0.0, d), b.tt, combine(k, b.tt, 1.0, arm))
+    a = _plus_both(a, t, scale(-0.5 * d, t))
+    a = _plus_both(a, b.kb, mix((0.25, -0.25 * s3, -0.25 * s3), w, t, b.tt))
     return (per2 * a[0], per2 * a[1], per2 * a[2], per2 * a[3], per2 * a[4], per2 * a[5])
 
 
-@merged
+@inlined
 def _crossed(b: Bent, on_e: Vector, on_f: Vector, wt: Vector, k: float, s3: float) -> Any:
     """Return the geometric part of d2 / df de, rows of f, times both lengths."""
     axial = combine(-1.0, wt, s3 / b.chi, b.te)  # the antisymmetric parts: -[wt]x and s3 / chi [te]x
-    along = combine(2 * k, b.tt, -1.0, add(on_e, scale(0.5 * s3, b.kb)))
-    rows = _sum9(1.0, _outer(b.tt, along), 1.0, _outer(on_f, b.tt))
-    rows = _sum9(1.0, rows, -k / b.chi, _outer(b.tf, b.te))
-    d = -k / b.chi
-    skew = (d, axial[2], -axial[1]), (-axial[2], d, axial[0]), (axial[1], -axial[0], d)
-    return _sum9(1.0, rows, 1.0, skew)
+    along, d = mix((2 * k, -1.0, -0.5 * s3), b.tt, on_e, b.kb), -k / b.chi
+    return (
+        add(mix((b.tt[0], on_f[0], d * b.tf[0]), along, b.tt, b.te), (d, axial[2], -axial[1])),
+        add(mix((b.tt[1], on_f[1], d * b.tf[1]), along, b.tt, b.te), (-axial[2], d, axial[0])),
+        add(mix((b.tt[2], on_f[2], d * b.tf[2]), along, b.tt, b.te), (axial[1], -axial[0], d)),
+    )
 
 
-@merged
+@inlined
 def _put_edge_blocks(
     buffer: Any, i: int, b: Bent, G: Any, stress: Vector, W: Any, we: Vector, wf: Vector, stretch: Any
 ) -> None:
@@ -248,24 +220,25 @@ def _put_edge_blocks(
     """
     g1, g2, g3 = G
     s3 = stress[2]
-    wt = scale(1 / b.chi, add(we, wf))
+    wt = combine(1 / b.chi, we, 1 / b.chi, wf)
     k = 0.5 * b.chi * dot(b.kb, wt)
     on_e, on_f = cross(b.tf, wt), cross(b.te, wt)
     per_e, per_f = b.per_e, b.per_f
-    ee = _stiffness(W, g1.e, g2.e, g3.e)
-    ee = _sum(ee, _turning(b, b.te, scale(-1.0, on_e), we, k, s3, per_e * per_e))
-    ff = _sum(stretch, _stiffness(W, g1.f, g2.f, g3.f))
-    ff = _sum(ff, _turning(b, b.tf, on_f, wf, k, s3, per_f * per_f))
-    h1, h2, h3 = _weighted(W, g1.e, g2.e, g3.e)
-    fe = _sum9(1.0, _outer(g1.f, h1), 1.0, _outer(g2.f, h2))
-    fe = _sum9(1.0, fe, 1.0, _outer(g3.f, h3))
-    fe = _sum9(1.0, fe, per_e * per_f, _crossed(b, on_e, on_f, wt, k, s3))
-    put6(buffer, FF, i, ff)
-    put6(buffer, EE, i, ee)
-    put9(buffer, FE, i, fe)
+    ee = _turning(b, b.te, scale(-1.0, on_e), we, k, s3, per_e * per_e)
+    put6(buffer, EE, i, _plus_stiffness(ee, W, g1.e, g2.e, g3.e))
+    ff = _plus_stiffness(stretch, W, g1.f, g2.f, g3.f)
+    turned = _turning(b, b.tf, on_f, wf, k, s3, per_f * per_f)
+    put3(buffer, FF, i, add((ff[0], ff[1], ff[2]), (turned[0], turned[1], turned[2])))
+    put3(buffer, FF + 3, i, add((ff[3], ff[4], ff[5]), (turned[3], turned[4], turned[5])))
+    h1, h2 = mix((W[0], W[1], W[3]), g1.e, g2.e, g3.e), mix((W[1], W[2], W[4]), g1.e, g2.e, g3.e)
+    h3 = mix((W[3], W[4], W[5]), g1.e, g2.e, g3.e)
+    rows, per = _crossed(b, on_e, on_f, wt, k, s3), per_e * per_f
+    put3(buffer, FE, i, combine(1.0, mix((g1.f[0], g2.f[0], g3.f[0]), h1, h2, h3), per, rows[0]))
+    put3(buffer, FE + 3, i, combine(1.0, mix((g1.f[1], g2.f[1], g3.f[1]), h1, h2, h3), per, rows[1]))
+    put3(buffer, FE + 6, i, combine(1.0, mix((g1.f[2], g2.f[2], g3.f[2]), h1, h2, h3), per, rows[2]))
 
 
-@merged
+@inlined
 def _turned(b: Bent, w: Vector) -> Any:
     """Return the geometric part of the Hessian between a spin (w turned by a right angle) and the edge vectors."""
     half = -0.5 * dot(b.kb, w)
@@ -274,16 +247,14 @@ def _turned(b: Bent, w: Vector) -> Any:
     return by_e, by_f
 
 
-@merged
+@inlined
 def _along(G: Any, u: Vector) -> Any:
     """Return the mixtures u of the three gradients by e and by f."""
     g1, g2, g3 = G
-    by_e = add(combine(u[0], g1.e, u[1], g2.e), scale(u[2], g3.e))
-    by_f = add(combine(u[0], g1.f, u[1], g2.f), scale(u[2], g3.f))
-    return by_e, by_f
+    return mix(u, g1.e, g2.e, g3.e), mix(u, g1.f, g2.f, g3.f)
 
 
-@merged
+@inlined
 def _put_spin_blocks(buffer: Any, i: int, b: Bent, G: Any, stress: Vector, W: Any, m1: Any, w: Any) -> None:
     """Write the Hessian in the spins of both edges, against each other and against the edge vectors."""
     s1, s2, _ = stress
@@ -303,7 +274,7 @@ def _put_spin_blocks(buffer: Any, i: int, b: Bent, G: Any, stress: Vector, W: An
     put3(buffer, SPINS, i, (ee, dot(moment_e, spin_f), ff))
 
 
-@merged
+@inlined
 def _put_forces(buffer: Any, i: int, G: Any, stress: Vector, tension: Vector) -> None:
     g1, g2, _ = G
     s1, s2, s3 = stress
@@ -314,7 +285,7 @@ def _put_forces(buffer: Any, i: int, G: Any, stress: Vector, tension: Vector) ->
     put(buffer, MOMENT_F, i, s1 * g1.spin_f + s2 * g2.spin_f + s3)
 
 
-@merged
+@inlined
 def _stress(buffer: Any, i: int, k: Any, G: Any, ve: Vector, vf: Vector) -> Vector:
     """Return the moments of bend and twist [N m]: stiffness times (strain + viscous time times strain rate)."""
     spin_e, spin_f, lag = (
@@ -329,7 +300,7 @@ def _stress(buffer: Any, i: int, k: Any, G: Any, ve: Vector, vf: Vector) -> Vect
     return moments(get6(buffer, JOINT, i), (s1, s2, s3))
 
 
-@merged
+@inlined
 def stretched(buffer: Any, i: int, rate: float, b: Bent, f: Vector, vf: Vector) -> Any:
     """Return the tension of edge f as a vector [N], and its Hessian.
 
@@ -353,7 +324,7 @@ def stretched(buffer: Any, i: int, rate: float, b: Bent, f: Vector, vf: Vector) 
     across = EA * (1 / natural - per_r) + viscous * b.per_f
     along = EA * lag * rate / natural - viscous * b.per_f
     along += EA * per_r * per_r * per_end * dot(f, end)
-    return force, _plus_identity(across, _both(b.tf, scale(0.5 * along, b.tf)))
+    return force, _plus_both((across, 0.0, across, 0.0, 0.0, across), b.tf, scale(0.5 * along, b.tf))
 
 
 @inner

@@ -18,7 +18,7 @@ from anther.rods._assembly import Blocks, add_supports, assemble_edges, elastic_
 from anther.rods._model import Frames, Model
 from anther.rods._rods import Array
 from anther.rods._tree_solver import constrain, factor, solve
-from anther.rods._vectors import compiled, cross, dot, inlined, load, merged, norm, peak, scale, subtract, transport
+from anther.rods._vectors import apart, compiled, cross, dot, inlined, load, merged, norm, peak, scale, transport
 
 POSITION_FLOOR = 1e-12
 """A Newton correction below this [m] is rounding noise: the step has converged."""
@@ -117,7 +117,7 @@ def _largest_turn(parent: Any, x: Any, move: Any) -> float:
     worst = 0.0
     for j in range(1, len(x)):
         p = parent[j]
-        change, edge = subtract(load(move, j), load(move, p)), subtract(load(x, j), load(x, p))
+        change, edge = apart(move, j, p), apart(x, j, p)
         worst = max(worst, dot(change, change) / dot(edge, edge))
     return math.sqrt(worst)
 
@@ -156,8 +156,8 @@ def _evaluate(model: Model, old: State, new: State, start: Any, turn: Any, rate:
             v[j, i] = rate * (x[j, i] - x_old[j, i])
     assemble_edges(model, start, x, new.frames, v, rate, blocks)
     _add_rotary(model, blocks, old, new, rate)
-    on_nodes(model, blocks)
-    add_supports(model, x, blocks)
+    on_nodes(model.order, model.parent, model.near, model.far, model.swapped, blocks)
+    add_supports(model.supports, x, blocks)
     _add_inertia(model, blocks, old, new, rate)
 
 
@@ -201,9 +201,9 @@ def implicit_step(model: Model, free: Any, old: State, work: Work, h: float, set
         for j in range(len(g)):
             for i in range(4):
                 correction[j, i] = g[j, i] if free[j, i] else 0.0
-        constrain(model, free, blocks)
-        factor(model, blocks)
-        solve(model, blocks, correction)
+        constrain(model.near, model.far, free, blocks)
+        factor(model.order, model.near, model.far, blocks)
+        solve(model.order, model.near, model.far, blocks, correction)
         share = min(1.0, LARGEST_TURN / (1e-300 + _largest_turn(parent, new.x, correction)))
         _move(new.x, turn, correction, share)
         largest = peak(correction)
@@ -245,8 +245,8 @@ def _turn_gripped_edges(model: Model, grip: Grip, old: State, work: Work, step: 
     for q in range(len(grip.edges)):
         j = grip.edges[q]
         p = model.parent[j]
-        start = subtract(load(old.x, j), load(old.x, p))
-        end = subtract(load(work.mid.x, j), load(work.mid.x, p))
+        start = apart(old.x, j, p)
+        end = apart(work.mid.x, j, p)
         t = scale(1 / norm(end), end)
         m1 = transport(load(old.frames.m1, j), scale(1 / norm(start), start), t)
         wanted = load(grip.director[step + 1], q)
@@ -348,13 +348,13 @@ def record(model: Model, grip: Grip, state: State, work: Work, out: Output, row:
     for k in range(len(grip.nodes)):
         node = grip.nodes[k]
         force = load(g, node)
-        lever = cross(subtract(load(state.x, node), load(state.x, grip.nodes[0])), force)
+        lever = cross(apart(state.x, node, grip.nodes[0]), force)
         for i in range(3):
             out.force[row, i] += force[i]
             out.moment[row, i] += lever[i]
     for q in range(len(grip.edges)):
         j = grip.edges[q]
-        edge = subtract(load(state.x, j), load(state.x, model.parent[j]))
+        edge = apart(state.x, j, model.parent[j])
         for i in range(3):
             out.moment[row, i] += g[j, 3] * edge[i] / norm(edge)
 

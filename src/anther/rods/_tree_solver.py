@@ -1,7 +1,7 @@
 """Direct solution of tree-structured symmetric systems by elimination from the tips to the root, in O(N).
 
-Works on real and on complex symmetric (not Hermitian) matrices: L D L^T without pivoting, four unknowns a block. The
-rows of a block are handled whole, as four numbers side by side.
+Works on real and on complex symmetric (not Hermitian) matrices: L D L^T without pivoting, four unknowns a block.
+Kernels take single arrays, not the whole `Model`: each array among the arguments costs time of compiling.
 """
 
 from __future__ import annotations
@@ -9,38 +9,13 @@ from __future__ import annotations
 from typing import Any
 
 from anther.rods._assembly import Blocks
-from anther.rods._model import Model
-from anther.rods._vectors import compiled, inlined, inner, merged
-
-Row = Any
-"""Four numbers."""
-
-
-@merged
-def _row(A: Any, j: Any, i: int) -> Row:
-    return (A[j, i, 0], A[j, i, 1], A[j, i, 2], A[j, i, 3])
-
-
-@merged
-def _put_row(A: Any, j: Any, i: int, row: Row) -> None:
-    A[j, i, 0], A[j, i, 1], A[j, i, 2], A[j, i, 3] = row
-
-
-@merged
-def _less(a: Row, s: Any, b: Row) -> Row:
-    """Return a - s b."""
-    return (a[0] - s * b[0], a[1] - s * b[1], a[2] - s * b[2], a[3] - s * b[3])
-
-
-@merged
-def _dot(a: Row, b: Row) -> Any:
-    return a[0] * b[0] + a[1] * b[1] + (a[2] * b[2] + a[3] * b[3])
+from anther.rods._vectors import compiled, inlined, inner
 
 
 @compiled
-def constrain(model: Model, free: Any, blocks: Blocks) -> None:
+def constrain(near: Any, far: Any, free: Any, blocks: Blocks) -> None:
     """Replace rows and columns of the unknowns with free (N, 4) False by those of the identity, gradient 0."""
-    near, far, D, U, V, g = model.near, model.far, blocks.diagonal, blocks.near, blocks.far, blocks.gradient
+    D, U, V, g = blocks.diagonal, blocks.near, blocks.far, blocks.gradient
     for j in range(len(free)):
         a, b = near[j], far[j]
         for i in range(4):
@@ -61,10 +36,9 @@ def constrain(model: Model, free: Any, blocks: Blocks) -> None:
 
 
 @compiled
-def factor(model: Model, blocks: Blocks) -> int:
+def factor(order: Any, near: Any, far: Any, blocks: Blocks) -> int:
     """Factor in place. Return the number of pivots that are not positive: 0 means positive definite (if real)."""
-    order, near, far, D, U, V = model.order, model.near, model.far, blocks.diagonal, blocks.near, blocks.far
-    good = 0
+    D, U, V, good = blocks.diagonal, blocks.near, blocks.far, 0
     for j in order:
         good += _factor_block(D, U, V, j)
         a, b = near[j], far[j]
@@ -72,10 +46,7 @@ def factor(model: Model, blocks: Blocks) -> int:
             _update(D, j, U, U, D, a)
         if b >= 0:
             _update(D, j, V, V, D, b)
-            if near[a] == b:
-                _update(D, j, U, V, U, a)
-            else:
-                _update(D, j, U, V, V, a)
+            _update(D, j, U, V, U if near[a] == b else V, a)
     return 4 * len(order) - good
 
 
@@ -85,55 +56,48 @@ def _factor_block(D: Any, U: Any, V: Any, j: Any) -> int:
 
     Returns the number of positive pivots.
     """
-    d0, d1, d2, d3 = _row(D, j, 0), _row(D, j, 1), _row(D, j, 2), _row(D, j, 3)
-    u0, u1, u2, u3 = _row(U, j, 0), _row(U, j, 1), _row(U, j, 2), _row(U, j, 3)
-    v0, v1, v2, v3 = _row(V, j, 0), _row(V, j, 1), _row(V, j, 2), _row(V, j, 3)
-    p0 = 1 / d0[0]
-    a, b, c = d0[1] * p0, d0[2] * p0, d0[3] * p0
-    d1, u1, v1 = _less(d1, a, d0), _less(u1, a, u0), _less(v1, a, v0)
-    d2, u2, v2 = _less(d2, b, d0), _less(u2, b, u0), _less(v2, b, v0)
-    d3, u3, v3 = _less(d3, c, d0), _less(u3, c, u0), _less(v3, c, v0)
-    _put_row(D, j, 0, (p0, a, b, c))
-    p1 = 1 / d1[1]
-    b, c = d1[2] * p1, d1[3] * p1
-    d2, u2, v2 = _less(d2, b, d1), _less(u2, b, u1), _less(v2, b, v1)
-    d3, u3, v3 = _less(d3, c, d1), _less(u3, c, u1), _less(v3, c, v1)
-    D[j, 1, 1], D[j, 1, 2], D[j, 1, 3] = p1, b, c
-    p2 = 1 / d2[2]
-    c = d2[3] * p2
-    d3, u3, v3 = _less(d3, c, d2), _less(u3, c, u2), _less(v3, c, v2)
-    D[j, 2, 2], D[j, 2, 3] = p2, c
-    p3 = 1 / d3[3]
-    D[j, 3, 3] = p3
-    _put_row(U, j, 1, u1)
-    _put_row(U, j, 2, u2)
-    _put_row(U, j, 3, u3)
-    _put_row(V, j, 1, v1)
-    _put_row(V, j, 2, v2)
-    _put_row(V, j, 3, v3)
-    return int(p0.real > 0) + int(p1.real > 0) + int(p2.real > 0) + int(p3.real > 0)
+    d01, d02, d03 = D[j, 0, 1], D[j, 0, 2], D[j, 0, 3]
+    p0 = 1 / D[j, 0, 0]
+    a, b, c = d01 * p0, d02 * p0, d03 * p0
+    d12, d13, d23 = D[j, 1, 2] - a * d02, D[j, 1, 3] - a * d03, D[j, 2, 3] - b * d03
+    p1 = 1 / (D[j, 1, 1] - a * d01)
+    d, e = d12 * p1, d13 * p1
+    d23 = d23 - d * d13
+    p2 = 1 / (D[j, 2, 2] - b * d02 - d * d12)
+    f = d23 * p2
+    p3 = 1 / (D[j, 3, 3] - c * d03 - e * d13 - f * d23)
+    D[j, 0, 0], D[j, 0, 1], D[j, 0, 2], D[j, 0, 3] = p0, a, b, c
+    D[j, 1, 1], D[j, 1, 2], D[j, 1, 3] = p1, d, e
+    D[j, 2, 2], D[j, 2, 3], D[j, 3, 3] = p2, f, p3
+    _eliminate_rows(U, j, a, b, c, d, e, f)
+    _eliminate_rows(V, j, a, b, c, d, e, f)
+    return (p0.real > 0) + (p1.real > 0) + (p2.real > 0) + (p3.real > 0)
 
 
-@merged
-def _less_product(a: Row, left: Row, rows: Any) -> Row:
-    """Return a - left rows."""
-    return _less(_less(_less(_less(a, left[0], rows[0]), left[1], rows[1]), left[2], rows[2]), left[3], rows[3])
+@inlined
+def _eliminate_rows(B: Any, j: Any, a: Any, b: Any, c: Any, d: Any, e: Any, f: Any) -> None:
+    """Apply L^-1 to B_j; L has the columns (1, a, b, c), (1, d, e) and (1, f)."""
+    for k in range(4):
+        x0 = B[j, 0, k]
+        x1 = B[j, 1, k] - a * x0
+        x2 = B[j, 2, k] - b * x0 - d * x1
+        B[j, 1, k], B[j, 2, k], B[j, 3, k] = x1, x2, B[j, 3, k] - c * x0 - e * x1 - f * x2
 
 
-@merged
+@inlined
 def _update(D: Any, j: Any, A: Any, B: Any, target: Any, at: Any) -> None:
     """Subtract A_j^T pivots^-1 B_j from block `at` of the target."""
-    rows = _row(B, j, 0), _row(B, j, 1), _row(B, j, 2), _row(B, j, 3)
     p0, p1, p2, p3 = D[j, 0, 0], D[j, 1, 1], D[j, 2, 2], D[j, 3, 3]
     for i in range(4):
-        left = (A[j, 0, i] * p0, A[j, 1, i] * p1, A[j, 2, i] * p2, A[j, 3, i] * p3)
-        _put_row(target, at, i, _less_product(_row(target, at, i), left, rows))
+        x0, x1, x2, x3 = A[j, 0, i] * p0, A[j, 1, i] * p1, A[j, 2, i] * p2, A[j, 3, i] * p3
+        for k in range(4):
+            target[at, i, k] -= x0 * B[j, 0, k] + x1 * B[j, 1, k] + x2 * B[j, 2, k] + x3 * B[j, 3, k]
 
 
 @compiled
-def solve(model: Model, blocks: Blocks, r: Any) -> None:
+def solve(order: Any, near: Any, far: Any, blocks: Blocks, r: Any) -> None:
     """Overwrite r (N, 4) with the solution of the factored system."""
-    order, near, far, D, U, V = model.order, model.near, model.far, blocks.diagonal, blocks.near, blocks.far
+    D, U, V = blocks.diagonal, blocks.near, blocks.far
     for j in order:
         scaled = _eliminate(D, r, j)
         a, b = near[j], far[j]
@@ -143,29 +107,29 @@ def solve(model: Model, blocks: Blocks, r: Any) -> None:
             _lessen(r, b, scaled, V, j)
     for k in range(len(order) - 1, -1, -1):
         j = order[k]
-        x, a, b = _four(r, j), near[j], far[j]
+        a, b = near[j], far[j]
         if a >= 0:
-            x = _known(x, U, j, _four(r, a))
+            _less_known(r, j, U, a)
         if b >= 0:
-            x = _known(x, V, j, _four(r, b))
-        _substitute(D, r, j, x)
+            _less_known(r, j, V, b)
+        _substitute(D, r, j)
 
 
 @compiled
-def eliminate_columns(model: Model, blocks: Blocks, rows: Any, real: Any, imaginary: Any, M: Any) -> None:
+def eliminate_columns(near: Any, far: Any, blocks: Blocks, rows: Any, real: Any, imaginary: Any, M: Any) -> None:
     """Begin the solution of a factored complex system for (N, 4, C) right-hand sides, side by side, in their place.
 
     Real and imaginary parts lie apart, so that the loops over columns reach the processor's vector units.
 
     Args:
-        model: constants.
+        near, far: of the model.
         blocks: factored, complex.
         rows: (R,) rows in rising elimination distance from the root, each after its near row. Other rows must be zero
             on the right-hand side, and are left alone.
         real, imaginary: (N, 4, C).
         M: (2, 4, 4) scratch.
     """
-    near, far, D, U, V = model.near, model.far, blocks.diagonal, blocks.near, blocks.far
+    D, U, V = blocks.diagonal, blocks.near, blocks.far
     for k in range(len(rows) - 1, -1, -1):
         j = rows[k]
         a, b = near[j], far[j]
@@ -179,9 +143,9 @@ def eliminate_columns(model: Model, blocks: Blocks, rows: Any, real: Any, imagin
 
 
 @compiled
-def substitute_columns(model: Model, blocks: Blocks, rows: Any, real: Any, imaginary: Any, M: Any) -> None:
+def substitute_columns(near: Any, far: Any, blocks: Blocks, rows: Any, real: Any, imaginary: Any, M: Any) -> None:
     """End it; alone, do what the rows do when those they hang on move as they stand there."""
-    near, far, D, U, V = model.near, model.far, blocks.diagonal, blocks.near, blocks.far
+    D, U, V = blocks.diagonal, blocks.near, blocks.far
     for k in range(len(rows)):
         j = rows[k]
         a, b = near[j], far[j]
@@ -248,7 +212,7 @@ def _substitute_columns(D: Any, j: Any, real: Any, imaginary: Any) -> None:
             _take(real, imaginary, j, i, D[j, i, m], m)
 
 
-@merged
+@inlined
 def _take(real: Any, imaginary: Any, j: Any, i: int, size: complex, m: int) -> None:
     """Subtract size times row m of block j from its row i."""
     c, s = size.real, size.imag
@@ -258,45 +222,37 @@ def _take(real: Any, imaginary: Any, j: Any, i: int, size: complex, m: int) -> N
         imaginary[j, i, k] -= c * y + s * x
 
 
-@merged
-def _four(r: Any, j: Any) -> Row:
-    return (r[j, 0], r[j, 1], r[j, 2], r[j, 3])
-
-
-@merged
-def _eliminate(D: Any, r: Any, j: Any) -> Row:
+@inlined
+def _eliminate(D: Any, r: Any, j: Any) -> Any:
     """Apply L^-1 to row j; return it times the inverse pivots."""
-    r0, r1, r2, r3 = _four(r, j)
-    r1 = r1 - D[j, 0, 1] * r0
-    r2 = r2 - D[j, 0, 2] * r0 - D[j, 1, 2] * r1
-    r3 = r3 - D[j, 0, 3] * r0 - D[j, 1, 3] * r1 - D[j, 2, 3] * r2
+    r0 = r[j, 0]
+    r1 = r[j, 1] - D[j, 0, 1] * r0
+    r2 = r[j, 2] - D[j, 0, 2] * r0 - D[j, 1, 2] * r1
+    r3 = r[j, 3] - D[j, 0, 3] * r0 - D[j, 1, 3] * r1 - D[j, 2, 3] * r2
     r[j, 1], r[j, 2], r[j, 3] = r1, r2, r3
     return (r0 * D[j, 0, 0], r1 * D[j, 1, 1], r2 * D[j, 2, 2], r3 * D[j, 3, 3])
 
 
-@merged
-def _lessen(r: Any, at: Any, scaled: Row, B: Any, j: Any) -> None:
+@inlined
+def _lessen(r: Any, at: Any, scaled: Any, B: Any, j: Any) -> None:
     """Subtract scaled^T B_j from row `at`."""
-    rows = _row(B, j, 0), _row(B, j, 1), _row(B, j, 2), _row(B, j, 3)
-    r[at, 0], r[at, 1], r[at, 2], r[at, 3] = _less_product(_four(r, at), scaled, rows)
+    for k in range(4):
+        r[at, k] -= scaled[0] * B[j, 0, k] + scaled[1] * B[j, 1, k] + scaled[2] * B[j, 2, k] + scaled[3] * B[j, 3, k]
 
 
-@merged
-def _known(r: Row, B: Any, j: Any, x: Row) -> Row:
-    """Return r - B_j x."""
-    return (
-        r[0] - _dot(_row(B, j, 0), x),
-        r[1] - _dot(_row(B, j, 1), x),
-        r[2] - _dot(_row(B, j, 2), x),
-        r[3] - _dot(_row(B, j, 3), x),
-    )
+@inlined
+def _less_known(r: Any, j: Any, B: Any, at: Any) -> None:
+    """Subtract B_j times row `at` from row j."""
+    x0, x1, x2, x3 = r[at, 0], r[at, 1], r[at, 2], r[at, 3]
+    for i in range(4):
+        r[j, i] -= B[j, i, 0] * x0 + B[j, i, 1] * x1 + (B[j, i, 2] * x2 + B[j, i, 3] * x3)
 
 
-@merged
-def _substitute(D: Any, r: Any, j: Any, x: Row) -> None:
-    """Apply the pivots and L^-T and write row j."""
-    x3 = x[3] * D[j, 3, 3]
-    x2 = x[2] * D[j, 2, 2] - D[j, 2, 3] * x3
-    x1 = x[1] * D[j, 1, 1] - D[j, 1, 2] * x2 - D[j, 1, 3] * x3
-    r[j, 0] = x[0] * D[j, 0, 0] - D[j, 0, 1] * x1 - D[j, 0, 2] * x2 - D[j, 0, 3] * x3
+@inlined
+def _substitute(D: Any, r: Any, j: Any) -> None:
+    """Apply the pivots and L^-T to row j."""
+    x3 = r[j, 3] * D[j, 3, 3]
+    x2 = r[j, 2] * D[j, 2, 2] - D[j, 2, 3] * x3
+    x1 = r[j, 1] * D[j, 1, 1] - D[j, 1, 2] * x2 - D[j, 1, 3] * x3
+    r[j, 0] = r[j, 0] * D[j, 0, 0] - D[j, 0, 1] * x1 - D[j, 0, 2] * x2 - D[j, 0, 3] * x3
     r[j, 1], r[j, 2], r[j, 3] = x1, x2, x3

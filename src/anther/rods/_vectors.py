@@ -14,6 +14,7 @@ from typing import Any
 
 from numba.extending import register_jitable
 
+from anther.core import compiling
 from anther.core.compiling import numba
 
 
@@ -32,21 +33,11 @@ def _drop_stale_kernels() -> None:
 
 _drop_stale_kernels()
 
-OPTIONS = {
-    "cache": True,
-    "_nrt": False,
-    "no_cfunc_wrapper": True,
-    "error_model": "numpy",
-    "nogil": True,
-    "fastmath": {"contract", "reassoc", "arcp", "nsz"},
-}
-"""How kernels are compiled: kept on disk, sums may be reordered and fused, NaN and infinity keep their meaning.
-
-They allocate nothing and are no callbacks of C: to be ready for either takes a third of the time of compiling.
-"""
+OPTIONS = compiling.OPTIONS | {"fastmath": {"contract", "reassoc", "arcp", "nsz"}}
+"""How kernels are compiled here: sums may be reordered and fused, NaN and infinity keep their meaning."""
 
 compiled: Any = numba.njit(**OPTIONS)
-"""For a kernel that is called from Python; the types of its arguments must not vary, each combination is compiled."""
+"""As `core.compiling.compiled`, with these options."""
 
 merged: Any = register_jitable(forceinline=True, **OPTIONS)
 """For a part of a kernel: it becomes one with its caller, so that the compiler can vectorise the caller's loop."""
@@ -55,20 +46,20 @@ inner: Any = register_jitable(**OPTIONS)
 """For a part of several kernels that is too long to be merged with each."""
 
 inlined: Any = numba.njit(inline="always", **OPTIONS)
-"""For a part of a kernel that stands in one place: it is only ever compiled there."""
+"""For a part of a kernel that stands in few places: it is only ever compiled there."""
 
 Vector = tuple[Any, Any, Any]
 
 LANES = 8
 
 
-@merged
+@inlined
 def load(array: Any, row: Any) -> Vector:
     """Return one row of an (N, 3) array."""
     return (array[row, 0], array[row, 1], array[row, 2])
 
 
-@merged
+@inlined
 def peak(rows: Any) -> float:
     """Return the largest size of the first three numbers of all rows."""
     worst = 0.0
@@ -79,30 +70,40 @@ def peak(rows: Any) -> float:
 
 
 @merged
+def apart(array: Any, row: Any, other: Any) -> Vector:
+    """Return one row of an (N, 3) array less another one."""
+    return (
+        array[row, 0] - array[other, 0],
+        array[row, 1] - array[other, 1],
+        array[row, 2] - array[other, 2],
+    )
+
+
+@inlined
 def six(array: Any, row: Any) -> Any:
     """Return one row of an (N, 6) array."""
     return (array[row, 0], array[row, 1], array[row, 2], array[row, 3], array[row, 4], array[row, 5])
 
 
-@merged
+@inlined
 def halves(array: Any, row: Any) -> tuple[Vector, Vector]:
     """Return one row of an (N, 6) array as two vectors."""
     return (array[row, 0], array[row, 1], array[row, 2]), (array[row, 3], array[row, 4], array[row, 5])
 
 
-@merged
+@inlined
 def store(array: Any, row: Any, v: Vector) -> None:
     """Write `v` into one row of an (N, 3) array."""
     array[row, 0], array[row, 1], array[row, 2] = v
 
 
-@merged
+@inlined
 def add(a: Vector, b: Vector) -> Vector:
     """Return a + b."""
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 
-@merged
+@inlined
 def subtract(a: Vector, b: Vector) -> Vector:
     """Return a - b."""
     return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
@@ -118,6 +119,16 @@ def scale(s: float, a: Vector) -> Vector:
 def combine(s: float, a: Vector, t: float, b: Vector) -> Vector:
     """Return s a + t b."""
     return (s * a[0] + t * b[0], s * a[1] + t * b[1], s * a[2] + t * b[2])
+
+
+@merged
+def mix(u: Vector, a: Vector, b: Vector, c: Vector) -> Vector:
+    """Return u_0 a + u_1 b + u_2 c."""
+    return (
+        u[0] * a[0] + u[1] * b[0] + u[2] * c[0],
+        u[0] * a[1] + u[1] * b[1] + u[2] * c[1],
+        u[0] * a[2] + u[1] * b[2] + u[2] * c[2],
+    )
 
 
 @merged
@@ -138,7 +149,7 @@ def norm(a: Vector) -> float:
     return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
 
 
-@merged
+@inlined
 def transport(v: Vector, start: Vector, end: Vector) -> Vector:
     """Return `v` carried by the smallest rotation that takes the unit tangent `start` to the unit tangent `end`."""
     axis = cross(start, end)
@@ -147,7 +158,7 @@ def transport(v: Vector, start: Vector, end: Vector) -> Vector:
     return combine(1.0, carried, dot(axis, v) / (1.0 + cosine), axis)
 
 
-@merged
+@inlined
 def spin(director: Vector, tangent: Vector, turn: float) -> Vector:
     """Return a director turned by 2 atan(turn / 2) about the unit tangent (Cayley map), orthonormal to it again."""
     square = 0.25 * turn * turn
@@ -157,20 +168,26 @@ def spin(director: Vector, tangent: Vector, turn: float) -> Vector:
     return scale(1.0 / norm(flat), flat)
 
 
-@merged
+@inlined
 def twist_angle(sine: float, cosine: float, previous: float) -> float:
     """Return the twist [rad] with this sine and cosine, on the branch nearest to `previous`."""
     angle = math.atan2(sine, cosine)
     return angle + 2 * math.pi * math.floor((previous - angle) / (2 * math.pi) + 0.5)
 
 
-@merged
+@inlined
+def filled(rows: Any, first: Any) -> Any:
+    """Return how many lanes the rows from `first` on fill; `min` would be a kernel more to compile."""
+    return LANES if rows - first > LANES else rows - first
+
+
+@inlined
 def get(buffer: Any, row: int, lane: int) -> float:
     """Return one number."""
     return buffer[row * LANES + lane]
 
 
-@merged
+@inlined
 def put(buffer: Any, row: int, lane: int, value: float) -> None:
     """Write one number."""
     buffer[row * LANES + lane] = value
@@ -182,7 +199,7 @@ def get3(buffer: Any, row: int, lane: int) -> Vector:
     return (buffer[row * LANES + lane], buffer[(row + 1) * LANES + lane], buffer[(row + 2) * LANES + lane])
 
 
-@merged
+@inlined
 def get6(buffer: Any, row: int, lane: int) -> Any:
     """Return six numbers from six rows."""
     a, b = get3(buffer, row, lane), get3(buffer, row + 3, lane)
@@ -197,16 +214,8 @@ def put3(buffer: Any, row: int, lane: int, v: Vector) -> None:
     buffer[(row + 2) * LANES + lane] = v[2]
 
 
-@merged
+@inlined
 def put6(buffer: Any, row: int, lane: int, s: Any) -> None:
     """Write six numbers, as the upper triangle of a symmetric 3x3 matrix by columns, to six rows."""
     put3(buffer, row, lane, (s[0], s[1], s[2]))
     put3(buffer, row + 3, lane, (s[3], s[4], s[5]))
-
-
-@merged
-def put9(buffer: Any, row: int, lane: int, rows: Any) -> None:
-    """Write a 3x3 matrix, given by its rows, to nine rows of the buffer."""
-    put3(buffer, row, lane, rows[0])
-    put3(buffer, row + 3, lane, rows[1])
-    put3(buffer, row + 6, lane, rows[2])

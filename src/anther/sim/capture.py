@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anther.core.checks import check_array, check_range, check_transform
-from anther.core.compiling import numba
+from anther.core.compiling import compiled
 from anther.core.geometry import Array, Intrinsics, look_at, small_transform
 from anther.core.records import Range, Record
 from anther.perception.capture import Capture
@@ -274,7 +274,9 @@ def noisy_depth(
     disparity = focal / z
     seen = z < params.max_range
     if params.stereo_shadow:
-        seen &= ~_shadowed(disparity)
+        shadowed = np.zeros(disparity.shape, np.bool_)
+        _find_shadows(disparity, np.empty(disparity.shape[1], disparity.dtype), shadowed)
+        seen &= ~shadowed
     disparity, dropped = _ragged_edges(disparity, rng, params)
     # standard deviation of the Gaussian that correlates the disparity's error between neighbours [px]
     correlation = 1.5
@@ -332,23 +334,23 @@ def _ragged_edges(
     return np.where(flying, between, disparity), dropped
 
 
-@numba.njit(cache=True, nogil=True)
-def _shadowed(disparity: NDArray[Any]) -> NDArray[Any]:
-    """(H, W) whether the second imager, on the right, sees another surface there or is not pointed there."""
+@compiled
+def _find_shadows(disparity: NDArray[Any], nearest: NDArray[Any], out: NDArray[Any]) -> None:
+    """Fill (H, W) whether the second imager, on the right, sees another surface there or is not pointed there.
+
+    `nearest` (W,) is scratch.
+    """
     height, width = disparity.shape
-    out = np.zeros((height, width), np.bool_)
-    nearest = np.empty(width, disparity.dtype)
     for row in range(height):
         nearest[:] = 0
         for column in range(width):
-            x = int(column - disparity[row, column] + 0.5)
+            x = np.int64(column - disparity[row, column] + 0.5)
             if x >= 0 and disparity[row, column] > nearest[x]:
                 nearest[x] = disparity[row, column]
         for column in range(width):
-            x = int(column - disparity[row, column] + 0.5)
+            x = np.int64(column - disparity[row, column] + 0.5)
             if x < 0 or nearest[x] > disparity[row, column] + 1.5:
                 out[row, column] = True
-    return out
 
 
 def _pose_errors(count: int, errors: CameraErrors, rng: np.random.Generator) -> Array:

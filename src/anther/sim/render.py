@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import distance_transform_edt
 
 from anther.core.checks import check_array, check_transform
-from anther.core.compiling import inlined, numba
+from anther.core.compiling import OPTIONS, inlined, numba
 from anther.core.geometry import Array, Intrinsics
 from anther.sim.greenhouse import Setting, repainted, surroundings
 from anther.sim.plant import Organ, SimPlant
@@ -45,7 +45,7 @@ def vertex_normals(vertices: NDArray[Any], faces: NDArray[Any]) -> NDArray[np.fl
     return (normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-20)).astype(np.float32)
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@numba.njit(**OPTIONS, fastmath=True)
 def camera_rays(width: int, height: int, pinhole: Array, R: Array, out: NDArray[Any]) -> None:
     """Fill out (height * width, 3) with world directions whose length along the optical axis is 1.
 
@@ -61,18 +61,21 @@ def camera_rays(width: int, height: int, pinhole: Array, R: Array, out: NDArray[
                 out[i, axis] = R[axis, 0] * x + R[axis, 1] * y + R[axis, 2]
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@numba.njit(**OPTIONS, fastmath=True)
 def shadow_origins(
-    eye: Array, rays: NDArray[Any], hit: tuple[NDArray[Any], NDArray[Any], NDArray[Any]], kind: NDArray[Any]
-) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return pixel numbers (Q,) that could be in the sun and points (Q, 3) just off their surface.
+    eye: Array,
+    rays: NDArray[Any],
+    hit: tuple[NDArray[Any], NDArray[Any], NDArray[Any]],
+    kind: NDArray[Any],
+    pixels: NDArray[Any],
+    origins: NDArray[Any],
+) -> int:
+    """Fill the first Q of pixel numbers (P,) that could be in the sun and points (P, 3) just off their surface.
 
-    `hit` is depth (P,), face (P,) and the face's normal (P, 3) of any length and sign; `kind` (Nf,) is OPAQUE, THIN or
-    SUNLESS.
+    Returns Q. `hit` is depth (P,), face (P,) and the face's normal (P, 3) of any length and sign; `kind` (Nf,) is
+    OPAQUE, THIN or SUNLESS.
     """
     depth, face, normal = hit
-    pixels = np.empty(len(depth), np.int32)
-    origins = np.empty((len(depth), 3), np.float32)
     count = 0
     for i in range(len(depth)):
         if face[i] < 0 or kind[face[i]] == SUNLESS:
@@ -88,16 +91,17 @@ def shadow_origins(
             origins[count, axis] = eye[axis] + rays[i, axis] * depth[i] + off * n[axis]
         pixels[count] = i
         count += 1
-    return pixels[:count], origins[:count]
+    return count
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@numba.njit(**OPTIONS, fastmath=True)
 def shade(
     rays: NDArray[Any],
     hit: tuple[NDArray[Any], NDArray[Any], NDArray[Any]],
     sunlit: NDArray[Any],
     mesh: tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]],
     mix: Array,
+    level: Array,
     out: NDArray[Any],
 ) -> None:
     """Fill out (P, 3) uint8 sRGB.
@@ -109,11 +113,11 @@ def shade(
         mesh: faces (Nf, 3), colour (Nv, 3) linear, normal (Nv, 3), ambient (Nv, 2) light on the normal's side and on
             the other, kind (Nf,).
         mix: (3, 3) maps linear red, green, blue to what the camera's channels take in.
+        level: (3,) scratch.
         out: result.
     """
     faces, colour, normal, ambient, kind = mesh
     face, second, third = hit
-    level = np.empty(3)
     for i in range(len(face)):
         f = face[i]
         if f < 0:
@@ -123,11 +127,13 @@ def shade(
         a, b, c = faces[f]
         v, w = second[i], third[i]
         u = 1 - v - w
-        n = u * normal[a] + v * normal[b] + w * normal[c]
+        nx = u * normal[a, 0] + v * normal[b, 0] + w * normal[c, 0]
+        ny = u * normal[a, 1] + v * normal[b, 1] + w * normal[c, 1]
+        nz = u * normal[a, 2] + v * normal[b, 2] + w * normal[c, 2]
         near = u * ambient[a, 0] + v * ambient[b, 0] + w * ambient[c, 0]
         far = u * ambient[a, 1] + v * ambient[b, 1] + w * ambient[c, 1]
-        to_sun = (n[0] * SUN[0] + n[1] * SUN[1] + n[2] * SUN[2]) / np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2 + 1e-12)
-        if n[0] * rays[i, 0] + n[1] * rays[i, 1] + n[2] * rays[i, 2] > 0:
+        to_sun = (nx * SUN[0] + ny * SUN[1] + nz * SUN[2]) / np.sqrt(nx * nx + ny * ny + nz * nz + 1e-12)
+        if nx * rays[i, 0] + ny * rays[i, 1] + nz * rays[i, 2] > 0:
             near, far, to_sun = far, near, -to_sun
         direct = LIGHT * abs(to_sun) if sunlit[i] else 0.0
         light = near + direct if to_sun > 0 else near
@@ -154,7 +160,7 @@ def _sky(ray: NDArray[Any], level: Array) -> None:
 def _expose(level: Array, mix: Array, out: NDArray[Any]) -> None:
     for channel in range(3):
         light = mix[channel, 0] * level[0] + mix[channel, 1] * level[1] + mix[channel, 2] * level[2]
-        out[channel] = _ENCODED[int(min(light, 1.0) * (len(_ENCODED) - 1))]
+        out[channel] = _ENCODED[np.int64((light if light < 1.0 else 1.0) * (len(_ENCODED) - 1))]
 
 
 def d455(width: int = 1280, height: int = 720) -> Intrinsics:
@@ -263,7 +269,7 @@ class Scene:
         depth = np.where(face >= 0, hit["tfar"], np.float32(0))
         rgb = np.empty((len(face), 3), dtype=np.uint8)
         sunlit = self._sunlit(T[:3, 3], rays, depth, hit)
-        shade(rays, (face, hit["u"], hit["v"]), sunlit, self._mesh, self._mix, rgb)
+        shade(rays, (face, hit["u"], hit["v"]), sunlit, self._mesh, self._mix, np.empty(3), rgb)
         seen = (rgb, depth, np.append(self.face_organ, np.uint8(Organ.NOTHING))[face])
         if still is None:
             return Image(*(part.reshape(*size, *part.shape[1:]) for part in seen))
@@ -296,7 +302,9 @@ class Scene:
         return rays
 
     def _sunlit(self, eye: Array, rays: NDArray[Any], depth: NDArray[Any], hit: dict[str, Any]) -> NDArray[np.bool_]:
-        pixels, origins = shadow_origins(eye.copy(), rays, (depth, hit["primID"], hit["Ng"]), self._mesh[4])
+        pixels, origins = np.empty(len(rays), np.int32), np.empty(rays.shape, np.float32)
+        count = shadow_origins(eye.copy(), rays, (depth, hit["primID"], hit["Ng"]), self._mesh[4], pixels, origins)
+        pixels, origins = pixels[:count], origins[:count]
         to_sun = np.tile(SUN.astype(np.float32), (len(origins), 1))
         if not self.setting.sun:
             return np.zeros(len(rays), dtype=np.bool_)

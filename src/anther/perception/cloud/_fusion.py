@@ -17,7 +17,7 @@ from scipy import ndimage, sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from anther.core.compiling import numba, read_only
+from anther.core.compiling import OPTIONS, compiled, numba, read_only
 from anther.core.geometry import Array, Box, Intrinsics, inverse, transform_points
 from anther.perception.capture import in_threads
 from anther.perception.masks import FLOWER, PLANT
@@ -39,7 +39,9 @@ def supported_pixels(depth: NDArray[Any], mask: NDArray[np.bool_]) -> NDArray[np
     petiole's other pixels. A gradient filter would drop both (facts: perception, a 15 mm edge filter eats petioles).
     """
     around, keep = _around(mask), np.zeros(mask.shape, dtype=bool)
-    keep[around] = _supported(_inverse(depth[around]), np.ascontiguousarray(mask[around]))
+    supported = np.zeros_like(keep[around], order="C")
+    _supported(_inverse(depth[around]), np.ascontiguousarray(mask[around]), supported)
+    keep[around] = supported
     return keep
 
 
@@ -49,7 +51,9 @@ def pixel_normals(depth: NDArray[Any], keep: NDArray[np.bool_], intrinsics: Intr
     v, u = (part.start for part in around)
     rows = np.flatnonzero(keep[around] & (depth[around] > 0))
     camera = intrinsics.pinhole - [0, 0, u, v]
-    return _fitted_planes(np.pad(_inverse(depth[around]), FIT_WINDOW), rows, camera)
+    normals = np.empty((len(rows), 3), dtype=np.float32)
+    _fitted_planes(np.pad(_inverse(depth[around]), FIT_WINDOW), rows, camera, normals)
+    return normals
 
 
 def _around(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
@@ -70,29 +74,29 @@ def slant(points: Array, normals: NDArray[Any]) -> Array:
     return np.hypot(normals[:, 0], normals[:, 1]) / np.maximum(towards, 0.1)
 
 
-@numba.njit(nogil=True, cache=True)
-def _supported(inverse, mask):
+@compiled
+def _supported(inverse, mask, keep):
     height, width = inverse.shape
-    keep, reach, least = np.zeros(inverse.shape, dtype=np.bool_), 2, 5  # keeps a petiole that is one pixel wide
+    reach, least = 2, 5  # keeps a petiole that is one pixel wide
     for v in range(height):
         for u in range(width):
             if not mask[v, u] or inverse[v, u] <= 0:
                 continue
             count = 0
-            for j in range(max(0, v - reach), min(height, v + reach + 1)):
+            for j in range(v - reach, v + reach + 1):
                 if count >= least:
                     break
-                for i in range(max(0, u - reach), min(width, u + reach + 1)):
-                    count += abs(inverse[j, i] - inverse[v, u]) <= _TOLERANCE
+                for i in range(u - reach, u + reach + 1):
+                    if 0 <= j < height and 0 <= i < width:
+                        count += abs(inverse[j, i] - inverse[v, u]) <= _TOLERANCE
             keep[v, u] = count >= least
-    return keep
 
 
-@numba.njit(nogil=True, cache=True, fastmath={"reassoc", "contract"})  # lets the compiler use vector instructions
-def _fitted_planes(inverse, rows, camera):
-    """Return normals (N, 3) of inverse-depth planes through the pixels' neighbours; `inverse` has a margin."""
+# fastmath lets the compiler use vector instructions; with NumPy's error model it takes a tenth longer
+@numba.njit(**OPTIONS | {"fastmath": {"reassoc", "contract"}, "error_model": "python"})
+def _fitted_planes(inverse, rows, camera, normals):
+    """Fill normals (N, 3) of inverse-depth planes through the pixels' neighbours; `inverse` has a margin."""
     width = inverse.shape[1] - 2 * FIT_WINDOW
-    normals = np.empty((rows.size, 3), dtype=np.float32)
     for k in range(rows.size):
         v, u = divmod(rows[k], width)
         middle = inverse[v + FIT_WINDOW, u + FIT_WINDOW]
@@ -115,7 +119,6 @@ def _fitted_planes(inverse, rows, camera):
         w = middle - x * (u - camera[2]) / camera[0] - y * (v - camera[3]) / camera[1]
         length = -np.sqrt(x * x + y * y + w * w)
         normals[k, 0], normals[k, 1], normals[k, 2] = x / length, y / length, w / length
-    return normals
 
 
 def _inverse(depth: NDArray[Any]) -> NDArray[np.float32]:
@@ -234,20 +237,21 @@ def balances(points: Array, depth: NDArray[Any], intrinsics: Intrinsics, T_world
     it; it supports a point if something there lies within half of that.
     """
     camera = intrinsics.pinhole, np.ascontiguousarray(inverse(T_world_cam))
-    return _balances(read_only(points), read_only(depth), *camera)
-
-
-@numba.njit(nogil=True, cache=True)
-def _balances(points, depth, k, T):
-    height, width = depth.shape
     balance = np.zeros(len(points), dtype=np.int8)
+    _balances(read_only(points), read_only(depth), *camera, balance)
+    return balance
+
+
+@compiled
+def _balances(points, depth, k, T, balance):
+    height, width = depth.shape
     for n in range(points.shape[0]):
         x, y, w = points[n, 0], points[n, 1], points[n, 2]
         z = T[2, 0] * x + T[2, 1] * y + T[2, 2] * w + T[2, 3]
         if z <= 0:
             continue
-        u = int(np.round(k[0] * (T[0, 0] * x + T[0, 1] * y + T[0, 2] * w + T[0, 3]) / z + k[2]))
-        v = int(np.round(k[1] * (T[1, 0] * x + T[1, 1] * y + T[1, 2] * w + T[1, 3]) / z + k[3]))
+        u = np.int64(np.rint(k[0] * (T[0, 0] * x + T[0, 1] * y + T[0, 2] * w + T[0, 3]) / z + k[2]))
+        v = np.int64(np.rint(k[1] * (T[1, 0] * x + T[1, 1] * y + T[1, 2] * w + T[1, 3]) / z + k[3]))
         if u < 1 or v < 1 or u >= width - 1 or v >= height - 1:
             continue
         if depth[v, u] > 0 and abs(depth[v, u] - z) < SEEN_THROUGH / 2:
@@ -259,8 +263,7 @@ def _balances(points, depth, k, T):
                 seen = depth[j, i]
                 contradicts = contradicts and seen > z + SEEN_THROUGH
                 supports = supports or (seen > 0 and abs(seen - z) < SEEN_THROUGH / 2)
-        balance[n] = int(supports) - int(contradicts)
-    return balance
+        balance[n] = 1 if supports else (-1 if contradicts else 0)
 
 
 def clusters(points: Array, gap: float) -> NDArray[Any]:
@@ -282,16 +285,17 @@ def clusters(points: Array, gap: float) -> NDArray[Any]:
         apart = some[part[some[:, 0]] != part[some[:, 1]]]
         if len(apart) == 0:
             continue
-        links = np.concatenate([links, apart[_touching(ordered, start, apart, gap * gap)]])
+        touching = np.zeros(len(apart), dtype=np.bool_)
+        _touching(ordered, start, apart, gap * gap, touching)
+        links = np.concatenate([links, apart[touching]])
         graph = sparse.coo_array((np.ones(len(links)), tuple(links.T)), shape=(len(count), len(count)))
         part = connected_components(graph, directed=False)[1]
     return part[cell]
 
 
-@numba.njit(nogil=True, cache=True)
-def _touching(points, start, pairs, gap2):
-    """Return (P,) which pairs of cells, whose points begin at `start`, have points within a squared distance."""
-    touching = np.zeros(len(pairs), dtype=np.bool_)
+@compiled
+def _touching(points, start, pairs, gap2, touching):
+    """Fill (P,) which pairs of cells, whose points begin at `start`, have points within a squared distance."""
     for p in range(len(pairs)):
         a, b = pairs[p]
         for i in range(start[a], start[a + 1]):
@@ -302,7 +306,6 @@ def _touching(points, start, pairs, gap2):
                     break
             if touching[p]:
                 break
-    return touching
 
 
 def attached_points(points: Array) -> NDArray[np.bool_]:

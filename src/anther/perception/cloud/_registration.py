@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from anther.core.compiling import numba, read_only
+from anther.core.compiling import compiled, read_only
 from anther.core.geometry import Array, inverse, small_transform
 from anther.core.records import Range, Record
 from anther.perception.capture import in_threads
@@ -223,10 +223,13 @@ def _step(
     """
     world, normals = sample.world(at)
     points, along = sample.unbiased(at.reach), sample.points * sample.slant[:, None]
-    halves = in_threads(
-        lambda t: _accumulated(read_only(pairs[t::2]), points, along, sample.view, world, normals, at.poses, scale),
-        range(2),
-    )
+    halves = [(np.zeros(information.shape), np.zeros(len(information))) for _ in range(2)]
+    surface, scratch = (points, along, sample.view, world, normals), (np.empty((2, 13)), np.empty((2, 13), np.int64))
+
+    def accumulate(t: int) -> None:
+        _accumulate(read_only(pairs[t::2]), *surface, at.poses, scale, *halves[t], scratch[0][t], scratch[1][t])
+
+    in_threads(accumulate, range(2))
     hessian, gradient = (one + other for one, other in zip(*halves, strict=True))
     hessian += hessian.T - np.diag(np.diag(hessian))
     error = inverse(given) @ at.poses
@@ -244,16 +247,13 @@ def _step(
     return Estimate(np.stack(poses), at.reach + change[-1])
 
 
-@numba.njit(nogil=True, cache=True)
-def _accumulated(pairs, points, along, view, world, normals, poses, scale):
-    """Return the upper entries of the Hessian (6V + 1, 6V + 1) and the gradient of the pairs' squared distances.
+@compiled
+def _accumulate(pairs, points, along, view, world, normals, poses, scale, hessian, gradient, row, index):
+    """Add the upper entries of the Hessian (6V + 1, 6V + 1) and the gradient of the pairs' squared distances.
 
-    They are weighted by exp(-(r / scale)^2), Welsch (Holland 1977).
+    They are weighted by exp(-(r / scale)^2), Welsch (Holland 1977); `row` and `index` (13,) are scratch.
     """
-    last = 6 * len(poses)
-    hessian, gradient = np.zeros((last + 1, last + 1)), np.zeros(last + 1)
-    row, index = np.empty(13), np.empty(13, dtype=np.int64)
-    index[12] = last
+    index[12] = 6 * len(poses)
     for p in range(pairs.shape[0]):
         a, b = pairs[p, 0], pairs[p, 1]
         n0, n1, n2 = normals[a, 0] + normals[b, 0], normals[a, 1] + normals[b, 1], normals[a, 2] + normals[b, 2]
@@ -281,4 +281,3 @@ def _accumulated(pairs, points, along, view, world, normals, poses, scale):
             gradient[to] += weighted * r
             for q in range(k, 13):
                 hessian[to, index[q]] += weighted * row[q]
-    return hessian, gradient

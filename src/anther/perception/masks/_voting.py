@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.core.compiling import numba, read_only
+from anther.core.compiling import compiled, read_only
 from anther.core.geometry import Array, Box, Intrinsics
 from anther.perception.masks._light import GREEN, GREEN_NO_DEPTH, OTHER, WHITE, YELLOW, ColourRule
 
@@ -87,13 +87,14 @@ def pixels_to_cells(T_world_cam: Array, intrinsics: Intrinsics, grid: Grid) -> A
 
 def _cell_of(depth: NDArray[Any], camera: Array, shape: tuple[int, ...]) -> NDArray[np.int64]:
     """Return (H, W) the flat number of the cell that each pixel lies in; -1 beyond the grid or without depth."""
-    return _cells(read_only(depth), tuple(camera.ravel()), shape)
-
-
-@numba.njit(nogil=True, cache=True)
-def _cells(depth, m, shape):
-    """Compiled, because 30 views hold 28 million pixels; `m` is a tuple to stay in registers."""
     at = np.full(depth.shape, -1, dtype=np.int64)
+    _cells(read_only(depth), tuple(camera.ravel()), shape, at)
+    return at
+
+
+@compiled
+def _cells(depth, m, shape, at):
+    """Compiled, because 30 views hold 28 million pixels; `m` is a tuple to stay in registers."""
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
             z = depth[v, u]
@@ -102,8 +103,7 @@ def _cells(depth, m, shape):
                 y = (m[4] * u + (m[5] * v + m[6])) * z + m[7]
                 w = (m[8] * u + (m[9] * v + m[10])) * z + m[11]
                 if 0 <= x < shape[0] and 0 <= y < shape[1] and 0 <= w < shape[2]:
-                    at[v, u] = (int(x) * shape[1] + int(y)) * shape[2] + int(w)
-    return at
+                    at[v, u] = (np.int64(x) * shape[1] + np.int64(y)) * shape[2] + np.int64(w)
 
 
 def _bleeds(rgb: NDArray[Any], depth: NDArray[Any], pixels: NDArray[np.int64], alike: float) -> NDArray[np.bool_]:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, median_filter
 
-from anther.core.compiling import inlined, numba
+from anther.core.compiling import compiled, inlined, inner
 from anther.core.geometry import Array
 from anther.perception.skeleton.raw_tree import RawTree, chains
 from anther.perception.skeleton.voxel_solid import nearest
@@ -224,8 +224,8 @@ def _extend_ends(curves: Curves, points: Array) -> Curves:
     nodes, first = curves.nodes.copy(), curves.chains[0]
     _, owner = nearest(points, nodes)
     order = np.argsort(owner, kind="stable")
-    for end, inner in [(first[0], first[1]), *((chain[-1], chain[-2]) for chain in curves.chains)]:
-        outward = nodes[end] - nodes[inner]
+    for end, inside in [(first[0], first[1]), *((chain[-1], chain[-2]) for chain in curves.chains)]:
+        outward = nodes[end] - nodes[inside]
         step = np.linalg.norm(outward)
         owned = order[slice(*np.searchsorted(owner[order], [end, end + 1]))]
         if len(owned) >= _FEWEST and step > 0:
@@ -295,7 +295,7 @@ def cross_sections(points: Array, nodes: Array, tangent: Array, before: NDArray[
     return CrossSections(count, table[:, :3], *table[:, 3:].T)
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _measured(points, start, nodes, tangent, around, counts, out, flat, away, some):
     """Fill (J,) counts and (J, 8) rows of `CrossSections`; node j owns the points start[j] to start[j + 1].
 
@@ -334,7 +334,7 @@ def _across(x, y, z):
         one = (-z, 0.0, x)
     else:
         one = (y, -x, 0.0)
-    size = max(math.sqrt(one[0] * one[0] + one[1] * one[1] + one[2] * one[2]), 1e-12)
+    size = math.sqrt(one[0] * one[0] + one[1] * one[1] + one[2] * one[2] + 1e-24)
     a, b, c = one[0] / size, one[1] / size, one[2] / size
     return (a, b, c), (y * c - z * b, z * a - x * c, x * b - y * a)
 
@@ -362,7 +362,8 @@ def _circle(flat, away, some, count):
         c = (right - q * right_x - t * right_y) / (n - q * sx - t * sy)
         y = (right_y - sy * c) / yy
         x = (right_x - xy * y - sx * c) / xx
-        r = math.sqrt(max(c + x * x + y * y, 0.0))
+        square = c + x * x + y * y
+        r = math.sqrt(square) if square > 0 else 0.0
         for m in range(count):
             away[m] = abs(math.sqrt((flat[m, 0] - x) ** 2 + (flat[m, 1] - y) ** 2) - r)
         residual = _median(away, some, count)
@@ -370,7 +371,7 @@ def _circle(flat, away, some, count):
     return x, y, r, residual
 
 
-@inlined
+@inner
 def _median(values, some, count):
     """Return the median of the first `count` values (`some` is scratch): NumPy's takes seconds to compile."""
     middle, low, high = count // 2, 0, count - 1
@@ -393,7 +394,7 @@ def _median(values, some, count):
     if count % 2 == 0:
         below = some[0]
         for k in range(1, middle):
-            below = max(below, some[k])
+            below = some[k] if some[k] > below else below
     return 0.5 * (below + some[middle])
 
 
@@ -415,4 +416,6 @@ def _extents(flat, away, some, n):
     for m in range(n):
         away[m] = abs(c * flat[m, 1] - s * flat[m, 0])
     two = _median(away, some, n)
-    return surface, math.sqrt(2.0) * min(one, two), math.sqrt(2.0) * max(one, two)
+    if one > two:
+        one, two = two, one
+    return surface, math.sqrt(2.0) * one, math.sqrt(2.0) * two

@@ -18,7 +18,7 @@ from scipy import sparse
 from scipy.ndimage import gaussian_filter1d
 from scipy.sparse.csgraph import dijkstra
 
-from anther.core.compiling import numba
+from anther.core.compiling import compiled
 from anther.core.geometry import Array
 from anther.perception.skeleton.raw_tree import RawTree, chains, with_extents
 from anther.perception.skeleton.voxel_solid import Voxels, components, nearest
@@ -86,7 +86,7 @@ def covering_paths(distance: Array, before: NDArray[Any], levels: LevelSets, sho
     return chosen[np.lexsort((chosen, distance[chosen]))]
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _walk(tips, before, number, way, shortest, covered, on_tree):
     """Fill (N,) which voxels are on a path; `covered`, all False, are the level sets that one goes through."""
     for tip in tips:

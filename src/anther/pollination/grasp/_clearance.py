@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from anther.core.compiling import inlined, njit
+from anther.core.compiling import compiled, inlined
 from anther.core.geometry import Array
 from anther.perception.cloud import Cloud, Support
 from anther.perception.masks import FLOWER
@@ -198,7 +198,7 @@ def _cells(s: Surroundings) -> tuple[NDArray[Any], NDArray[Any], Array]:
     return np.argsort(cell, kind="stable"), start, np.column_stack([middle, far])
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _meet(
     poses,
     centers,
@@ -228,13 +228,13 @@ def _meet(
                     continue
                 k, gap = kind[m], FAR
                 for g in range(len(boxes)):
-                    gap = min(gap, _box_distance(local, boxes[g], gap + radius[m]) - radius[m])
-                distance[i, k] = min(distance[i, k], gap)
+                    gap = _less(gap, _box_distance(local, boxes[g], gap + radius[m]) - radius[m])
+                distance[i, k] = _less(distance[i, k], gap)
                 touched[i, k] += gap < touch
-                push[i] = max(push[i], (touch - gap) * stiffness[m])
+                push[i] = _more(push[i], (touch - gap) * stiffness[m])
                 if _box_distance(local, closing, np.inf) < radius[m]:
                     enclosed[i, k] += 1
-                    spread[i, k] = max(spread[i, k], abs(local[1]) + radius[m])
+                    spread[i, k] = _more(spread[i, k], abs(local[1]) + radius[m])
 
 
 @inlined
@@ -250,14 +250,24 @@ def _near(pose, point, margin, lower, upper, local):
 
 
 @inlined
+def _less(a, b):
+    return b if b < a else a
+
+
+@inlined
+def _more(a, b):
+    return b if b > a else a
+
+
+@inlined
 def _box_distance(p, box, most):
     """Return the signed distance of a point from a box, negative inside; `most` or more when it is at least that."""
     outside, inside = 0.0, -np.inf
     for a in range(3):
-        d = max(box[a] - p[a], p[a] - box[a + 3])
+        d = _more(box[a] - p[a], p[a] - box[a + 3])
         if d >= most:
             return d
-        inside = max(inside, d)
+        inside = _more(inside, d)
         if d > 0.0:
             outside += d * d
     return inside if outside == 0.0 else np.sqrt(outside)
