@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import ast
 import os
+import re
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -159,12 +160,16 @@ def arrange(constant: Constant, factor: float) -> None:
         os.environ["NUMBA_CACHE_DIR"] = tempfile.mkdtemp()
 
 
+_COMPILES = {"njit", "compiled", "inner", "inlined", "merged"}
+"""Decorators of functions that numba compiles."""
+
+
 def compiled(constant: Constant) -> bool:
     """Return whether a function that numba compiles, and keeps on disk, uses a constant or what is derived from it."""
     own = ROOT.joinpath(*constant.module.split("."))
     for path in sorted((ROOT / "anther").rglob("*.py")):
         text = path.read_text(encoding="utf-8")
-        if "njit" not in text or constant.name not in text:
+        if not _COMPILES & set(re.findall(r"\w+", text)) or constant.name not in text:
             continue
         tree, names = ast.parse(text), {constant.name}
         if path not in (own.with_suffix(".py"), own / "__init__.py") and not _imports(tree, constant):
@@ -172,8 +177,8 @@ def compiled(constant: Constant) -> bool:
         for statement in tree.body:
             names |= {name for name, value in _pairs(statement) if names & _names(value)}
         for node in tree.body:
-            jitted = isinstance(node, ast.FunctionDef) and "njit" in ast.dump(ast.List(node.decorator_list))
-            if jitted and names & _names(node):
+            decorated = set().union(*map(_names, node.decorator_list)) if isinstance(node, ast.FunctionDef) else set()
+            if _COMPILES & decorated and names & _names(node):
                 return True
     return False
 
@@ -188,4 +193,6 @@ def _imports(tree: ast.Module, constant: Constant) -> bool:
 
 
 def _names(tree: ast.AST) -> set[str]:
-    return {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
+    """Return the names in a tree, of `a.b` both."""
+    names = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
+    return names | {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute)}

@@ -254,6 +254,7 @@ class Cell:
         plant, inertia = self.mechanics.dofs, np.empty(m.nv)
         motion = np.zeros(m.nv)
         motion[self._arm_dofs] = a
+        mujoco.mj_step1(m, d)
         mujoco.mj_mulM(m, d, inertia, motion)
         n, grip = self.arm.count, self._grip
         d.ctrl[:n], d.ctrl[n : 2 * n], d.ctrl[grip] = q, v, opening / 2
@@ -262,7 +263,7 @@ class Cell:
             d.ctrl[grip + 1 :] = self._coil(motor)
         d.qfrc_applied[plant] = self.mechanics.drag(d)
         self._air.push(d, m.opt.timestep)
-        mujoco.mj_step(m, d)
+        mujoco.mj_step2(m, d)
         if d.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
             raise StageFailure("no_convergence", f"the simulated cell became unstable at {d.time:.3f} s.")
         every = 2  # one sample is logged in so many steps
