@@ -18,7 +18,7 @@ from anther.rods._assembly import Blocks, add_supports, assemble_edges, elastic_
 from anther.rods._model import Frames, Model
 from anther.rods._rods import Array
 from anther.rods._tree_solver import constrain, factor, solve
-from anther.rods._vectors import apart, compiled, cross, dot, inlined, load, merged, norm, peak, scale, transport
+from anther.rods._vectors import apart, compiled, cross, dot, inlined, load, norm, peak, scale, transport
 
 POSITION_FLOOR = 1e-12
 """A Newton correction below this [m] is rounding noise: the step has converged."""
@@ -111,14 +111,15 @@ def _add_inertia(model: Model, blocks: Blocks, old: State, new: State, rate: flo
         D[j, 3, 3] += rate * rate * spin_inertia[j]
 
 
-@compiled
+@inlined
 def _largest_turn(parent: Any, x: Any, move: Any) -> float:
     """Return the largest change of an edge, as a share of its length, if the nodes x moved by `move`."""
     worst = 0.0
     for j in range(1, len(x)):
         p = parent[j]
         change, edge = apart(move, j, p), apart(x, j, p)
-        worst = max(worst, dot(change, change) / dot(edge, edge))
+        turned = dot(change, change) / dot(edge, edge)
+        worst = turned if turned > worst else worst
     return math.sqrt(worst)
 
 
@@ -136,7 +137,7 @@ def _residual(free: Any, g: Any, length: Any) -> float:
     return math.sqrt(total)
 
 
-@merged
+@inlined
 def _move(x: Any, turn: Any, correction: Any, share: float) -> None:
     """Subtract a share of Newton's correction."""
     for j in range(len(x)):
@@ -204,13 +205,13 @@ def implicit_step(model: Model, free: Any, old: State, work: Work, h: float, set
         constrain(model.near, model.far, free, blocks)
         factor(model.order, model.near, model.far, blocks)
         solve(model.order, model.near, model.far, blocks, correction)
-        share = min(1.0, LARGEST_TURN / (1e-300 + _largest_turn(parent, new.x, correction)))
-        _move(new.x, turn, correction, share)
+        share = LARGEST_TURN / (1e-300 + _largest_turn(parent, new.x, correction))
+        _move(new.x, turn, correction, share if share < 1.0 else 1.0)
         largest = peak(correction)
     return -most, residual
 
 
-@merged
+@inlined
 def _copy(source: State, target: State) -> None:
     for j in range(len(source.x)):
         for i in range(3):
@@ -274,7 +275,7 @@ def energies(model: Model, state: State) -> tuple[float, float]:
     stored, raised, v, x, parent = elastic_energy(model, state.x, state.frames), 0.0, state.v, state.x, model.parent
     mass, weight, rotary, spin_inertia = model.mass, model.weight, model.rotary, model.spin_inertia
     for j in range(len(x)):
-        p = max(parent[j], 0)
+        p = parent[j] if j > 0 else 0
         stored += 0.5 * spin_inertia[j] * v[j, 3] * v[j, 3]
         for i in range(3):
             change = v[j, i] - v[p, i]
@@ -286,7 +287,7 @@ def energies(model: Model, state: State) -> tuple[float, float]:
 @inlined
 def _drive_speed(grip: Grip, state: State, step: int, dt: float) -> None:
     """Give the gripped nodes the speed of the drive at the end of the step, which the midpoint rule leaves out."""
-    last = min(step + 2, len(grip.x) - 1)
+    last = step + 2 if step + 2 < len(grip.x) else len(grip.x) - 1
     for k in range(len(grip.nodes)):
         for i in range(3):
             state.v[grip.nodes[k], i] = (grip.x[last, k, i] - grip.x[step, k, i]) / ((last - step) * dt)
@@ -327,7 +328,7 @@ def _step(model: Model, free: Any, grip: Grip, state: State, work: Work, setting
         _drive_speed(grip, work.mid, step, settings.dt)
     stored, total = energies(model, work.mid)
     created = total - work.energy[0] - gained
-    if settings.midpoint and settings.balance and created > 1e-3 * max(stored, work.energy[1]):
+    if settings.midpoint and settings.balance and created > 1e-3 * stored and created > 1e-3 * work.energy[1]:
         return -used, residual
     work.energy[0], work.energy[1] = total, stored
     work.energy[2] += gained

@@ -65,7 +65,8 @@ def peak(rows: Any) -> float:
     worst = 0.0
     for j in range(len(rows)):
         for i in range(3):
-            worst = max(worst, abs(rows[j, i]))
+            size = abs(rows[j, i])
+            worst = size if size > worst else worst
     return worst
 
 

@@ -259,14 +259,21 @@ class PlantMechanics:
         return modes[:, lacking > 0], lacking[lacking > 0]
 
     def drag(self, data: Any) -> Array:
-        """Return (D,) the torques that damp what the hinges do not, with the inertia of the plant as it is now bent."""
+        """Return (D,) the torques that damp what the hinges do not, with the inertia of the plant as it is now bent.
+
+        Where bending makes a mode so heavy that a step would turn it back, they only bring it to rest: a stem on its
+        string, which twists with hardly any inertia while it is straight, shook itself apart.
+        """
         modes, lacking = self._undamped
         moving, momentum = np.zeros(self.model.nv), np.empty(self.model.nv)
         moving[self.dofs] = data.qvel[self.dofs]
         mujoco.mj_mulM(self.model, data, momentum, moving)
-        moving[self.dofs] = modes @ (lacking * (momentum[self.dofs] @ modes))
+        speed = momentum[self.dofs] @ modes
+        moving[self.dofs] = modes @ (lacking * speed)
         mujoco.mj_mulM(self.model, data, momentum, moving)
-        return -momentum[self.dofs]
+        turned = float(self.model.opt.timestep * (moving @ momentum))
+        share = min(1.0, float(lacking @ speed**2) / turned) if turned > 0 else 1.0
+        return -share * momentum[self.dofs]
 
     def _free_modes(self, data: Any) -> tuple[Array, Array]:
         """Return squared frequencies and modes of the plant in its pot, as `underdamped` takes them."""
