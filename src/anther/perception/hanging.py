@@ -47,14 +47,20 @@ class HangingStem:
 def find_hanging_stem(cloud: Cloud, hook: ArrayLike) -> HangingStem:
     """Return the axis of the stem that hangs on a hook (3,) [m].
 
-    Of all ways up within 5 cm of the plumb line it is the one along which most upright surface is seen, less what
-    its steps aside cost (dynamic programming over slices of height); the axis is the middle of what is seen there.
+    Of all ways up near the plumb line it is the one along which most upright surface is seen, less what its distance
+    from that line and its steps aside cost (dynamic programming over slices of height); the axis is the middle of what
+    is seen there.
 
     Raises:
         StageFailure: "no_stem_found" where nothing hangs there.
     """
-    x, y, _ = np.asarray(hook, dtype=np.float64)
-    stray = 0.05  # m from the plumb line of the hook: maps err by 0.02, stems lean; a guess
+    x, y, z = np.asarray(hook, dtype=np.float64)
+
+    def lean(height: ArrayLike) -> Array:
+        """Return how far from the plumb line a stem may be [m]: maps err by 0.02, strings slant; guesses."""
+        return np.maximum(0.05, 0.08 * (z - np.asarray(height)))
+
+    stray = float(lean(cloud.points[:, 2].min(initial=z)))
     near = (cloud.labels != FLOWER) & (np.abs(cloud.points[:, :2] - [x, y]) < stray).all(axis=1)
     points = cloud.points[near]
     upright = np.ones(len(points)) if cloud.normals is None else 1 - np.abs(cloud.normals[near, 2])
@@ -69,7 +75,9 @@ def find_hanging_stem(cloud: Cloud, hook: ArrayLike) -> HangingStem:
     count = np.zeros((level.max() + 1, side, side))
     np.add.at(count, (level, cell[:, 0], cell[:, 1]), upright)
     evidence = np.minimum(9 * uniform_filter(count, 3, axes=(1, 2), mode="constant") / enough, 1)
-    way, found = _best_way(evidence), evidence > 0.99
+    middles = (np.arange(side) + 0.5) * edge - stray
+    away = np.hypot(*np.meshgrid(middles, middles)) / lean(low + (np.arange(len(count)) + 0.5) * slice_)[:, None, None]
+    way, found = _best_way(evidence - 0.3 * away**2), evidence > 0.99
     seen = found[np.arange(len(way)), way[:, 0], way[:, 1]]
     ends = np.flatnonzero(seen)
     if len(ends) < 2:
