@@ -46,7 +46,20 @@ def _work(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
     yield "simulated camera", _see_simulated_plant
 
 
-_IN_TIME = ("--simulate", "--bare", "--grip", "4", "--flower", "8", "--duration", "0.02", "--dt", "0.01")
+_IN_TIME = (
+    "--simulate",
+    "--bare",
+    "--youngs",
+    "1e9",
+    "--grip",
+    "4",
+    "--flower",
+    "8",
+    "--duration",
+    "0.1",
+    "--dt",
+    "0.01",
+)
 
 
 def _command(name: str, source: Path, out: Path, *more: str, positional: bool = False) -> None:

@@ -70,7 +70,7 @@ def peak(rows: Any) -> float:
     return worst
 
 
-@merged
+@inlined
 def apart(array: Any, row: Any, other: Any) -> Vector:
     """Return one row of an (N, 3) array less another one."""
     return (
@@ -110,7 +110,7 @@ def subtract(a: Vector, b: Vector) -> Vector:
     return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
 
 
-@merged
+@inlined
 def scale(s: float, a: Vector) -> Vector:
     """Return s a."""
     return (s * a[0], s * a[1], s * a[2])
@@ -122,7 +122,7 @@ def combine(s: float, a: Vector, t: float, b: Vector) -> Vector:
     return (s * a[0] + t * b[0], s * a[1] + t * b[1], s * a[2] + t * b[2])
 
 
-@merged
+@inlined
 def mix(u: Vector, a: Vector, b: Vector, c: Vector) -> Vector:
     """Return u_0 a + u_1 b + u_2 c."""
     return (
@@ -144,7 +144,7 @@ def cross(a: Vector, b: Vector) -> Vector:
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
-@merged
+@inlined
 def norm(a: Vector) -> float:
     """Return |a|."""
     return math.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2])

@@ -5,6 +5,7 @@ Sun with shadows, sky light with occlusion (baked per vertex when the scene is b
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -189,13 +190,19 @@ class Still(NamedTuple):
 
     Attributes:
         image: of the scene as it was.
-        changing: (H, W) where the plant may be seen in the others.
+        changing: (H, W) where what moves may be seen in the others.
         flowers: (H, W) where its flowers may be.
     """
 
     image: Image
     changing: NDArray[np.bool_]
     flowers: NDArray[np.bool_]
+
+
+def _ray_caster(vertices: Array, faces: NDArray[np.int32]) -> Any:
+    scene = EmbreeScene()
+    TriangleMesh(scene, vertices.astype(np.float32), faces)
+    return scene
 
 
 class Scene:
@@ -210,6 +217,7 @@ class Scene:
         *,
         ambient: NDArray[Any] | None = None,
         setting: Setting | None = None,
+        moving: int | None = None,
     ) -> None:
         """Build the scene.
 
@@ -220,14 +228,18 @@ class Scene:
             vertex_color: (Nv, 3) uint8 sRGB.
             ambient: (Nv, 2) sky light on both sides of each vertex; None computes it.
             setting: whose light falls on it; None is daylight.
+            moving: how many of the vertices may ever move, the first ones, with their faces the first; None: all.
         """
         self.setting = setting or Setting()
         self.vertices = check_array("scene vertices", vertices, (None, 3))
         self.faces = np.ascontiguousarray(faces, dtype=np.int32)
         self.face_organ = np.asarray(face_organ, dtype=np.uint8)
+        self.moving = len(self.vertices) if moving is None else moving
         self.vertex_color = np.asarray(vertex_color, dtype=np.uint8)
-        self._embree = EmbreeScene()
-        TriangleMesh(self._embree, self.vertices.astype(np.float32), self.faces)
+        self._moves = int(np.count_nonzero(self.faces[:, 0] < self.moving))  # how many faces, the first ones
+        self._parts = [_ray_caster(self.vertices, self.faces[: self._moves])]
+        if self._moves < len(self.faces):
+            self._parts.append(_ray_caster(self.vertices, self.faces[self._moves :]))
         self._normals = vertex_normals(self.vertices, self.faces)
         self._ambient = self._baked_ambient() if ambient is None else np.asarray(ambient, np.float32)
         kind = np.full(256, OPAQUE, dtype=np.uint8)
@@ -248,13 +260,19 @@ class Scene:
             np.concatenate([plant.face_organ, organ]),
             np.vstack([painted, colour]),
             setting=setting,
+            moving=len(plant.vertices),
         )
 
     def moved(self, vertices: ArrayLike) -> Scene:
         """Return the scene with its first n vertices at `vertices` (n, 3) [m]: the plant's, from `posed_vertices`."""
-        new = self.vertices.copy()
-        new[: len(np.asarray(vertices))] = vertices
-        return Scene(new, self.faces, self.face_organ, self.vertex_color, ambient=self._ambient, setting=self.setting)
+        new, n = copy(self), self.moving
+        new.vertices = self.vertices.copy()
+        new.vertices[: len(np.asarray(vertices))] = vertices
+        own = new.vertices[:n], self.faces[: self._moves]
+        new._parts = [_ray_caster(*own), *self._parts[1:]]
+        new._normals = np.vstack([vertex_normals(*own), self._normals[n:]])
+        new._mesh = (*self._mesh[:2], new._normals, *self._mesh[3:])
+        return new
 
     def render(self, intrinsics: Intrinsics, T_world_cam: ArrayLike, still: Still | None = None) -> Image:
         """Return the image of a camera at T_world_cam; with `still`, of the same one, only what may have changed."""
@@ -264,7 +282,7 @@ class Scene:
         pixels = np.arange(len(rays)) if still is None else np.flatnonzero(still.changing)
         rays = np.ascontiguousarray(rays[pixels])
         eye = np.ascontiguousarray(np.broadcast_to(T[:3, 3].astype(np.float32), rays.shape))
-        hit = self._embree.run(eye, rays, output=1)
+        hit = self._first_hit(eye, rays)
         face = hit["primID"]
         depth = np.where(face >= 0, hit["tfar"], np.float32(0))
         rgb = np.empty((len(face), 3), dtype=np.uint8)
@@ -280,10 +298,13 @@ class Scene:
 
     def still(self, intrinsics: Intrinsics, T_world_cam: ArrayLike, reach: float) -> Still:
         """Return an image of a plant of which nothing will move by more than `reach` pixels, for `render`."""
-        image = self.render(intrinsics, T_world_cam)
+        image, T = self.render(intrinsics, T_world_cam), check_transform("T_world_cam", T_world_cam)
+        rays = self._rays(intrinsics, T)
+        face = self._first_hit(np.tile(T[:3, 3].astype(np.float32), (len(rays), 1)), rays)["primID"]
+        moves = ((face >= 0) & (face < self._moves)).reshape(image.organ.shape) & (image.organ < Organ.POT)
         near = [
             np.asarray(distance_transform_edt(~part)) <= reach + 1 if part.any() else part
-            for part in (image.organ < Organ.POT, image.organ == Organ.FLOWER)
+            for part in (moves, moves & (image.organ == Organ.FLOWER))
         ]
         return Still(image, *near)
 
@@ -293,8 +314,22 @@ class Scene:
         rays = points - eye
         distance = np.linalg.norm(rays, axis=1)
         start = np.tile(eye.astype(np.float32), (len(points), 1))
-        share = self._embree.run(start, rays.astype(np.float32), query="DISTANCE")
+        share = np.min([part.run(start, rays.astype(np.float32), query="DISTANCE") for part in self._parts], axis=0)
         return share * distance >= distance - tolerance
+
+    def _first_hit(self, origins: NDArray[Any], rays: NDArray[Any]) -> dict[str, Any]:
+        """Return what rays (P, 3) hit first: Embree's face, barycentric coordinates, distance and normal, (P,) each."""
+        hit, *others = (part.run(origins, rays, output=1) for part in self._parts)
+        for other in others:
+            other["primID"][other["primID"] >= 0] += self._moves
+            nearer = (other["primID"] >= 0) & ((hit["primID"] < 0) | (other["tfar"] < hit["tfar"]))
+            for name, values in hit.items():
+                values[nearer] = other[name][nearer]
+        return hit
+
+    def _free(self, origins: NDArray[Any], rays: NDArray[Any], reach: NDArray[Any]) -> NDArray[np.bool_]:
+        """Return (P,) which rays meet nothing within their reach."""
+        return np.all([part.run(origins, rays, reach, query="OCCLUDED") < 0 for part in self._parts], axis=0)
 
     def _rays(self, intrinsics: Intrinsics, T_world_cam: Array) -> NDArray[np.float32]:
         rays = np.empty((intrinsics.height * intrinsics.width, 3), dtype=np.float32)
@@ -308,7 +343,7 @@ class Scene:
         to_sun = np.tile(SUN.astype(np.float32), (len(origins), 1))
         if not self.setting.sun:
             return np.zeros(len(rays), dtype=np.bool_)
-        free = self._embree.run(origins, to_sun, np.full(len(origins), 1.5, np.float32), query="OCCLUDED") < 0
+        free = self._free(origins, to_sun, np.full(len(origins), 1.5, np.float32))
         sunlit = np.zeros(len(rays), dtype=np.bool_)
         sunlit[pixels[free]] = True
         return sunlit
@@ -325,7 +360,7 @@ class Scene:
         start = (self.vertices[:, None, None] + 5e-4 * n + 1e-6 * ways).reshape(-1, 3).astype(np.float32)
         reach = np.full(len(start), farthest, dtype=np.float32)
         flat = np.ascontiguousarray(ways.reshape(-1, 3), dtype=np.float32)
-        free = (self._embree.run(start, flat, reach, query="OCCLUDED") < 0).reshape(ways.shape[:3])
+        free = self._free(start, flat, reach).reshape(ways.shape[:3])
         sky = np.where(ways[..., 2] > 0, 1.0, 0.3)  # light from below is a share of the sky's
         light = np.where(free, sky, 0.12)
         return (LIGHT * light.mean(axis=2)).astype(np.float32)

@@ -151,6 +151,7 @@ def row_scene(row: Row, worked: SimPlant | None = None, setting: Setting | None 
         np.concatenate([first.face_organ, organ]),
         np.vstack([first.vertex_color, colour]),
         setting=setting,
+        moving=len(first.vertices),
     )
 
 

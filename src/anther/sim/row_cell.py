@@ -140,6 +140,10 @@ def build_row(
     place = row_layout(row, arm)
     planned = plan_views(place.region, place.solids, views, arm=arm)
     mujoco = row_world(row, truth, arm, planned.joints[-1])
+    if truth.wind:  # the views see it blown aside, and so it is when the arm comes
+        swing = round(4.0 / mujoco.timestep)  # s: two of a stem on its string (facts: rows 0)
+        still = np.tile(mujoco.joints, (swing, 1))
+        mujoco.run(still, np.zeros_like(still), np.full(swing, mujoco.opening))
     noise = int(np.random.default_rng([row.seed, 15 + 10 * visit]).integers(1 << 31))
     scene = row_scene(row, mujoco.plant)
     return around(mujoco, scene, place, planned, planned.joints[-1], noise, (row.seed, 0.0, visit), tap)
