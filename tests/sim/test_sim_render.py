@@ -34,6 +34,26 @@ def test_depth_of_a_wall_is_the_same_in_every_pixel() -> None:
     assert np.all(image.organ != Organ.NOTHING)
 
 
+@pytest.mark.parametrize("to", [0.1, 0.25])
+def test_what_stands_still_is_cast_apart_and_looks_alike(to: float) -> None:
+    """A leaf before and behind a wall, which it shades: as in a scene of which all may move."""
+    leaf, (far, faces) = np.array([[0.2, -0.1, -0.1], [0.2, 0.1, -0.1], [0.2, 0, 0.1]]), wall(0.22)
+    vertices, faces = np.vstack([leaf, far]), np.vstack([[[0, 1, 2]], faces + 3])
+    organ, colour = np.array([Organ.LEAF, Organ.POT, Organ.POT]), np.full((7, 3), 128, np.uint8)
+    whole, apart = (
+        Scene(vertices, faces, organ, colour, moving=moving).moved(leaf + np.array([to - 0.2, 0, 0.02]))
+        for moving in (None, 3)
+    )
+    images = [scene.render(SMALL, LEVEL) for scene in (whole, apart)]
+    for name in ("rgb", "depth", "organ"):
+        np.testing.assert_array_equal(*(getattr(image, name) for image in images))
+    assert np.any(images[0].organ == Organ.LEAF) == (to < 0.22)
+    np.testing.assert_array_equal(*(scene.visible(leaf, [0, 0, 0]) for scene in (whole, apart)))
+    seen = apart.still(SMALL, LEVEL, 2.0).changing
+    assert not seen.all()
+    assert seen.any() == (to < 0.22)
+
+
 def test_depth_of_a_slanted_plane_is_analytic() -> None:
     corners, faces = wall(0.8)
     corners[:, 0] += 0.5 * corners[:, 1] * 0.05
