@@ -30,6 +30,7 @@ def _here(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(fuzz.simulated_cell, "build", fuzz.no_cell)
     monkeypatch.setattr(fuzz.row_visit, "build_row", fuzz.no_cell)
+    monkeypatch.setattr(fuzz, "PATIENCE", 120)  # other tests run beside this one
     monkeypatch.setattr(fuzz, "MEMORY", float("inf"))  # of this process, in which other tests ran as well
 
 
