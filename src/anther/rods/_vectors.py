@@ -33,7 +33,7 @@ def _drop_stale_kernels() -> None:
 
 _drop_stale_kernels()
 
-OPTIONS = compiling.OPTIONS | {"fastmath": {"contract", "reassoc", "arcp", "nsz"}}
+OPTIONS: dict[str, Any] = compiling.OPTIONS | {"fastmath": {"contract", "reassoc", "arcp", "nsz"}}
 """How kernels are compiled here: sums may be reordered and fused, NaN and infinity keep their meaning."""
 
 compiled: Any = numba.njit(**OPTIONS)
@@ -170,7 +170,7 @@ def spin(director: Vector, tangent: Vector, turn: float) -> Vector:
 
 
 @inlined
-def twist_angle(sine: float, cosine: float, previous: float) -> float:
+def twist_angle(sine: Any, cosine: Any, previous: Any) -> Any:
     """Return the twist [rad] with this sine and cosine, on the branch nearest to `previous`."""
     angle = math.atan2(sine, cosine)
     return angle + 2 * math.pi * math.floor((previous - angle) / (2 * math.pi) + 0.5)
@@ -183,13 +183,13 @@ def filled(rows: Any, first: Any) -> Any:
 
 
 @inlined
-def get(buffer: Any, row: int, lane: int) -> float:
+def get(buffer: Any, row: int, lane: int) -> Any:
     """Return one number."""
     return buffer[row * LANES + lane]
 
 
 @inlined
-def put(buffer: Any, row: int, lane: int, value: float) -> None:
+def put(buffer: Any, row: int, lane: int, value: Any) -> None:
     """Write one number."""
     buffer[row * LANES + lane] = value
 
