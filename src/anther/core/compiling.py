@@ -64,7 +64,13 @@ class _Compiled(event.Listener):
 COMPILED = _Compiled()
 event.register("numba:compile", COMPILED)
 
-OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "_nrt": False, "no_cfunc_wrapper": True}
+OPTIONS: dict[str, Any] = {
+    "cache": True,
+    "nogil": True,
+    "error_model": "numpy",
+    "_nrt": False,
+    "no_cfunc_wrapper": True,
+}
 """How kernels are compiled that allocate nothing: kept on disk, a division by 0 gives infinity or NaN as in NumPy.
 
 To be ready to allocate, to raise, or to be a callback of C takes a third of the time of compiling. So Python makes the
