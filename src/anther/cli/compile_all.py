@@ -38,34 +38,19 @@ def _work(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
     from anther.cli.sample_data import write_samples
 
     write_samples(folder)
+    in_time = "--simulate --bare --youngs 1e9 --grip 4 --flower 8 --duration 0.1 --dt 0.01"
     yield "cloud, skeleton, stem, grasp", lambda: _command("skeletonize", folder / "plant.ply", folder / "cloud")
     yield "rods, shake", lambda: _command("plan", folder / "skeleton.swc", folder / "plan")
-    yield "rods in time", lambda: _command("plan", folder / "skeleton.swc", folder / "motion", *_IN_TIME)
+    yield "rods in time", lambda: _command("plan", folder / "skeleton.swc", folder / "motion", in_time)
     yield "views", lambda: _command("reconstruct", folder / "capture", folder / "views")
     yield "bags", lambda: _command("import", folder / "views.mcap", folder / "imported", positional=True)
     yield "simulated camera", _see_simulated_plant
 
 
-_IN_TIME = (
-    "--simulate",
-    "--bare",
-    "--youngs",
-    "1e9",
-    "--grip",
-    "4",
-    "--flower",
-    "8",
-    "--duration",
-    "0.1",
-    "--dt",
-    "0.01",
-)
-
-
-def _command(name: str, source: Path, out: Path, *more: str, positional: bool = False) -> None:
+def _command(name: str, source: Path, out: Path, more: str = "", *, positional: bool = False) -> None:
     from anther.cli.main import do
 
-    do(name, [str(source), *([] if positional else ["--out"]), str(out), *more])
+    do(name, [str(source), *([] if positional else ["--out"]), str(out), *more.split()])
 
 
 def _see_simulated_plant() -> None:

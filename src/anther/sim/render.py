@@ -234,9 +234,9 @@ class Scene:
         self.vertices = check_array("scene vertices", vertices, (None, 3))
         self.faces = np.ascontiguousarray(faces, dtype=np.int32)
         self.face_organ = np.asarray(face_organ, dtype=np.uint8)
-        self.moving = len(self.vertices) if moving is None else moving
+        self._moving = len(self.vertices) if moving is None else moving  # how many vertices, and faces, the first ones
         self.vertex_color = np.asarray(vertex_color, dtype=np.uint8)
-        self._moves = int(np.count_nonzero(self.faces[:, 0] < self.moving))  # how many faces, the first ones
+        self._moves = int(np.count_nonzero(self.faces[:, 0] < self._moving))
         self._parts = [_ray_caster(self.vertices, self.faces[: self._moves])]
         if self._moves < len(self.faces):
             self._parts.append(_ray_caster(self.vertices, self.faces[self._moves :]))
@@ -265,7 +265,7 @@ class Scene:
 
     def moved(self, vertices: ArrayLike) -> Scene:
         """Return the scene with its first n vertices at `vertices` (n, 3) [m]: the plant's, from `posed_vertices`."""
-        new, n = copy(self), self.moving
+        new, n = copy(self), self._moving
         new.vertices = self.vertices.copy()
         new.vertices[: len(np.asarray(vertices))] = vertices
         own = new.vertices[:n], self.faces[: self._moves]
@@ -276,11 +276,33 @@ class Scene:
 
     def render(self, intrinsics: Intrinsics, T_world_cam: ArrayLike, still: Still | None = None) -> Image:
         """Return the image of a camera at T_world_cam; with `still`, of the same one, only what may have changed."""
+        if still is None:
+            return self._look(intrinsics, T_world_cam)[0]
+        seen, _ = self._look(intrinsics, T_world_cam, still.changing)
+        whole = [part.copy() for part in (still.image.rgb, still.image.depth, still.image.organ)]
+        for part, new in zip(whole, (seen.rgb, seen.depth, seen.organ), strict=True):
+            part[still.changing] = new
+        return Image(*whole)
+
+    def still(self, intrinsics: Intrinsics, T_world_cam: ArrayLike, reach: float) -> Still:
+        """Return an image of a plant of which nothing will move by more than `reach` pixels, for `render`."""
+        image, face = self._look(intrinsics, T_world_cam)
+        moves = (face >= 0) & (face < self._moves) & (image.organ < Organ.POT)
+        near = [
+            np.asarray(distance_transform_edt(~part)) <= reach + 1 if part.any() else part
+            for part in (moves, moves & (image.organ == Organ.FLOWER))
+        ]
+        return Still(image, *near)
+
+    def _look(
+        self, intrinsics: Intrinsics, T_world_cam: ArrayLike, only: NDArray[np.bool_] | None = None
+    ) -> tuple[Image, NDArray[Any]]:
+        """Return the image and the face (H, W) in each pixel, -1 where there is none; or both of `only` these (P,)."""
         T = check_transform("T_world_cam", T_world_cam)
-        size = (intrinsics.height, intrinsics.width)
+        size = (intrinsics.height, intrinsics.width) if only is None else (-1,)
         rays = self._rays(intrinsics, T)
-        pixels = np.arange(len(rays)) if still is None else np.flatnonzero(still.changing)
-        rays = np.ascontiguousarray(rays[pixels])
+        if only is not None:
+            rays = rays[only.ravel()]
         eye = np.ascontiguousarray(np.broadcast_to(T[:3, 3].astype(np.float32), rays.shape))
         hit = self._first_hit(eye, rays)
         face = hit["primID"]
@@ -288,25 +310,8 @@ class Scene:
         rgb = np.empty((len(face), 3), dtype=np.uint8)
         sunlit = self._sunlit(T[:3, 3], rays, depth, hit)
         shade(rays, (face, hit["u"], hit["v"]), sunlit, self._mesh, self._mix, np.empty(3), rgb)
-        seen = (rgb, depth, np.append(self.face_organ, np.uint8(Organ.NOTHING))[face])
-        if still is None:
-            return Image(*(part.reshape(*size, *part.shape[1:]) for part in seen))
-        whole = [part.copy() for part in (still.image.rgb, still.image.depth, still.image.organ)]
-        for part, new in zip(whole, seen, strict=True):
-            part[still.changing] = new
-        return Image(*whole)
-
-    def still(self, intrinsics: Intrinsics, T_world_cam: ArrayLike, reach: float) -> Still:
-        """Return an image of a plant of which nothing will move by more than `reach` pixels, for `render`."""
-        image, T = self.render(intrinsics, T_world_cam), check_transform("T_world_cam", T_world_cam)
-        rays = self._rays(intrinsics, T)
-        face = self._first_hit(np.tile(T[:3, 3].astype(np.float32), (len(rays), 1)), rays)["primID"]
-        moves = ((face >= 0) & (face < self._moves)).reshape(image.organ.shape) & (image.organ < Organ.POT)
-        near = [
-            np.asarray(distance_transform_edt(~part)) <= reach + 1 if part.any() else part
-            for part in (moves, moves & (image.organ == Organ.FLOWER))
-        ]
-        return Still(image, *near)
+        organ = np.append(self.face_organ, np.uint8(Organ.NOTHING))[face]
+        return Image(rgb.reshape(*size, 3), depth.reshape(size), organ.reshape(size)), face.reshape(size)
 
     def visible(self, points: ArrayLike, eye: ArrayLike, tolerance: float = 0.004) -> NDArray[np.bool_]:
         """Return (N,) whether nothing stands between `eye` (3,) and each of (N, 3) points, up to `tolerance` [m]."""
