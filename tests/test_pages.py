@@ -281,6 +281,7 @@ def test_what_the_readme_says_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("page", SLOW, ids=lambda page: page.name)
 def test_what_a_page_says_runs_slowly(page: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if DATA.is_dir():

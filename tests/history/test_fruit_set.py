@@ -92,6 +92,7 @@ def test_many_counts_find_what_made_them() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_intervals_hold_as_often_as_they_say() -> None:
     """Truths drawn from the prior, 16 plants each: nine in ten of the 90 % intervals hold."""
     rng, inside = np.random.default_rng(2), np.zeros(3)

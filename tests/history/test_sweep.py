@@ -334,6 +334,7 @@ def test_places_that_cannot_be(tmp_path: Path, capsys) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_trials_from_a_table(tmp_path: Path, capsys) -> None:
     (tmp_path / "t.csv").write_text("plant,seed,preset,params.shake.duration\ntomato,0,fast,2\n")
     out = tmp_path / "s"

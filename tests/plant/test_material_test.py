@@ -260,6 +260,7 @@ def misses(found: Identification) -> list[float]:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_the_truth_lies_within_the_stated_errors_as_often_as_it_should() -> None:
     """40 simulated tests: misses in standard errors have about unit spread, and few exceed two."""
     rng = np.random.default_rng(0)
@@ -271,6 +272,7 @@ def test_the_truth_lies_within_the_stated_errors_as_often_as_it_should() -> None
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_both_estimates_cover_the_truth_and_agree() -> None:
     rng = np.random.default_rng(1)
     found = [identify(simulated_test(rng, "upright", deflection=True)) for _ in range(50)]

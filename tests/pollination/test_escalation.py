@@ -194,7 +194,7 @@ def test_the_slowest_frame_rate_that_tells_all_tones_apart_is_taken(
         assert watched.frame_rate((*rates, 0.1 * rate)) == rate
 
 
-@pytest.mark.parametrize("lines", [1, pytest.param(8, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("lines", [1, pytest.param(8, marks=[pytest.mark.slow, pytest.mark.long])])
 def test_whatever_the_plant_every_rule_holds(shaken: Shaken, lines: int) -> None:
     for seed in range(20 if lines == 1 else 15):
         rng = np.random.default_rng(seed)

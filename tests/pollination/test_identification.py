@@ -155,6 +155,7 @@ STIFF_BRANCHES = Params(members=256, branch_spread=0.05, model_error=0.1)
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_what_all_flowers_do_alike_is_the_models_gain(known: PlantModel, plan: ShakePlan) -> None:
     half = amplitude_of(known.with_material(replace(known.material, response_gain=0.5)), known, plan)
     after = refine(known, [ObservedShake(plan, half, 0.02 * half)], STIFF_BRANCHES).material
@@ -165,6 +166,7 @@ def test_what_all_flowers_do_alike_is_the_models_gain(known: PlantModel, plan: S
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_flowers_that_moved_too_little_to_be_measured_lower_the_gain(known: PlantModel, plan: ShakePlan) -> None:
     nothing = np.full(len(plan.predicted_amplitude), np.nan)
     low = refine(known, [ObservedShake(plan, nothing, nothing, 0.3 * plan.predicted_amplitude)], STIFF_BRANCHES)
@@ -253,6 +255,7 @@ def test_a_branch_that_is_softer_than_the_others_is_learned_and_no_other_one(
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_late_camera_is_not_taken_for_a_softer_plant(plant: PlantModel, plan: ShakePlan) -> None:
     late, seen = 0.03, list[ObservedShake]()
     along = np.tile(plan.direction, (len(plant.flower_nodes), 1))

@@ -202,6 +202,7 @@ def test_the_viewer_shows_the_arm_that_the_run_kept(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_trial_of_a_cell_file_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = f'[arm]\ndriver = "ur"\nhost = "192.0.2.1"\nmodel = "ur5e"\n[gripper]{SHAPE}[limits]\nspeed_ratio = 1.0'
     cell(tmp_path, text)
