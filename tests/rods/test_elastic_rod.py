@@ -255,6 +255,8 @@ def test_least_stiffness_is_greenhills():
     assert least_stiffness(rods, Clamp([0])) is None
     soft = least_stiffness(replace(rods, youngs=2e4), Clamp.root(rods))  # the least of the search would be none of rods
     assert soft == pytest.approx(critical / 2e4, rel=0.02)
+    stiff = least_stiffness(replace(rods, youngs=1e14), Clamp.root(rods), between=(1e-7, 1e4))  # and the most too much
+    assert stiff == pytest.approx(critical / 1e14, rel=0.02)
 
 
 @pytest.mark.parametrize(("youngs", "standing"), [(0.97, False), (1.03, True)])

@@ -22,7 +22,7 @@ from anther.rods._assembly import (
 from anther.rods._loads import Loads
 from anther.rods._model import Frames, Model, build_model
 from anther.rods._motion import Clamp
-from anther.rods._rods import GRAVITY, LEAST_YOUNGS, Array, NaturalShape, Rods
+from anther.rods._rods import GRAVITY, LEAST_YOUNGS, MOST_YOUNGS, Array, NaturalShape, Rods
 from anther.rods._stepping import LARGEST_TURN, POSITION_FLOOR, State, new_state
 from anther.rods._strains import joint_slopes, joint_stiffness
 from anther.rods._supports import full
@@ -398,7 +398,7 @@ def least_stiffness(
         rods: the rods; their natural shape is found anew for every factor.
         clamp: what is held.
         fixed: (N,) edges that keep their own Young's modulus.
-        between: the factors that are searched; no softer than rods may be.
+        between: the factors that are searched; no softer and no stiffer than rods may be.
         within: relative error of the factor.
     """
 
@@ -407,7 +407,9 @@ def least_stiffness(
         return stands(replace(rods, youngs=youngs, natural=None), clamp)
 
     softest = float(np.broadcast_to(np.where(fixed, np.inf, rods.youngs), len(rods.nodes))[1:].min())
-    low, high = np.log(max(between[0], (1 + 1e-9) * LEAST_YOUNGS / softest)), np.log(between[1])
+    stiffest = float(np.broadcast_to(np.where(fixed, 0.0, rods.youngs), len(rods.nodes))[1:].max())
+    low = np.log(max(between[0], (1 + 1e-9) * LEAST_YOUNGS / softest))
+    high = np.log(min(between[1], (1 - 1e-9) * MOST_YOUNGS / max(stiffest, LEAST_YOUNGS)))
     if not holds(high):
         return None
     if holds(low):

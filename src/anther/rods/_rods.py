@@ -250,11 +250,11 @@ class Rods:
         return total
 
 
-LEAST_YOUNGS = 1.0
-"""Of rods [Pa]: what is softer was given in another unit."""
+LEAST_YOUNGS, MOST_YOUNGS = 1.0, 1e17
+"""Of rods [Pa]: what is softer or stiffer was given in another unit."""
 _LIMITS = (
     ("edge_radius", (1e-6, 1.0), "m"),
-    ("youngs", (LEAST_YOUNGS, 1e17), "Pa"),
+    ("youngs", (LEAST_YOUNGS, MOST_YOUNGS), "Pa"),
     ("density", (1e-3, 1e5), "kg/m^3"),
     ("bend_over_twist", (0.0, 1e12), ""),
     ("joint_compliance", (0.0, 1e12), "rad/(N m)"),
