@@ -10,7 +10,9 @@ Results are a flat JSON file {metric: number} (--json), tables on standard outpu
 from __future__ import annotations
 
 import argparse
+import json
 import os
+import subprocess
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
@@ -21,7 +23,7 @@ from typing import Any, TypeVar, get_args
 from rich.console import Console, RenderableType
 from rich.progress import track
 
-from anther.core.files import replacing, write_json
+from anther.core.files import replacing, write_json, write_text
 from anther.history import sweep
 from anther.history.sweep import Function, Job
 from anther.plant import Crop
@@ -47,6 +49,7 @@ def options(
     seed: tuple[int, str] | None = None,
     jobs: str = "",
     out: str = "",
+    done: bool = False,
     figure: str = "",
     figures: str = "",
     data: str = "",
@@ -60,6 +63,7 @@ def options(
         seed: the default of --seed, and of what it is the seed.
         jobs: of what --jobs are done at a time.
         out: the default of --out, where finished cases are kept.
+        done: whether there is --done, a file for cases that are too many for one day.
         figure: what is drawn into the file of --figure.
         figures: what is drawn into the folder of --figures.
         data: the folder within `DATA` that --data stands for.
@@ -71,6 +75,7 @@ def options(
     parser.add_argument("--quick", action="store_true", help=quick)
     shared: dict[str, Any] = {"--seed": seed, "--jobs": jobs and (1, f"{jobs} at a time")}
     shared["--out"] = out and (Path(out), "where what is done is kept")
+    shared["--done"] = done and (Path, "take what was done before from this file, and add what is new to it")
     shared["--figure"] = figure and (Path, f"draw {figure} into this file")
     shared["--figures"] = figures and (Path, f"draw {figures} into this folder")
     shared["--data"] = data and (DATA / data, "folder of the real data")
@@ -131,6 +136,11 @@ def progress(values: Iterable[T], words: str, total: int | None = None) -> Itera
     yield from track(values, words, total, console=Console(stderr=True))
 
 
+def git(*words: str) -> str:
+    """Return what git says."""
+    return subprocess.run(["git", *words], capture_output=True, text=True, check=True).stdout.strip()
+
+
 def in_processes(function: Callable[[Any], T], cases: Sequence[Any], jobs: int, words: str) -> list[T]:
     """Return what a function makes of every case, several at a time; nothing is kept."""
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
@@ -138,7 +148,12 @@ def in_processes(function: Callable[[Any], T], cases: Sequence[Any], jobs: int, 
 
 
 def run_cases(
-    function: Function, cases: Iterable[Mapping[str, Any]], out: Path, jobs: int, crashed: Callable[[str], Row]
+    function: Function,
+    cases: Iterable[Mapping[str, Any]],
+    out: Path,
+    jobs: int,
+    crashed: Callable[[str], Row],
+    before: Path | None = None,
 ) -> list[Row]:
     """Return what a function made of every case, in their order. What was done before is not done again.
 
@@ -149,11 +164,33 @@ def run_cases(
         jobs: cases at a time, a process each.
         crashed: reason -> what the row of a case holds whose function raised. It is said, and tried again next time:
             one trial's bug must not end a run of hours.
+        before: file of cases done before, with the commit of each, one a line: they are not done again, whatever the
+            code is now, and new ones are added. Their rows have no `FOLDER`.
     """
-    done = sweep.run(function, cases, out, workers=jobs, tries=1, again=True)
+    asked = [dict(case) for case in cases]
+    known = _read_done(before) if before and before.exists() else {}
+    new = [case for case in asked if _key(case) not in known]
+    done = sweep.run(function, new, out, workers=jobs, tries=1, again=True) if new else []
     for job in (job for job in done if job.result is None):
         print(f"crashed: {job.row}: {job.reason}")
-    return _rows(done, out, crashed)
+    if before and new:
+        commit = git("log", "-1", "--first-parent", "--format=%h", "--", "src")
+        added = [{"case": job.row, "commit": commit, "row": job.result} for job in done if job.result is not None]
+        lines = known | {_key(line["case"]): line for line in added}
+        before.parent.mkdir(parents=True, exist_ok=True)
+        write_text(before, "".join(f"{json.dumps(lines[key])}\n" for key in sorted(lines)))
+    made = dict(zip(map(_key, new), _rows(done, out, crashed), strict=True))
+    return [made[_key(case)] if _key(case) in made else {**case, **known[_key(case)]["row"]} for case in asked]
+
+
+def _key(case: Mapping[str, Any]) -> str:
+    return json.dumps(case, sort_keys=True)
+
+
+def _read_done(path: Path) -> dict[str, Any]:
+    """Return by case what `run_cases` wrote of it."""
+    lines = [json.loads(line) for line in path.read_text().splitlines()]
+    return {_key(line["case"]): line for line in lines}
 
 
 def kept(out: Path, crashed: Callable[[str], Row]) -> list[Row]:

@@ -25,15 +25,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from anther.core.files import read_json, write_json, write_text
+from evaluation.harness import git
 
 CODE = ("src", "evaluation", "tools")
 MEASURED = re.compile(r"<!-- measured: (?P<command>[^\n]+) -->\n(?P<found>.*?)<!-- end -->", re.DOTALL)
 KEPT = Path("build/measured")
-
-
-def git(*words: str) -> str:
-    """Return what git says."""
-    return subprocess.run(["git", *words], capture_output=True, text=True, check=True).stdout.strip()
 
 
 def measure(command: str, commit: str) -> str:

@@ -4,7 +4,8 @@
 
 Every row is drawn (`anther.sim.grow_row`), and its plants' truth is wide (`anther.sim.truth.WIDE`). The robot is told
 the hook by the map alone, a few centimetres off. The judge is `anther.sim.judge`; besides, the pull of the stem's
-string is followed. Every trial ends in one JSON in --out and is not run again. Keys of --json:
+string is followed. Every trial ends in one JSON in --out and is not run again; those of the campaign, which takes more
+than a day's hours, are in docs/results/long/done (--done). Keys of --json:
 
 held_row         share of rows: the asked stem was held through the shake, nothing else was held, pushed or touched
 moved_row        share of these whose median flower felt 5 m/s2 or more
@@ -202,10 +203,11 @@ def main() -> None:
         "--truth": ("wide", "or nominal, or one group alone"),
         "--development": (False, "the rows on which the visit was made"),
     }
-    args = options(__doc__, quick="two rows", seed=(0, "added to all seeds"), jobs="trials", out="runs/rows", own=own)
+    seed = (0, "added to all seeds")
+    args = options(__doc__, quick="two rows", seed=seed, jobs="trials", out="runs/rows", done=True, own=own)
     first = (DEVELOPMENT if args.development else FIRST) + args.seed
     cases = [asdict(Case(*row, args.truth)) for row in by_turns(2 if args.quick else args.rows, first)]
-    rows = run_cases(one, cases, args.out, args.jobs, failed)
+    rows = run_cases(one, cases, args.out, args.jobs, failed, args.done)
     found = metrics(rows)
     finish(args, found, *report(rows, found))
 

@@ -12,7 +12,8 @@ again      a second visit, with other errors of arm and cameras, that begins wit
 motor      the same with a motor in the gripper
 oracle     the best within the reach of an arm, on a plant that is known (`oracle.py`); oracle_motor: of a motor
 
-Every trial ends in one JSON in --out and is not run again. Keys of --json: those of `shaking_table.metrics`.
+Every trial ends in one JSON in --out and is not run again; those of the campaign, which takes more than a day's hours,
+are in docs/results/long/done (--done). Keys of --json: those of `shaking_table.metrics`.
 """
 
 from __future__ import annotations
@@ -70,17 +71,17 @@ def one(row: dict[str, Any], folder: Path) -> dict[str, Any]:
     return shaken(case, folder, earlier)
 
 
-def rows_of(cases: Sequence[Case], out: Path, jobs: int) -> list[dict[str, Any]]:
+def rows_of(cases: Sequence[Case], out: Path, jobs: int, before: Path | None = None) -> list[dict[str, Any]]:
     """Return the rows of the cases: the second visits last, since they begin as the first ones ended."""
     first = [asdict(case) | {"earlier": None} for case in cases if case.way != "again"]
-    rows = run_cases(one, first, out, jobs, failed)
+    rows = run_cases(one, first, out, jobs, failed, before)
     ended = {(row["species"], row["seed"], row["truth"]): ended_with(row) for row in rows if row["way"] == "escalated"}
     second = [
         asdict(case) | {"earlier": ended.get((case.species, case.seed, case.truth))}
         for case in cases
         if case.way == "again"
     ]
-    return rows + (run_cases(one, second, out, jobs, failed) if second else [])
+    return rows + (run_cases(one, second, out, jobs, failed, before) if second else [])
 
 
 def ended_with(row: dict[str, Any]) -> dict[str, Any] | None:
@@ -155,7 +156,7 @@ def main() -> None:
         "--development": (False, "the plants on which constants may be set"),
     }
     seed = (0, "added to the seeds of all plants")
-    args = options(__doc__, quick="two plants", seed=seed, jobs="trials", out="runs/shaking", own=own)
+    args = options(__doc__, quick="two plants", seed=seed, jobs="trials", out="runs/shaking", done=True, own=own)
     plants = by_turns(2 if args.quick else args.plants, (DEVELOPMENT if args.development else FIRST) + args.seed)
     fewer = {way: int(count) for way, count in (text.split("=") for text in args.first)}
     cases = [
@@ -164,7 +165,7 @@ def main() -> None:
         for way in args.ways
         if k < fewer.get(way, len(plants))
     ]
-    rows = rows_of(cases, args.out, args.jobs)
+    rows = rows_of(cases, args.out, args.jobs, args.done)
     finish(args, shaking_table.metrics(rows), *shaking_table.report(rows))
 
 

@@ -140,6 +140,12 @@ def test_finished_trials_are_read_back_and_crashes_are_tried_again(tmp_path):
     (row,) = run_cases(unlucky, cases, tmp_path / "out", 1, crashed)
     assert row["ours"]["success"]
     assert len(list(luck.parent.glob("1-*"))) == calls == 2
+    file = tmp_path / "done" / "it.jsonl"
+    for folder in ("out", "elsewhere"):  # the second time from the file alone
+        (row,) = run_cases(unlucky, cases, tmp_path / folder, 1, crashed, file)
+        assert (row["seed"], row["ours"]["success"]) == (1, True)
+    assert len(list(luck.parent.glob("1-*"))) == calls
+    assert not (tmp_path / "elsewhere").exists()
 
 
 def test_a_sheet_has_room_for_every_tile(tmp_path):

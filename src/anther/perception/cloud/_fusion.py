@@ -317,18 +317,12 @@ def attached_points(points: Array) -> NDArray[np.bool_]:
     """
     part, far = clusters(points, GAP), 0.05
     size = np.bincount(part)
-    keep = size >= 0.2 * size.max()
-    large = size >= 0.002 * len(points)
-    while True:
-        rest = np.flatnonzero((large & ~keep)[part])
-        if len(rest) == 0:
-            break
-        distance, _ = KDTree(points[keep[part]]).query(points[rest], distance_upper_bound=far)
-        joins = np.unique(part[rest[distance < far]])
-        if len(joins) == 0:
-            break
-        keep[joins] = True
-    return keep[part]
+    largest = size >= 0.2 * size.max()
+    large = np.flatnonzero((largest | (size >= 0.002 * len(points)))[part])
+    group = clusters(points[large], far)  # what joins what, one by one, in one go
+    keep = np.zeros(len(points), dtype=np.bool_)
+    keep[large] = np.isin(group, group[largest[part[large]]])
+    return keep
 
 
 def occupied_cells(points: Array, views: NDArray[Any], plant: Array, voxel: float) -> Array:

@@ -311,9 +311,9 @@ def _minima(graph: _Graph) -> NDArray[Any]:
     On the spanning tree whose links meet as low as they can, basins meet as they do in the graph.
     """
     z, n = graph.points[:, 2], len(graph.points)
-    meet = z[graph.links].max(axis=1)
+    meet, below = z[graph.links].max(axis=1), float(z.min()) - 1.0
     forest = minimum_spanning_tree(
-        sparse.coo_matrix((meet - z.min() + 1.0, (graph.links[:, 0], graph.links[:, 1])), (n, n)).tocsr()
+        sparse.coo_matrix((meet - below, (graph.links[:, 0], graph.links[:, 1])), (n, n)).tocsr()
     ).tocoo()
     order = np.argsort(forest.data, kind="stable")
     lowest, depth, heights = list(range(n)), np.full(n, np.inf), z.tolist()
@@ -327,7 +327,7 @@ def _minima(graph: _Graph) -> NDArray[Any]:
     links = zip(forest.row[order].tolist(), forest.col[order].tolist(), forest.data[order].tolist(), strict=True)
     for one, two, height in links:
         low, high = sorted((basin(one), basin(two)), key=lambda voxel: (heights[voxel], voxel))
-        depth[high] = height + z.min() - 1.0 - heights[high]
+        depth[high] = height + below - heights[high]
         lowest[high] = low
     least_rise = 0.04  # of the scene's height: less is roughness of a cut stem or of a blade
     found = np.flatnonzero(depth >= least_rise * graph.height)
