@@ -49,9 +49,9 @@ def test_what_stands_still_is_cast_apart_and_looks_alike(to: float) -> None:
         np.testing.assert_array_equal(*(getattr(image, name) for image in images))
     assert np.any(images[0].organ == Organ.LEAF) == (to < 0.22)
     np.testing.assert_array_equal(*(scene.visible(leaf, [0, 0, 0]) for scene in (whole, apart)))
-    seen = apart.still(SMALL, LEVEL, 2.0).changing
-    assert not seen.all()
-    assert seen.any() == (to < 0.22)
+    still = apart.still(SMALL, LEVEL)
+    assert not still.shown.all()
+    assert still.shown[0].any() == (to < 0.22)
 
 
 def test_depth_of_a_slanted_plane_is_analytic() -> None:

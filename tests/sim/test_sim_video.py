@@ -47,9 +47,9 @@ def test_a_frame_of_a_film_shows_what_a_whole_image_does() -> None:
     camera = SimCamera(cell, scene, CAMERA, lambda: pose, errors=None)
     bent = np.zeros((3, *plant.vertices.shape))
     bent[1:, :, 0] = np.multiply.outer([0.002, 0.03], np.maximum(plant.vertices[:, 2] - BASE[2], 0.0))
-    for shape in plant.vertices + bent:  # a little, and far beyond what the first still covers
+    for shape in plant.vertices + bent:  # a little, and far beyond where the first still shows it
         image = scene.moved(shape).render(CAMERA, pose)
-        frame = camera._frame(0.0, shape, None, np.random.default_rng(0), camera._still_of([shape], [None]))
+        frame = camera._frame(0.0, shape, None, np.random.default_rng(0), camera._still_of(shape))
         np.testing.assert_array_equal(frame.depth, image.depth)
         on_plant = image.organ < Organ.POT
         np.testing.assert_array_equal(frame.rgb[on_plant], image.rgb[on_plant])
@@ -62,7 +62,7 @@ def test_what_moves_while_a_frame_is_exposed_is_blurred_there_and_nothing_else()
     camera = SimCamera(cell, Scene.of_plant(plant), CAMERA, lambda: pose, errors=None)
     way = np.zeros(plant.vertices.shape)
     way[:, 0] = 0.1 * np.maximum(plant.vertices[:, 2] - leaf[2] - 0.01, 0)  # its top alone, by up to 2 px
-    still = camera._still_of([plant.vertices], [way])
+    still = camera._still_of(plant.vertices)
 
     def frame() -> Frame:
         return camera._frame(0.0, plant.vertices, way, np.random.default_rng(0), still)

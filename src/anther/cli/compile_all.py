@@ -54,12 +54,13 @@ def _command(name: str, source: Path, out: Path, more: str = "", *, positional: 
 
 
 def _see_simulated_plant() -> None:
-    """Take one small picture of a simulated plant, with the camera's noise."""
+    """Take one small picture of a simulated plant, with the camera's noise, and begin a film of it."""
     import numpy as np
 
     from anther.sim.capture import capture_from_poses, orbit_poses
-    from anther.sim.render import d455
+    from anther.sim.render import Scene, d455
     from anther.sim.tomato import grow_tomato
 
-    plant, camera = grow_tomato(0), d455(64, 36)
-    capture_from_poses(plant, orbit_poses(1, (0.72, 0, -0.1)), rng=np.random.default_rng(0), intrinsics=camera)
+    plant, camera, poses = grow_tomato(0), d455(64, 36), orbit_poses(1, (0.72, 0, -0.1))
+    capture_from_poses(plant, poses, rng=np.random.default_rng(0), intrinsics=camera)
+    Scene.of_plant(plant).still(camera, poses[0]).changing(camera, poses[0], [plant.vertices])

@@ -5,6 +5,7 @@ Sun with shadows, sky light with occlusion (baked per vertex when the scene is b
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -13,11 +14,10 @@ import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import distance_transform_edt
 
 from anther.core.checks import check_array, check_transform
-from anther.core.compiling import OPTIONS, inlined, numba
-from anther.core.geometry import Array, Intrinsics
+from anther.core.compiling import OPTIONS, compiled, inlined, numba
+from anther.core.geometry import Array, Intrinsics, inverse, transform_points
 from anther.sim.greenhouse import Setting, repainted, surroundings
 from anther.sim.plant import Organ, SimPlant
 
@@ -186,17 +186,49 @@ class Image:
 
 
 class Still(NamedTuple):
-    """An image by which others of the same camera are made faster: the plant's shadows around it stay as they are.
+    """An image by which others of the same camera are made faster: what does not move stays as it is, shadows too.
 
     Attributes:
         image: of the scene as it was.
-        changing: (H, W) where what moves may be seen in the others.
-        flowers: (H, W) where its flowers may be.
+        faces: (K, 3) vertices of the faces that may move.
+        flower: (K,) whether the face is a flower's.
+        shown: (2, H, W) where what moves is seen in the image, and where a flower that does.
     """
 
     image: Image
-    changing: NDArray[np.bool_]
-    flowers: NDArray[np.bool_]
+    faces: NDArray[Any]
+    flower: NDArray[np.bool_]
+    shown: NDArray[np.bool_]
+
+    def changing(self, intrinsics: Intrinsics, T_world_cam: Array, shapes: Sequence[Array]) -> NDArray[np.bool_]:
+        """Return (2, H, W) where another image may differ: all, and flowers.
+
+        Args:
+            intrinsics, T_world_cam: of the camera.
+            shapes: vertices (Nv, 3) [m] that the other image may show.
+        """
+        changing = self.shown.copy()
+        for shape in shapes:
+            seen = transform_points(inverse(T_world_cam), shape)
+            seen[:, 2] = np.maximum(seen[:, 2], 1e-3)
+            frame_faces(intrinsics.project(seen), self.faces, self.flower, changing)
+        return changing
+
+
+@compiled
+def frame_faces(pixels: Array, faces: NDArray[Any], flower: NDArray[Any], marked: NDArray[Any]) -> None:
+    """Mark (2, H, W), all and flowers, the rectangles around faces (K, 3), a pixel wider, of vertices at `pixels`."""
+    height, width = marked.shape[1:]
+    for k in range(len(faces)):
+        a, b, c = pixels[faces[k, 0]], pixels[faces[k, 1]], pixels[faces[k, 2]]
+        left, right = min(a[0], b[0], c[0]) - 1.0, max(a[0], b[0], c[0]) + 2.0
+        top, bottom = min(a[1], b[1], c[1]) - 1.0, max(a[1], b[1], c[1]) + 2.0
+        if right < 0 or bottom < 0 or left >= width or top >= height:
+            continue
+        for v in range(int(max(top, 0.0)), int(min(bottom, height * 1.0))):
+            for u in range(int(max(left, 0.0)), int(min(right, width * 1.0))):
+                marked[0, v, u] = True
+                marked[1, v, u] |= flower[k]
 
 
 def _ray_caster(vertices: Array, faces: NDArray[np.int32]) -> Any:
@@ -274,25 +306,25 @@ class Scene:
         new._mesh = (*self._mesh[:2], new._normals, *self._mesh[3:])
         return new
 
-    def render(self, intrinsics: Intrinsics, T_world_cam: ArrayLike, still: Still | None = None) -> Image:
-        """Return the image of a camera at T_world_cam; with `still`, of the same one, only what may have changed."""
-        if still is None:
+    def render(
+        self, intrinsics: Intrinsics, T_world_cam: ArrayLike, but: Image | None = None, only: Any = None
+    ) -> Image:
+        """Return the image of a camera at T_world_cam; `but` for the pixels `only` (H, W) it is that image."""
+        if but is None:
             return self._look(intrinsics, T_world_cam)[0]
-        seen, _ = self._look(intrinsics, T_world_cam, still.changing)
-        whole = [part.copy() for part in (still.image.rgb, still.image.depth, still.image.organ)]
+        seen, _ = self._look(intrinsics, T_world_cam, only)
+        whole = [part.copy() for part in (but.rgb, but.depth, but.organ)]
         for part, new in zip(whole, (seen.rgb, seen.depth, seen.organ), strict=True):
-            part[still.changing] = new
+            part[only] = new
         return Image(*whole)
 
-    def still(self, intrinsics: Intrinsics, T_world_cam: ArrayLike, reach: float) -> Still:
-        """Return an image of a plant of which nothing will move by more than `reach` pixels, for `render`."""
+    def still(self, intrinsics: Intrinsics, T_world_cam: ArrayLike) -> Still:
+        """Return an image by which those of the scene with the plant elsewhere are made faster."""
         image, face = self._look(intrinsics, T_world_cam)
         moves = (face >= 0) & (face < self._moves) & (image.organ < Organ.POT)
-        near = [
-            np.asarray(distance_transform_edt(~part)) <= reach + 1 if part.any() else part
-            for part in (moves, moves & (image.organ == Organ.FLOWER))
-        ]
-        return Still(image, *near)
+        organ, shown = self.face_organ[: self._moves], np.stack([moves, moves & (image.organ == Organ.FLOWER)])
+        of_plant = organ < Organ.POT
+        return Still(image, self.faces[: self._moves][of_plant], organ[of_plant] == Organ.FLOWER, shown)
 
     def _look(
         self, intrinsics: Intrinsics, T_world_cam: ArrayLike, only: NDArray[np.bool_] | None = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import repeat
@@ -132,8 +132,6 @@ class SimCamera:
 
     rates = (15.0, 30.0, 60.0, 90.0)
     """Of a D455 at 848 x 480 px [1/s]."""
-    _least_reach = 6.0
-    """Around the plant in a still [px], rendered again in each frame of a film."""
 
     def __init__(
         self,
@@ -164,12 +162,12 @@ class SimCamera:
         self._rng = np.random.default_rng(seed)
         self._recording: tuple[float, float] | None = None
         self._shown: dict[int, Frame] = {}
-        self._still: tuple[Array, Array, float, Still] | None = None
+        self._still: tuple[Array, Still] | None = None
 
     def read(self) -> Frame:
         """Return one frame taken now."""
         vertices = self._vertices(None)
-        return self._frame(self.cell.time, vertices, None, self._rng, self._still_of([vertices], [None]))
+        return self._frame(self.cell.time, vertices, None, self._rng, self._still_of(vertices))
 
     def start(self, rate: float) -> None:
         """Begin to record at `rate` frames per second."""
@@ -216,23 +214,17 @@ class SimCamera:
         samples = after - (exposed - log.times[after - 1] < log.times[after] - exposed)
         shapes = [self._vertices(log.qpos[i]) for i in samples]
         ways = [self._way(log, int(i)) for i in samples]
-        still = self._still_of(shapes, ways)
+        still = self._still_of(shapes[0])
         rngs = self._rng.spawn(len(samples))
         with ThreadPoolExecutor(2) as pool:
             return list(pool.map(self._frame, log.times[samples].tolist(), shapes, ways, rngs, repeat(still)))
 
-    def _still_of(self, shapes: Sequence[Array], ways: Sequence[Array | None]) -> Still:
-        """Return a still for the plant in these shapes (Nv, 3): the last one as long as they are near it."""
+    def _still_of(self, shape: Array) -> Still:
+        """Return the still from where the camera is; if there is none yet, of the plant in this shape (Nv, 3)."""
         pose = self.pose()
         if self._still is None or not np.array_equal(self._still[0], pose):
-            self._still = None
-        base = shapes[0] if self._still is None else self._still[1]
-        reach = max(float(self._pixels(shape - base, base).max()) for shape in shapes)
-        reach += max((float(self._pixels(way, base).max()) for way in ways if way is not None), default=0.0)
-        if self._still is None or reach > self._still[2]:
-            reach = max(2 * reach, self._least_reach)
-            self._still = (pose, base, reach, self.scene.moved(base).still(self.intrinsics, pose, reach))
-        return self._still[3]
+            self._still = (pose, self.scene.moved(shape).still(self.intrinsics, pose))
+        return self._still[1]
 
     def _pixels(self, way: Array, vertices: Array) -> Array:
         """Return how long ways (Nv, 3) [m] of vertices (Nv, 3) are in the image (Nv,) [px]."""
@@ -248,7 +240,7 @@ class SimCamera:
         mask = np.zeros((self.intrinsics.height, self.intrinsics.width), dtype=np.uint8)
         inside = (row >= 0) & (row < mask.shape[0]) & (column >= 0) & (column < mask.shape[1])
         mask[row[inside], column[inside]] = 1
-        reach = round(self._least_reach + float(moved.max()))
+        reach = round(6 + float(moved.max()))
         return np.asarray(cv2.dilate(mask, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0)
 
     def _vertices(self, qpos: Array | None) -> Array:
@@ -265,15 +257,17 @@ class SimCamera:
 
     def _frame(self, time: float, vertices: Array, way: Array | None, rng: np.random.Generator, still: Still) -> Frame:
         pose, eye, here = self.pose(), self.intrinsics, self.scene.moved(vertices)
-        image = here.render(eye, pose, still)
-        fine = still.flowers if way is None else still.flowers | (still.changing & self._blurred(way, vertices))
-        sharp = still._replace(image=image, changing=fine)
-        # moment [exposures] and place in each pixel [px]: by one ray alone, what moves by half a pixel seems to jump
+        moments = [here] * 3
+        if way is not None:
+            moments[0], moments[2] = (self.scene.moved(vertices + share * way) for share in (-0.33, 0.33))  # exposures
+        changing, fine = still.changing(eye, pose, [m.vertices for m in (moments if way is not None else [here])])
+        image = here.render(eye, pose, still.image, changing)
+        if way is not None:
+            fine |= changing & self._blurred(way, vertices)
+        # place in each pixel [px]: by one ray alone, what moves by half a pixel seems to jump
         shots = [
-            (here if way is None or share == 0 else self.scene.moved(vertices + share * way))
-            .render(replace(eye, cx=eye.cx - across, cy=eye.cy - down), pose, sharp)
-            .rgb
-            for share, across, down in ((-0.33, -0.25, -0.25), (0.0, 0.25, 0.0), (0.33, -0.1, 0.25))
+            moment.render(replace(eye, cx=eye.cx - across, cy=eye.cy - down), pose, image, fine).rgb
+            for moment, across, down in zip(moments, (-0.25, 0.25, -0.1), (-0.25, 0.0, 0.25), strict=True)
         ]
         rgb = np.rint(np.mean(shots, axis=0)).astype(np.uint8)
         if self.errors is None:
