@@ -74,7 +74,7 @@ class Tangent:
         """Return forces on nodes (N, 4) as those on the free unknowns."""
         own = loads.copy()
         if self.together:
-            to_edges(self.model.parent, own)
+            sum_along(self.model.parent, own, False)
         own[~self.free] = 0
         return own
 
@@ -82,7 +82,7 @@ class Tangent:
         """Return motions of the unknowns (N, 4) as those of nodes."""
         moves = own.copy()
         if self.together:
-            to_nodes(self.model.parent, moves)
+            sum_along(self.model.parent, moves, True)
         return moves
 
     def solve(self, loads: Array) -> Array:
@@ -110,19 +110,17 @@ def tangent(model: Model, free: Any, x: Array, frames: Frames, blocks: Blocks, s
 
 
 @compiled
-def to_nodes(parent: Any, moves: Any) -> None:
-    """Turn motions of edges (N, 4) into motions of nodes."""
-    for j in range(1, len(parent)):
+def sum_along(parent: Any, values: Any, outward: bool) -> None:
+    """Sum values (N, 4) but the last along the tree: motions of edges to those of nodes, outward; else forces on nodes
+    to what each edge carries.
+    """
+    n = len(parent)
+    for k in range(1, n):
+        j = k if outward else n - k
+        p = parent[j]
+        to, of = (j, p) if outward else (p, j)
         for i in range(3):
-            moves[j, i] += moves[parent[j], i]
-
-
-@compiled
-def to_edges(parent: Any, forces: Any) -> None:
-    """Turn forces on nodes (N, 4) into those on edges: the sum over all that an edge carries."""
-    for j in range(len(parent) - 1, 0, -1):
-        for i in range(3):
-            forces[parent[j], i] += forces[j, i]
+            values[to, i] += values[of, i]
 
 
 def with_gravity_equilibrium(rods: Rods, clamp: Clamp, gravity: ArrayLike = GRAVITY) -> Rods:

@@ -220,13 +220,13 @@ def frame_faces(pixels: Array, faces: NDArray[Any], flower: NDArray[Any], marked
     """Mark (2, H, W), all and flowers, the rectangles around faces (K, 3), a pixel wider, of vertices at `pixels`."""
     height, width = marked.shape[1:]
     for k in range(len(faces)):
-        a, b, c = pixels[faces[k, 0]], pixels[faces[k, 1]], pixels[faces[k, 2]]
-        left, right = min(a[0], b[0], c[0]) - 1.0, max(a[0], b[0], c[0]) + 2.0
-        top, bottom = min(a[1], b[1], c[1]) - 1.0, max(a[1], b[1], c[1]) + 2.0
-        if right < 0 or bottom < 0 or left >= width or top >= height:
-            continue
-        for v in range(int(max(top, 0.0)), int(min(bottom, height * 1.0))):
-            for u in range(int(max(left, 0.0)), int(min(right, width * 1.0))):
+        left, top, right, bottom = width, height, -1, -1
+        for corner in faces[k]:
+            column, row = np.int64(pixels[corner, 0]), np.int64(pixels[corner, 1])
+            left, right = column if column < left else left, column if column > right else right
+            top, bottom = row if row < top else top, row if row > bottom else bottom
+        for v in range(top - 1 if top > 0 else 0, bottom + 3 if bottom + 3 < height else height):
+            for u in range(left - 1 if left > 0 else 0, right + 3 if right + 3 < width else width):
                 marked[0, v, u] = True
                 marked[1, v, u] |= flower[k]
 

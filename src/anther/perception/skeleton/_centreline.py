@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, median_filter
 
-from anther.core.compiling import compiled, inlined, inner
+from anther.core.compiling import compiled, inlined
 from anther.core.geometry import Array
 from anther.perception.skeleton.raw_tree import RawTree, chains
 from anther.perception.skeleton.voxel_solid import nearest
@@ -371,7 +371,7 @@ def _circle(flat, away, some, count):
     return x, y, r, residual
 
 
-@inner
+@inlined
 def _median(values, some, count):
     """Return the median of the first `count` values (`some` is scratch): NumPy's takes seconds to compile."""
     middle, low, high = count // 2, 0, count - 1
