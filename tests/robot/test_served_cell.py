@@ -44,7 +44,7 @@ def asked(arm: ArmName) -> Iterator[str]:
         yield f"127.0.1.{1 + os.getpid() % 250}"  # libfranka's port is always the same
 
 
-@pytest.fixture(scope="module", params=["sawyer", "fr3"])
+@pytest.fixture(scope="module", params=["sawyer", pytest.param("fr3", marks=pytest.mark.long)])
 def machines(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[tuple[Served, CellFile, Robot]]:
