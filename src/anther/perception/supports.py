@@ -172,7 +172,10 @@ def _straight_lines(scene: _Scene) -> Array:
     shortest = 0.4  # of the plant's size: a shorter straight thing is a petiole
     long = np.linalg.norm(second - first, axis=1) > shortest * scene.size
     first, second = first[long], second[long]
-    near = ndimage.binary_dilation(scene.grid, ndimage.generate_binary_structure(3, 1))
+    near = scene.grid.copy()  # what touches it by a face too: at the grid's border there is nothing
+    for axis in range(3):
+        for step in (-1, 1):
+            near |= np.roll(scene.grid, step, axis)
 
     def occupied(at: Array) -> NDArray[np.bool_]:
         index = np.floor((at - scene.lower) / scene.cell).astype(np.int64)

@@ -108,8 +108,10 @@ def _numbered(part: NDArray[np.bool_]) -> NDArray[np.int32]:
 
 def _large_parts(part: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
     """Return the connected components of `part` (X, Y, Z) with at least `least` cells."""
-    number = _numbered(part)
-    return part & (np.bincount(number.ravel()) >= least)[number]
+    number = _numbered(part)[part]
+    large = np.zeros_like(part)
+    large[part] = (np.bincount(number) >= least)[number]
+    return large
 
 
 def _parts_near(
@@ -125,7 +127,9 @@ def _parts_near(
     kept = np.zeros(len(sizes) + 1, dtype=bool)
     kept[number[part & dilated(plant, max(1, round(distance / voxel)))]] = True
     kept[1:] &= np.multiply(sizes, voxel) <= extent + voxel
-    return kept[number]
+    near = np.zeros_like(part)
+    near[part] = kept[number[part]]
+    return near
 
 
 def dilated(part: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
