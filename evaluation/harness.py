@@ -170,11 +170,11 @@ def run_cases(
     asked = [dict(case) for case in cases]
     known = _read_done(before) if before and before.exists() else {}
     new = [case for case in asked if _key(case) not in known]
+    commit = git("log", "-1", "--first-parent", "--format=%h", "--", "src") if before else ""
     done = sweep.run(function, new, out, workers=jobs, tries=1, again=True) if new else []
     for job in (job for job in done if job.result is None):
         print(f"crashed: {job.row}: {job.reason}")
     if before and new:
-        commit = git("log", "-1", "--first-parent", "--format=%h", "--", "src")
         added = [{"case": job.row, "commit": commit, "row": job.result} for job in done if job.result is not None]
         lines = known | {_key(line["case"]): line for line in added}
         before.parent.mkdir(parents=True, exist_ok=True)

@@ -13,7 +13,7 @@ motor      the same with a motor in the gripper
 oracle     the best within the reach of an arm, on a plant that is known (`oracle.py`); oracle_motor: of a motor
 
 Every trial ends in one JSON in --out and is not run again; those of the campaign, which takes more than a day's hours,
-are in docs/results/long/done (--done). Keys of --json: those of `shaking_table.metrics`.
+are in docs/results/long/done/shaking.jsonl (--done). Keys of --json: those of `shaking_table.metrics`.
 """
 
 from __future__ import annotations

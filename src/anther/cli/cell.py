@@ -105,7 +105,7 @@ def jog(file: CellFile, joint: int | None, degrees: float) -> int:
     """Move one joint, None is the last, a little and tell where it went, after a yes."""
     from anther.core.checks import check_range
     from anther.robot.cells import own_cell
-    from anther.robot.safety import GuardedArm
+    from anther.robot.cells.hardware import guarded_arm
 
     check_range("by", abs(degrees), 0.01, 10.0, "degrees")
     limits = file.safety_limits()
@@ -113,7 +113,7 @@ def jog(file: CellFile, joint: int | None, degrees: float) -> int:
     joint = last if joint is None else joint
     check_range("joint", joint, 0, last)
     with own_cell(file) as keep:
-        guarded = GuardedArm(keep(file.connect(file.arm)), limits)
+        guarded = guarded_arm(file, keep(file.connect(file.arm)), keep)
         motion = _small_motion(file, guarded, joint, np.deg2rad(degrees))
         if not agreed(f"Move joint {joint} by {degrees:g} degrees in {motion.duration:.1f} s?"):
             return 1

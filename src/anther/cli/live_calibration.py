@@ -43,10 +43,10 @@ from anther.robot.calibration.live import (
     spread,
 )  # fmt: skip
 from anther.robot.cells import CellFile, own_cell, read_cell
-from anther.robot.cells.hardware import motion_params, move_and_stand
+from anther.robot.cells.hardware import guarded_arm, motion_params, move_and_stand
 from anther.robot.cells.rewriting import point_to_calibration
 from anther.robot.devices import Arm, Camera, DeviceError, JointTrajectory
-from anther.robot.safety import GuardedArm, GuardedCamera
+from anther.robot.safety import GuardedCamera
 from anther.show.pictures import save_figure
 from anther.show.pictures.estimates import draw_calibration
 
@@ -116,7 +116,7 @@ def _eye(file: CellFile) -> Iterator[Eye]:
     with own_cell(file) as keep:
         arm = keep(file.arm_apart())
         camera = keep(file.connect(file.wrist_camera, arm=arm))
-        yield Eye(file, GuardedArm(arm, file.safety_limits()), GuardedCamera(camera))
+        yield Eye(file, guarded_arm(file, arm, keep), GuardedCamera(camera))
 
 
 def live(

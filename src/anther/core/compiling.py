@@ -14,10 +14,9 @@ import numba
 import numpy as np
 from numba import njit
 from numba.core import event
-from numba.extending import register_jitable
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["COMPILED", "OPTIONS", "compiled", "inlined", "inner", "njit", "numba", "read_only"]
+__all__ = ["COMPILED", "OPTIONS", "compiled", "inlined", "njit", "numba", "read_only"]
 
 
 class _Compiled(event.Listener):
@@ -79,9 +78,6 @@ arrays that kernels fill. `np.zeros`, `np.round` or `int` in a kernel are kernel
 
 compiled: Any = njit(**OPTIONS)
 """For a kernel that is called from Python; the types of its arguments must not vary, each combination is compiled."""
-
-inner: Any = register_jitable(**OPTIONS)
-"""For a part of kernels that stands in several places and is long: it is compiled once, without the door to Python."""
 
 inlined: Any = njit(inline="always")
 """For a part of a kernel: it is only ever compiled within it, with the kernel's own options."""

@@ -206,7 +206,8 @@ def implicit_step(model: Model, free: Any, old: State, work: Work, h: float, set
         factor(model.order, model.near, model.far, blocks)
         solve(model.order, model.near, model.far, blocks, correction)
         share = LARGEST_TURN / (1e-300 + _largest_turn(parent, new.x, correction))
-        _move(new.x, turn, correction, share if share < 1.0 else 1.0)
+        share = share if share < 1.0 else 1.0
+        _move(new.x, turn, correction, share)
         largest = peak(correction)
     return -most, residual
 

@@ -288,6 +288,11 @@ class Cell:
         here = np.full(d.ncon, sample)
         self._contacts.append((here, robot[:, 0], other[:, 1], other[:, 2], force, d.contact.pos.copy()))
 
+    def forget(self) -> None:
+        """Begin the log anew: what was before is nobody's doing."""
+        self._samples, self._contacts = [], []
+        self._note()
+
     def log(self) -> CellLog:
         """Return all samples so far."""
         times, qpos, torques, command = (np.array(x) for x in zip(*self._samples, strict=True))

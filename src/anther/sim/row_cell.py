@@ -144,6 +144,7 @@ def build_row(
         swing = round(4.0 / mujoco.timestep)  # s: two of a stem on its string (facts: rows 0)
         still = np.tile(mujoco.joints, (swing, 1))
         mujoco.run(still, np.zeros_like(still), np.full(swing, mujoco.opening))
+        mujoco.forget()  # of the wind's first gust the robot is not to blame
     noise = int(np.random.default_rng([row.seed, 15 + 10 * visit]).integers(1 << 31))
     scene = row_scene(row, mujoco.plant)
     return around(mujoco, scene, place, planned, planned.joints[-1], noise, (row.seed, 0.0, visit), tap)

@@ -117,7 +117,7 @@ class Escalation:
         self._friction_limit, self._price = limits.held(plan.press), limits.price
         self._probe_answers: list[list[Answer]] = []
         self._options: list[Option] = []
-        self._watched = set[int]()  # shakes that were observed alone
+        self._watched: dict[int, tuple[Observation, Prediction] | None] = {}  # see `_update_other_directions`
         self._camera_delay, self._visible_count, self._holding = 0.0, 0, False
         self._proofs: list[bool] = []  # by step, whether the observation can only show the plant
         self._proven_observations: list[Observation] = []  # of the steps that passed
@@ -192,10 +192,11 @@ class Escalation:
             self._probe_answers.append(answers)
             follows = self._after_probe(max(shares.values()))
         else:
-            self._update_other_directions(active[0], observation)
-            self._options[active[0]].update(predictions[0])
-            self._watched.add(active[0])
-            follows = self._decide(active[0])
+            now, look = active[0], (observation, self._options[active[0]].prediction)
+            self._options[now].update(predictions[0])
+            self._watched[now] = look if self._proofs[-1] else self._watched.get(now)
+            self._update_other_directions(int(self._frequency_index[now]))
+            follows = self._decide(now)
         measured = [a * one.answer.flowers[0] for a, _, one in shaken]  # all members agree on a measured flower
         acceleration = np.sqrt(np.sum(np.square(measured), axis=0))
         step = Step(
@@ -296,29 +297,37 @@ class Escalation:
             return self._excite(0, self.plan.amplitude, self.plan.duration, words)
         if len(self._probe_answers) < len(tones.probed):
             return self._probe_along(tones.probed[len(self._probe_answers)], gentler=max(largest_load, 1.0))
-        self._options = [self._make_option(n) for n in range(len(self._frequencies))]
+        self._options = [self._make_option(n, self._probed(i)) for n, i in enumerate(self._frequency_index.tolist())]
         return self._decide(0) if len(self._frequencies) == 1 else self._switch_to(self._best())
 
-    def _make_option(self, shake: int) -> Option:
-        """Return a shake that was not watched alone: its response is the sum of those along the probed directions."""
+    def _probed(self, tone: int) -> list[Answer]:
+        """Return the responses along the probed directions at a frequency index."""
+        return [answers[tone] for answers in self._probe_answers]
+
+    def _make_option(self, shake: int, along: Sequence[Answer]) -> Option:
+        """Return a shake that was not watched alone: its response is the sum of those `along` the probed directions."""
         tones, at = self.plan.tones, (self._frequency_index[shake], self._direction_index[shake])
-        answer = sum_answers([along[at[0]] for along in self._probe_answers], tones.parts(int(at[1])))
+        answer = sum_answers(along, tones.parts(int(at[1])))
         planned, reach = float(tones.amplitudes[at]), float(tones.reach[at])
         hertz = float(self._frequencies[shake])
         return Option(hertz, self._friction_limit, self._price, planned, reach, self._predict(shake, answer))
 
-    def _update_other_directions(self, shake: int, observation: Observation) -> None:
-        """Update what is believed of shakes at this frequency along directions that were not watched alone."""
-        tone, parts = self._frequency_index[shake], self.plan.tones.parts(int(self._direction_index[shake]))
-        others = set(np.flatnonzero(self._frequency_index == tone).tolist()) - self._watched - {shake}
-        if not others:
+    def _update_other_directions(self, tone: int) -> None:
+        """Update what is believed of shakes at a frequency along directions that were not watched alone.
+
+        Of each shake that was, the newest observation that can only show the plant counts, with its prediction before:
+        what errs in one errs in the next too, so that all of them would make the members agree too well.
+        """
+        others = set(np.flatnonzero(self._frequency_index == tone).tolist()) - set(self._watched)
+        looks = [(n, look) for n, look in self._watched.items() if look and self._frequency_index[n] == tone]
+        if not others or not looks:
             return
-        along, before = [answers[tone] for answers in self._probe_answers], self._options[shake].prediction
-        along = update_directions(self._foresight, observation, self._camera_delay, along, parts, before)
-        for answers, one in zip(self._probe_answers, along, strict=True):
-            answers[tone] = one
+        along = self._probed(tone)
+        for n, (observation, before) in looks:
+            parts = self.plan.tones.parts(int(self._direction_index[n]))
+            along = update_directions(self._foresight, observation, self._camera_delay, along, parts, before)
         for n in others:
-            self._options[n] = self._make_option(n)
+            self._options[n] = self._make_option(n, along)
 
     def _best(self) -> int:
         """Return the index of the shake of largest predicted worth."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -25,7 +25,7 @@ from anther.robot.arm.views import Views, plan_views
 from anther.robot.cell import Cell
 from anther.robot.cells import CellFile, Part, own_cell
 from anther.robot.devices import Arm, Gripper, JointTrajectory, Robot, Tap, no_tap
-from anther.robot.safety import guard
+from anther.robot.safety import CarriedArm, GuardedArm, GuardedCart, guard
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,6 +71,20 @@ def planner_around(file: CellFile, cloud: Cloud, home: Array) -> Planner:
     params = motion_params(ratio, home)
     boxes, arm = file.keep_out, file.model
     return SlowPlanner(ratio, cloud.yielding, cloud.rigid, boxes, space=space, params=params, arm=arm)
+
+
+def guarded_arm(file: CellFile, arm: Arm, keep: Callable[[Any], Any]) -> Arm:
+    """Return the cell's arm behind its guard, alone; on a cart it moves only while that stands.
+
+    Args:
+        file: the cell.
+        arm: connected.
+        keep: is told the cart, to close it at the end (`own_cell`).
+    """
+    guarded, rails = GuardedArm(arm, file.safety_limits()), file.cart_limits()
+    if file.cart is None or rails is None:
+        return guarded
+    return CarriedArm(guarded, GuardedCart(keep(file.connect(file.cart, arm=arm)), rails, guarded))
 
 
 @contextmanager

@@ -102,14 +102,15 @@ class Odometry:
     def stands(self, tolerance: float, since: float = -np.inf) -> bool:
         """Return whether it stayed within half of `tolerance` [m] for `STOOD`, by readings not older than `since` [s].
 
-        False, too, where there are not enough readings to tell.
+        What it is carried by may rock it, so that its speed of a moment does not count. False, too, where there are not
+        enough readings to tell.
         """
         rows = [r for r in self.recent if r.time >= since]
         first = next((i for i in reversed(range(len(rows))) if rows[i].time <= rows[-1].time - STOOD), None)
         if first is None:
             return False
         places = [r.place for r in rows[first:]]
-        return max(places) - min(places) <= tolerance / 2 and abs(rows[-1].speed) <= tolerance / STOOD
+        return max(places) - min(places) <= tolerance / 2
 
 
 class Sent:

@@ -142,7 +142,8 @@ class VelocityCart:
     def describe(self) -> list[str]:
         """Return in words what is heard of the cart."""
         told, others = self.odometry, self.node.publishers(self._topic) - 1
-        ahead, rate = -1e3 * (told.clock.offset - self._clock() + time.time()), (len(told.recent) - 1) / told.span
+        ahead = -1e3 * (told.clock.offset - self._clock() + time.time())
+        rate = (len(told.recent) - 1) / max(told.span, 1e-9)
         kind = self._kind.rpartition("/")[2]
         return [
             f"{rate:.0f} odometry messages a second; its clock is {ahead:+.0f} ms ahead of this machine's",

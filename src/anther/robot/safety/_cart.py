@@ -42,10 +42,10 @@ class GuardedCart:
     Args:
         cart: the machine.
         limits: what no command and no reading may exceed.
-        arm, gripper: what it carries.
+        arm, gripper: what it carries; without a gripper, that tells whether it holds something, the cart stays.
     """
 
-    def __init__(self, cart: Cart, limits: CartLimits, arm: Arm, gripper: Gripper) -> None:
+    def __init__(self, cart: Cart, limits: CartLimits, arm: Arm, gripper: Gripper | None = None) -> None:
         self._cart, self._limits, self._arm, self._gripper = cart, limits, arm, gripper
         self._lock, self._mover = threading.Lock(), ""
         self._stands: Array | None = None
@@ -183,6 +183,8 @@ class GuardedCart:
         if not off <= self._limits.stowed_tolerance:
             allowed = f"allowed: <= {self._limits.stowed_tolerance:g}"
             raise StageFailure("limits_exceeded", f"the arm is {off:.3g} rad from stowed; {allowed}. Stow it first.")
+        if self._gripper is None:
+            raise StageFailure("limits_exceeded", "no gripper tells that it holds nothing: the cart stays. Connect it.")
         if self._gripper.state().is_gripping:
             raise StageFailure("limits_exceeded", "the gripper holds something. Open it before the cart moves.")
 
