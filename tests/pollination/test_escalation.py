@@ -779,3 +779,30 @@ def test_what_is_seen_along_one_direction_is_believed_of_the_others(monkeypatch:
     blind = at._replace(swings=seen._replace(std=np.full_like(seen.std, np.nan)))
     for prior, same in zip(along, update_directions(foresight, blind, 0.0, along, parts, before), strict=True):
         assert np.allclose(prior.members, same.members)
+
+
+@pytest.mark.parametrize("lie", ["none", "a picture that stands still"])
+def test_other_directions_learn_from_the_newest_observation_that_shows_the_plant(
+    shaken: Shaken, monkeypatch: pytest.MonkeyPatch, lie: str
+) -> None:
+    """From no other, and each time from what the probes taught: what is wrong in one look is wrong in the next too."""
+    used, taught, real = list[Observation](), list[list[Answer]](), escalation.update_directions
+
+    def spied(foresight: Any, seen: Observation, delay: float, along: list[Answer], *rest: Any) -> Any:
+        used.append(seen)
+        taught.append(along)
+        return real(foresight, seen, delay, along, *rest)
+
+    monkeypatch.setattr(escalation, "update_directions", spied)
+    believed = made_foresight(2, unsure=0.8)
+    world = Lying(believed, believed.vectors[3], plan=made_plan((0.002,) * 3, (0.02,) * 3, lines=8), noise=3e-5)
+    world.plan, world.share, world.since = replace(world.plan, press=1000.0), LIES.get(lie, 1.0), 4
+    watched = shaken(world)
+    assert len(used) >= 2
+    proven = {seen.number for seen in watched._proven_observations}
+    assert {seen.number for seen in used} <= proven
+    assert lie != "none" or len(proven) == len(watched.steps)
+    probes = [id(answer) for answers in watched._probe_answers for answer in answers]
+    shakes = [tuple(seen.direction) + tuple(seen.frequency_indices) for seen in used]
+    for along, shake in zip(taught, shakes, strict=True):
+        assert all(id(answer) in probes for answer in along) or shake != shakes[0]

@@ -17,8 +17,9 @@ from anther.core.errors import InputError, StageFailure
 from anther.core.geometry import Array
 from anther.robot.arm import sawyer
 from anther.robot.cart_testing import CART_CHECKS, CartRig
+from anther.robot.cells.hardware import guarded_arm
 from anther.robot.devices import CartLimits, DeviceError, JointTrajectory, Robot
-from anther.robot.safety import guard
+from anther.robot.safety import GuardedArm, GuardedCart, guard
 
 STOWED = sawyer.NEUTRAL
 CART = CartLimits(np.array([0.0, 0.0]), np.array([100.0, 2.0]), STOWED, stale_after=0.05)
@@ -198,3 +199,25 @@ def test_a_cart_without_limits_is_refused() -> None:
     robot = Robot(FakeArm(), FakeGripper(), None, cart=FakeCart())  # type: ignore[arg-type]
     with pytest.raises(InputError, match="CartLimits"):
         guard(robot, LIMITS)
+
+
+def test_an_arm_that_is_connected_alone_asks_the_cart_of_its_cell_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As `anther cell jog` and `anther calibrate` do."""
+    cart, arm, kept = FakeCart(), FakeArm(), list[Any]()
+    file: Any = SimpleNamespace(
+        cart="rails", connect=lambda part, arm: cart, safety_limits=lambda: LIMITS, cart_limits=lambda: CART
+    )
+    alone = guarded_arm(file, arm, lambda machine: kept.append(machine) or machine)
+    alone.follow(short_way())
+    assert kept == [cart]
+    cart.is_moving = True
+    with pytest.raises(DeviceError, match="moves although nobody sent it"):
+        alone.follow(short_way(arm.joints()))
+    assert arm.done == 1
+    file.cart = None
+    assert isinstance(guarded_arm(file, arm, kept.append), GuardedArm)
+
+
+def test_a_cart_stays_where_no_gripper_tells_that_it_holds_nothing() -> None:
+    with pytest.raises(StageFailure, match="no gripper"):
+        GuardedCart(FakeCart(), CART, FakeArm()).move(FURTHER)

@@ -31,6 +31,7 @@ from anther.robot.cart_testing import CART_CHECKS, CartRig
 from anther.robot.cells import _parts, read_cell
 from anther.robot.devices import Cart, CartLimits, DeviceError, Robot
 from anther.robot.drivers import ros2
+from anther.robot.drivers._rails import Odometry
 from anther.robot.drivers.ros2_cart import LATE, VelocityCart
 from anther.robot.safety import guard
 
@@ -543,3 +544,16 @@ def test_a_process_that_is_paused_killed_or_interrupted_leaves_a_cart_that_stand
     time.sleep(1.5)
     assert abs(real.v) < 1e-9
     assert LATE < TIMEOUT
+
+
+@pytest.mark.parametrize(("rocking", "stands"), [(0.0002, True), (0.002, False)])
+def test_a_cart_that_is_rocked_a_little_by_its_arm_stands(rocking: float, stands: bool) -> None:
+    """At 10 Hz 0.2 mm are 13 mm/s, and go nowhere."""
+    odometry, stamp, name = Odometry("x", 0.0, 0.5, lambda: 100.0 + stamp), 0.0, SimpleNamespace
+    for stamp in np.arange(0.0, 1.0, 0.02).tolist():
+        phase = 2 * np.pi * 10 * stamp
+        place, speed = 2.0 + rocking * np.sin(phase), rocking * 2 * np.pi * 10 * np.cos(phase)
+        pose, twist = name(pose=name(position=name(x=place))), name(twist=name(linear=name(x=speed)))
+        header = name(stamp=name(sec=0, nanosec=round(1e9 * stamp)))
+        odometry.receive(name(header=header, pose=pose, twist=twist))
+    assert odometry.stands(0.003) == stands

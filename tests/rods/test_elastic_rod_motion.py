@@ -384,3 +384,10 @@ def test_many_in_threads_are_bit_for_bit_each_alone():
         alone = simulate(rods, Clamp.root(rods), shake, 0.1, 1e-3)
         np.testing.assert_array_equal(run.result().positions, alone.positions)
         np.testing.assert_array_equal(run.result().grip_force, alone.grip_force)
+
+
+def test_a_step_that_went_too_far_goes_back_half_of_what_it_went():
+    """Coarse steps of a stiff rod: a line search that goes back by more spends half as many iterations again."""
+    rods = cantilever(6, length=0.5, youngs=1e9)
+    found = simulate(rods, Clamp.root(rods), None, 2.0, 0.5, start="scanned")
+    assert found.newton_iterations < 2500  # 1,920; 3,104 by going back by what the step would have been unclamped

@@ -265,3 +265,16 @@ def test_a_plant_that_is_held_is_stepped_finely_and_is_damped_less_for_it(
     assert len(record.times) == pytest.approx((cell.time - before) / cell.params.timestep), "a row for each outer step"
     whole = cell.model.dof_damping[cell.mechanics.dofs].sum()
     assert (damping[0] < 0.9 * whole) == held
+
+
+def test_a_log_that_is_begun_anew_knows_nothing_of_before() -> None:
+    cell = Cell(straight_plant())
+    idle(cell, 0.1)
+    cell.forget()
+    begun = cell.time
+    assert cell.log().times.tolist() == [begun]
+    idle(cell, 0.05)
+    log = cell.log()
+    assert log.times[0] == begun
+    assert log.times[-1] == pytest.approx(cell.time)
+    assert np.all(log.contact_sample < len(log.times))
