@@ -20,7 +20,7 @@ from anther.rods import (
     with_gravity_equilibrium,
 )
 from anther.rods._assembly import assemble, assemble_edges, new_blocks
-from anther.rods._equilibrium import by_edges, to_nodes
+from anther.rods._equilibrium import by_edges, sum_along
 from anther.rods._linear import dense
 from anther.rods._model import build_model
 from anther.rods._simulation import _refuse_free_energy
@@ -129,7 +129,7 @@ def test_the_stiffness_by_edges_is_that_by_nodes(planted):
     assemble_edges(model, x, x, frames, np.zeros((n, 4)), 0.0, by_edge)
     moves = np.eye(4 * n).reshape(-1, n, 4)
     for move in moves:
-        to_nodes(rods.parent, move)
+        sum_along(rods.parent, move, True)
     change = moves.reshape(-1, 4 * n)
     wanted, found = change @ dense(model, by_node) @ change.T, dense(by_edges(model), by_edge)
     np.testing.assert_allclose(found[4:, 4:], wanted[4:, 4:], atol=1e-12 * np.abs(found).max())

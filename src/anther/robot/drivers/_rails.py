@@ -102,15 +102,14 @@ class Odometry:
     def stands(self, tolerance: float, since: float = -np.inf) -> bool:
         """Return whether it stayed within half of `tolerance` [m] for `STOOD`, by readings not older than `since` [s].
 
-        What it is carried by may rock it, so that its speed of a moment does not count. False, too, where there are not
-        enough readings to tell.
+        Its speed counts on average: the arm on it may rock it. False, too, where there are not enough readings to tell.
         """
         rows = [r for r in self.recent if r.time >= since]
         first = next((i for i in reversed(range(len(rows))) if rows[i].time <= rows[-1].time - STOOD), None)
         if first is None:
             return False
-        places = [r.place for r in rows[first:]]
-        return max(places) - min(places) <= tolerance / 2
+        places, speeds = zip(*((r.place, r.speed) for r in rows[first:]), strict=True)
+        return max(places) - min(places) <= tolerance / 2 and abs(float(np.mean(speeds))) <= tolerance / STOOD
 
 
 class Sent:
