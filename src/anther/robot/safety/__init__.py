@@ -53,6 +53,7 @@ from anther.robot.swing import Swing
 
 __all__ = [
     "IDLE",
+    "CarriedArm",
     "GuardedArm",
     "GuardedCamera",
     "GuardedCart",
