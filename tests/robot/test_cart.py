@@ -201,7 +201,7 @@ def test_a_cart_without_limits_is_refused() -> None:
         guard(robot, LIMITS)
 
 
-def test_an_arm_that_is_connected_alone_asks_the_cart_of_its_cell_too(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_arm_that_is_connected_alone_asks_the_cart_of_its_cell_too() -> None:
     """As `anther cell jog` and `anther calibrate` do."""
     cart, arm, kept = FakeCart(), FakeArm(), list[Any]()
     file: Any = SimpleNamespace(

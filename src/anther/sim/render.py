@@ -307,13 +307,17 @@ class Scene:
         return new
 
     def render(
-        self, intrinsics: Intrinsics, T_world_cam: ArrayLike, but: Image | None = None, only: Any = None
+        self,
+        intrinsics: Intrinsics,
+        T_world_cam: ArrayLike,
+        base: Image | None = None,
+        only: NDArray[np.bool_] | None = None,
     ) -> Image:
-        """Return the image of a camera at T_world_cam; `but` for the pixels `only` (H, W) it is that image."""
-        if but is None:
+        """Return the image of a camera at T_world_cam, or a `base` image of which the pixels `only` (H, W) are new."""
+        if base is None:
             return self._look(intrinsics, T_world_cam)[0]
         seen, _ = self._look(intrinsics, T_world_cam, only)
-        whole = [part.copy() for part in (but.rgb, but.depth, but.organ)]
+        whole = [part.copy() for part in (base.rgb, base.depth, base.organ)]
         for part, new in zip(whole, (seen.rgb, seen.depth, seen.organ), strict=True):
             part[only] = new
         return Image(*whole)

@@ -108,10 +108,8 @@ def _numbered(part: NDArray[np.bool_]) -> NDArray[np.int32]:
 
 def _large_parts(part: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
     """Return the connected components of `part` (X, Y, Z) with at least `least` cells."""
-    number = _numbered(part)[part]
-    large = np.zeros_like(part)
-    large[part] = (np.bincount(number) >= least)[number]
-    return large
+    number = _numbered(part)
+    return _of_components(part, number, np.bincount(number[part]) >= least)
 
 
 def _parts_near(
@@ -127,9 +125,14 @@ def _parts_near(
     kept = np.zeros(len(sizes) + 1, dtype=bool)
     kept[number[part & dilated(plant, max(1, round(distance / voxel)))]] = True
     kept[1:] &= np.multiply(sizes, voxel) <= extent + voxel
-    near = np.zeros_like(part)
-    near[part] = kept[number[part]]
-    return near
+    return _of_components(part, number, kept)
+
+
+def _of_components(part: NDArray[np.bool_], number: NDArray[np.int32], kept: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the cells of `part` in components, `_numbered`, that are `kept`, by their number; the rest is not read."""
+    found = np.zeros_like(part)
+    found[part] = kept[number[part]]
+    return found
 
 
 def dilated(part: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
