@@ -44,6 +44,9 @@ from anther.plant.model import TOMATO
 from anther.show.serve import charts, make_app
 
 NOW = datetime.now(UTC).replace(microsecond=0)
+# the day of the served visits, all about its noon: no midnight can part them from each other or from the tests
+NOON = NOW.replace(hour=12, minute=0, second=0) - timedelta(days=1)
+DAY = NOON.date()
 TOKEN = "a token of the house"
 EVIL = "<script>alert('row')</script>"
 
@@ -163,7 +166,7 @@ def test_the_house_by_rows_and_hooks(where: str, tmp_path: Path) -> None:
     pages = client(where, tmp_path)
     assert "No house has a map" in text_of(pages.get("/house").text)
     plants = house_of(where)
-    page = pages.get("/house").text
+    page = pages.get(f"/house?day={NOW.date()}").text
     assert EVIL not in page, "names are text"
     cells = re.findall(r'<a href="/plants/(\d+)" class="(\w+)" title', page)
     assert [state for _, state in cells] == ["pollinated", "held", "failed", "left", *["waiting"] * 4]
@@ -172,7 +175,7 @@ def test_the_house_by_rows_and_hooks(where: str, tmp_path: Path) -> None:
     for part in ("1 pollinated", "1 of 8, 1 ✗", "0 of 8", "failed: slipped", "held, flowers hardly moved",
                  f"dosed on {(NOW - timedelta(hours=24)).date()}", "12 waiting"):  # fmt: skip
         assert part in said, part
-    other = pages.get("/house?row=2").text
+    other = pages.get(f"/house?row=2&day={NOW.date()}").text
     assert re.findall(r'class="(\w+)" title', other) == ["waiting"] * 8
     yesterday = pages.get(f"/house?day={(NOW - timedelta(hours=24)).date()}").text
     assert re.findall(r'class="(\w+)" title', yesterday) == ["none"] * 3 + ["pollinated"] + ["none"] * 4
@@ -394,10 +397,11 @@ def test_charts_stay_within_their_box() -> None:
 
 @contextmanager
 def serving(folder: Path) -> Iterator[str]:
-    """Yield the address of `anther history serve` in a process of its own, with 61 visits of today."""
-    record_trial(visit("row 1"), folder / "h.sqlite")
+    """Yield the address of `anther history serve` in a process of its own, with 61 visits of `DAY`."""
+    noon = (NOW - NOON) / timedelta(hours=1)
+    record_trial(visit("row 1", noon), folder / "h.sqlite")
     for k in range(60):
-        record_trial(visit(f"row {k}, {EVIL}", k / 3600, flowers_moved=k % 3 > 0), folder / "h.sqlite")
+        record_trial(visit(f"row {k}, {EVIL}", noon + k / 3600, flowers_moved=k % 3 > 0), folder / "h.sqlite")
     (folder / "token").write_text(TOKEN)
     words = [
         "history",

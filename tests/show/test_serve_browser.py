@@ -8,15 +8,17 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from test_serve import EVIL, TOKEN, serving
+from test_serve import DAY, EVIL, TOKEN, serving
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium: apt install chromium")
+VISITS = f"/?day={DAY}"
 PAGES = (
     "/",
+    VISITS,
     "/house",
-    "/?result=failed",
+    f"{VISITS}&result=failed",
     "/trends",
     "/robots",
     "/plants",
@@ -74,7 +76,7 @@ def test_every_page_fits_and_asks_nobody_else(page: Any, running: str) -> None:
 
 def test_what_is_in_sight_on_a_phone_is_whole(page: Any) -> None:
     """No cell reaches over its table's edge, and no two cells of a row lie on each other."""
-    page.goto("/")
+    page.goto(VISITS)
     overlaps = page.evaluate(
         """() => [...document.querySelectorAll('table.visits tbody tr')].filter(row => {
              const boxes = [...row.children].map(cell => cell.getBoundingClientRect());
@@ -88,7 +90,7 @@ def test_what_is_in_sight_on_a_phone_is_whole(page: Any) -> None:
 
 def test_no_word_of_a_visit_is_torn(page: Any) -> None:
     """The longest result beside a plant's label: each in four lines at most, the time in one."""
-    page.goto("/")
+    page.goto(VISITS)
     row = page.locator("table.visits tbody tr", has_text="held, flowers hardly moved").first
     cells = row.locator("td").all()
     assert max(cell.bounding_box()["height"] for cell in cells) < 5 * 24, "pixels of a line"
@@ -96,7 +98,7 @@ def test_no_word_of_a_visit_is_torn(page: Any) -> None:
 
 
 def test_earlier_visits_are_added_without_a_new_page(page: Any) -> None:
-    page.goto("/")
+    page.goto(VISITS)
     rows = page.locator("table.visits tbody tr:not(#more)")
     playwright.expect(rows).to_have_count(50)
     page.get_by_text("Earlier visits").click()
