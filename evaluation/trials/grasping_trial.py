@@ -221,7 +221,8 @@ def paper_plan(cell: SimulatedCell, seen: Seen, material: Material) -> tuple[Pla
     grasp = paper_grasp(seen.stem, seen.skeleton, params.grasp, planner.reach)
     rods = model_plant(seen, material, params)
     limit = lambda at, direction, frequencies: planner.shake_limit(at.joints, direction, frequencies)  # noqa: E731
-    shake = plan_shake(rods, [grasp], arm_shaker(limit), replace(params.shake, least_amplitude=LEAST_SHAKE))
+    delivers = lambda at, directions, frequencies: planner.delivered(at.joints, directions, frequencies)  # noqa: E731
+    shake = plan_shake(rods, [grasp], arm_shaker(limit, delivers), replace(params.shake, least_amplitude=LEAST_SHAKE))
     return planner, shake, rods.material
 
 

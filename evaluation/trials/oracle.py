@@ -246,7 +246,11 @@ def reach(actuator: Actuator, point: Array, directions: Array, tones: Array) -> 
     grasp = cast(Grasp, SimpleNamespace(approach=along / np.linalg.norm(along)))
     most = np.stack([actuator.amplitude(grasp, direction, tones) for direction in directions], axis=1)
     most = np.minimum(most, np.minimum(Params().most_amplitude, MOST_SPEED / (2 * np.pi * tones))[:, None])
-    return most * np.exp(actuator.delivers(tones)[0])[:, None]
+    if actuator.closing:
+        return most
+    # ln of what an arm's grip does over its command: 12 simulated Sawyers that hold nothing
+    does = np.interp(np.log(tones), np.log([3.0, 7.0, 12.0, 17.0, 23.5, 31.0]), [0.15, 0.23, 0.13, 0.01, -0.26, -0.58])
+    return np.asarray(most * np.exp(does)[:, None])
 
 
 def friction(truth: Truth, radius: float) -> float:

@@ -26,6 +26,7 @@ from anther.plant.limits import like_breeze
 from anther.plant.source import Properties, SourcePlant, read_plant
 from anther.pollination.grasp import Grasp, load_grasps
 from anther.pollination.shake import (
+    ANY_ARM,
     VIBRATING_GRIPPER,
     Actuator,
     Params,
@@ -131,7 +132,15 @@ def _actuator(args: Args, arm: str) -> Actuator:
 
         return shake_limit(find_arm(arm), grasp.joints, direction, frequencies)
 
-    return arm_shaker(limit)
+    def delivers(grasp: Grasp, directions: Array, frequencies: Array) -> tuple[Array, Array]:
+        if grasp.joints is None:
+            return ANY_ARM(grasp, directions, frequencies)
+        from anther.robot.arm.arms import find_arm
+        from anther.robot.arm.compliance import delivered
+
+        return delivered(find_arm(arm), grasp.joints, directions, frequencies)
+
+    return arm_shaker(limit, delivers)
 
 
 def _params(args: Args) -> Params:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -282,8 +283,12 @@ def _shaken(
         assert at.joints is not None
         return np.minimum(planner.shake_limit(at.joints, direction, hertz), shake_amplitude(hertz, cell.limits))
 
+    def arm_delivers(at: Grasp, directions: Array, hertz: Array) -> tuple[Array, Array]:
+        assert at.joints is not None
+        return planner.delivered(at.joints, directions, hertz)
+
     by_arm = params.actuator == "arm"
-    actuator = shake.arm_shaker(arm_limit) if by_arm else shake.VIBRATING_GRIPPER
+    actuator = shake.arm_shaker(arm_limit, arm_delivers) if by_arm else shake.VIBRATING_GRIPPER
     robot, pressing = replace(cell.robot, motor=None) if by_arm else cell.robot, cell.limits.pressing
 
     slack = 0.6  # a grasp whose score is lower than the best's by more is tried when the better ones failed
@@ -301,7 +306,7 @@ def _shaken(
             run.note_attempt(f"{len(offered)} grasps left: {failure}")
             grasps = grasps[len(offered) :]
             continue
-        way = _watching(cell, rods, plan, seen, params)
+        way = _watching(cell, planner, rods, plan, seen, params)
         watched, alone = (None, way) if isinstance(way, str) else (way, None)
         if watched is None and not by_arm:
             why = "a motor shakes only what a side camera watches, and flowers it knows."
@@ -335,7 +340,9 @@ def _progress(run: Run, advance: Advance) -> execution.Progress:
     return begins
 
 
-def _watching(cell: Cell, rods: PlantModel, plan: ShakePlan, seen: Seen, params: Params) -> Escalation | str:
+def _watching(
+    cell: Cell, planner: MotionPlanner, rods: PlantModel, plan: ShakePlan, seen: Seen, params: Params
+) -> Escalation | str:
     """Return what raises the shake by what the side camera sees; where it cannot, why not."""
     camera, pose = cell.robot.side_camera, cell.robot.T_world_side_camera
     seconds = min(params.escalation.most_seconds, cell.limits.shake_duration)
@@ -348,7 +355,7 @@ def _watching(cell: Cell, rods: PlantModel, plan: ShakePlan, seen: Seen, params:
         return f"the cell's shake_duration is less than the {SHORTEST:g} s that watching takes"
     if not len(seen.flowers.positions):
         return "no flower was found that could be watched"
-    points = watch_points(rods)
+    points, joints = watch_points(rods), plan.grasp.joints
     pressing = float(cell.limits.pressing.most(plan.grasp.stem_diameter))
     return Escalation(
         replace(plan, press=max(plan.press, pressing)),
@@ -356,7 +363,7 @@ def _watching(cell: Cell, rods: PlantModel, plan: ShakePlan, seen: Seen, params:
         seen.flowers.positions,
         rods.rods.nodes[points],
         camera=(camera.intrinsics, pose),
-        middle=plan.grasp.carried(cell.limits.forward) if params.actuator == "arm" else None,
+        grip=partial(planner.grip_motion, joints) if params.actuator == "arm" and joints is not None else None,
         limits=params.shake,
         params=replace(params.escalation, most_seconds=seconds),
     )

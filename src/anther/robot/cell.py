@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 from anther.core.geometry import Array, Box
 from anther.core.runs import Advance
@@ -39,6 +39,16 @@ class MotionPlanner(TrajectoryPlanner, Protocol):
 
     def shake_limit(self, q: Array, direction: Array, frequencies: Array) -> Array:
         """Return the largest amplitude (Q,) [m] the arm manages about joints (J,) [rad]."""
+        ...
+
+    def delivered(self, q: Array, directions: Array, frequencies: Array) -> tuple[Array, Array]:
+        """Return mean and standard deviation (Q, D) of ln of what the grip does over what is commanded about joints
+        (J,) [rad], along directions (D, 3)."""
+        ...
+
+    def grip_motion(self, q: Array, motors: Any, frequencies: Array, deviates: Array) -> Any:
+        """Return (S, Q, 3) phasors of the grip, world [m], that phasors of the motors (Q, J) [rad] cause about joints
+        (J,) [rad], at so many standard deviations (S,) off what is believed of the joints' stiffness."""
         ...
 
 

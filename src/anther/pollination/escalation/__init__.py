@@ -5,7 +5,7 @@ F flowers, P visible plant points, R arm readings, N candidate shakes (one frequ
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from time import perf_counter
 from typing import NamedTuple
@@ -17,19 +17,22 @@ from anther.core.geometry import Array, Intrinsics
 from anther.pollination.decision import WorthCurve, believed, interval
 from anther.pollination.escalation._foresight import Foresight, foresee, watch_points
 from anther.pollination.escalation._knowledge import (
+    DELAYS,
+    DEVIATES,
     Answer,
+    Arm,
+    GripMotion,
     Observation,
     Prediction,
-    correct_for_links,
     extrapolate_growth,
-    fit_camera_delay,
-    fit_gripper_motion,
+    fit_motors,
     predict,
     prior_answer,
     shows_plant,
     sum_answers,
     update_answer,
     update_directions,
+    weigh_arms,
 )
 from anther.pollination.escalation._option import SHORTEST, WORDS, Option, Params, limits_of
 from anther.pollination.execution import ShakeDirection, Step
@@ -82,8 +85,7 @@ class Escalation:
         flowers: (F, 3) at rest, world [m].
         points: (P, 3) other plant points at rest, those of `foresee`, world [m].
         camera: intrinsics and T_world_cam (4, 4) of the side camera.
-        middle: joints (R, J) -> (R, 3) grip position from the arm's own readings, world [m]; None: a motor moves the
-            pads exactly as commanded.
+        grip: what the arm's motors do to the grip; None: a motor moves the pads exactly as commanded.
         limits: parameters of the shake plan.
         params: see `Params`.
     """
@@ -98,18 +100,14 @@ class Escalation:
         points: Array,
         *,
         camera: tuple[Intrinsics, Array],
-        middle: Callable[[Array], Array] | None,
+        grip: GripMotion | None,
         limits: Limits,
         params: Params = DEFAULTS,
     ) -> None:
         self.plan, self.params = plan, params
         self.steps: tuple[Step, ...] = ()
-        self._foresight, self._rest_points, self._camera, self._grip_position = (
-            foresight,
-            (flowers, points),
-            camera,
-            middle,
-        )
+        self._foresight, self._rest_points, self._camera = foresight, (flowers, points), camera
+        self._arm = None if grip is None else Arm(grip)
         tones = plan.tones
         self._frequency_index, self._direction_index = (part.ravel() for part in np.indices(tones.reach.shape))
         self._frequencies = tones.frequencies[self._frequency_index]
@@ -162,14 +160,15 @@ class Escalation:
         """Return the next piece, chosen from the observation of the current one; the last piece ends at rest."""
         started, steady = perf_counter(), [s for s in samples if s.time >= samples[0].time + self.steady_from(piece)]
         self._piece = piece
-        observation = self._observe(frames, steady, samples[0].time)
+        observation, arm = self._observe(frames, steady, samples[0].time), self._arm
         if not self.steps:
             self._visible_count = observation.followed
-        if not any(self._proofs) and observation.followed:
-            self._camera_delay = fit_camera_delay(self._foresight, observation)
+        if observation.followed and (self._probing or not any(self._proofs)):
+            observation, arm = self._fit_clock_and_arm(observation, steady)
         self._proofs.append(shows_plant(self._foresight, observation, self._camera_delay, self._proven_observations))
         if self._proofs[-1]:
             self._proven_observations.append(observation)
+            self._arm = arm
         active = np.flatnonzero(piece.amplitudes).tolist()
         before = [self._options[n].prediction for n in active] if self._options else [None] * len(active)
         if self._probing and not self._proofs[-1]:
@@ -272,15 +271,32 @@ class Escalation:
         piece, active = self._piece, np.flatnonzero(self._piece.amplitudes)
         direction, tones = self.plan.tones.directions[self._direction_index[active[0]]], piece.frequencies[active]
         commanded = np.asarray(piece.amplitudes[active] * np.exp(-2j * np.pi * tones * begin), dtype=np.complex128)
-        if self._grip_position is None:
-            gripper, doubt = np.asarray(commanded[:, None] * direction, dtype=np.complex128), np.zeros(len(tones))
+        if self._arm is None:
+            gripper = np.asarray(commanded[None, :, None] * direction, dtype=np.complex128)
         else:
-            gripper, doubt = correct_for_links(fit_gripper_motion(steady, self._grip_position, tones), tones)
+            gripper = self._arm.drawn(fit_motors(steady, tones), tones, len(self._foresight.vectors))
         expected = None
         if self._options:
             expected = np.stack([c * self._options[n].prediction.phasors for c, n in zip(commanded, active)], axis=1)  # noqa: B905
         seen = extrapolate_growth(swings(self._sight, frames, tones, expected), float(tones[0]))
-        return Observation(self._frequency_index[active], direction, commanded, gripper, doubt, seen, len(self.steps))
+        return Observation(self._frequency_index[active], direction, commanded, gripper, seen, len(self.steps))
+
+    def _fit_clock_and_arm(
+        self, observation: Observation, steady: Sequence[ArmSample]
+    ) -> tuple[Observation, Arm | None]:
+        """Fit the camera's delay, if nothing has shown the plant yet, and the arm's joints to an observation."""
+        delays = np.array([self._camera_delay]) if any(self._proofs) else DELAYS
+        if self._arm is None:
+            odds = weigh_arms(self._foresight, observation, observation.gripper, delays)
+            self._camera_delay = float(delays[odds[0].argmax()])
+            return observation, None
+        tones = self._foresight.frequencies[observation.frequency_indices]
+        motors = fit_motors(steady, tones)
+        arms = self._arm.grip(motors, tones, DEVIATES)
+        odds = self._arm.odds[:, None] + weigh_arms(self._foresight, observation, arms, delays)
+        best = int(np.logaddexp.reduce(odds, axis=0).argmax())
+        self._camera_delay, arm = float(delays[best]), self._arm._replace(odds=odds[:, best])
+        return observation._replace(gripper=arm.drawn(motors, tones, len(self._foresight.vectors))), arm
 
     def _predict(self, shake: int, answer: Answer) -> Prediction:
         return predict(self._foresight, float(self._frequencies[shake]), answer, self._camera_delay)

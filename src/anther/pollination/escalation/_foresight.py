@@ -137,11 +137,17 @@ def update_members(
 
 def misfit(members: ComplexArray, motion: ComplexArray, std: Array, axes: Array) -> float:
     """Return -ln likelihood of the observation of one shake, up to a constant; arguments as of `update_members`."""
+    return float(misfits(members, motion, std, axes, np.ones(1, np.complex128))[0])
+
+
+def misfits(members: ComplexArray, motion: ComplexArray, std: Array, axes: Array, turns: ComplexArray) -> Array:
+    """Return (L,) the same of the observed motion times each of the `turns` (L,), of absolute value 1."""
     misses, spread, gram, noise = _innovations(members, motion, std, axes)
-    miss = misses.mean(axis=0)
-    explained = np.linalg.solve(gram, spread.conj() @ miss) @ spread
-    fit = float(np.vdot(miss, miss - explained).real)
-    return fit + float(np.linalg.slogdet(gram)[1]) + 2 * float(np.sum(np.log(noise)))
+    shown = motion[np.isfinite(std)] / noise
+    miss = turns[:, None] * shown - (shown - misses.mean(axis=0))
+    explained = np.linalg.solve(gram, spread.conj() @ miss.T).T @ spread
+    fit = np.sum(miss.conj() * (miss - explained), axis=1).real
+    return np.asarray(fit + np.linalg.slogdet(gram)[1] + 2 * np.sum(np.log(noise)))
 
 
 def evidence(members: ComplexArray, motion: ComplexArray, std: Array, axes: Array) -> float:

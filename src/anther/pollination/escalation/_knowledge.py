@@ -22,7 +22,7 @@ from anther.pollination.escalation._foresight import (
     Foresight,
     evidence,
     flowers_stand_still,
-    misfit,
+    misfits,
     repeats_motion,
     update_members,
 )
@@ -66,8 +66,7 @@ class Observation(NamedTuple):
         frequency_indices: (K,) into `Foresight.frequencies`.
         direction: (3,) unit, world.
         commanded: (K,) phasors along the direction [m].
-        gripper: (K, 3) phasors of the gripper's true motion, world [m]; a compliant arm deviates from its command.
-        doubt: (K,) standard deviation of `gripper`, relative to `commanded`.
+        gripper: (M, K, 3) phasors of the gripper's motion, world [m], by member, or the same for all (1, K, 3).
         swings: of flowers and points.
         number: of the observation within the shake.
     """
@@ -76,7 +75,6 @@ class Observation(NamedTuple):
     direction: Array
     commanded: ComplexArray
     gripper: ComplexArray
-    doubt: Array
     swings: Swings
     number: int = 0
 
@@ -123,18 +121,26 @@ def extrapolate_growth(swings: Swings, hertz: float) -> Swings:
     return swings._replace(phasors=times * swings.phasors, std=times * swings.std, overtones=times * swings.overtones)
 
 
-def fit_camera_delay(foresight: Foresight, observation: Observation) -> float:
-    """Return the delay of the camera's clock [s]: the one of -5 to 45 ms that the members explain best."""
-    members = [_predict_members(foresight, observation, i) for i in range(len(observation.frequency_indices))]
-    delays = np.arange(-0.005, 0.0451, 0.0025)  # s, of the camera's clock against the robot's
-    off = [
-        sum(
-            misfit(m, *_align_phase(foresight, observation, i, delay), observation.swings.axes)
-            for i, m in enumerate(members)
-        )
-        for delay in delays
-    ]
-    return float(delays[int(np.argmin(off))])
+DELAYS = np.arange(-0.005, 0.0451, 0.0025)
+"""Of the camera's clock against the robot's [s], that are compared."""
+
+
+def weigh_arms(foresight: Foresight, observation: Observation, arms: ComplexArray, delays: Array) -> Array:
+    """Return ln of how likely an observation is (A, L), up to a constant.
+
+    Args:
+        foresight: prior responses of the members.
+        observation: of flowers and points.
+        arms: (A, K, 3) what the gripper may have done [m], in place of what the observation says.
+        delays: (L,) of the camera's clock [s].
+    """
+    odds = np.zeros((len(arms), len(delays)))
+    for i, k in enumerate(observation.frequency_indices.tolist()):
+        motion, std = _align_phase(foresight, observation, i, 0.0)
+        turns = np.exp(2j * np.pi * foresight.frequencies[k] * delays)
+        for a, moved in enumerate(arms[:, i] / observation.commanded[i]):
+            odds[a] -= misfits(foresight.of(k, moved), motion, std, observation.swings.axes, turns)
+    return odds
 
 
 def shows_plant(
@@ -177,7 +183,7 @@ def _repeats_earlier(
         )
         for i, j in alike:
             hertz = float(foresight.frequencies[observation.frequency_indices[i]])
-            raised = float(np.linalg.norm(observation.gripper[i]) / np.linalg.norm(last.gripper[j]))
+            raised = float(np.linalg.norm(observation.gripper[:, i]) / np.linalg.norm(last.gripper[:, j]))
             changing = float(np.hypot(predict_growth(observation.swings, hertz), predict_growth(last.swings, hertz)))
             if repeats_motion(moved(observation, i), moved(last, j), raised, changing):
                 return True
@@ -339,10 +345,9 @@ def _infer_depth_motion(members: ComplexArray, across: ComplexArray) -> ComplexA
 
 
 def _predict_members(foresight: Foresight, observation: Observation, i: int) -> ComplexArray:
-    """Return (M, S, 3) predicted responses per metre commanded; each member has its own gripper error."""
+    """Return (M, S, 3) predicted responses per metre commanded; each member has its own gripper motion."""
     tone = int(observation.frequency_indices[i])
-    error = draw_gripper_errors(len(foresight.vectors), observation.direction, tone)
-    return foresight.of(tone, observation.gripper[i] / observation.commanded[i] + observation.doubt[i] * error)
+    return foresight.of(tone, observation.gripper[:, i] / observation.commanded[i])
 
 
 def _align_phase(foresight: Foresight, observation: Observation, i: int, delay: float) -> tuple[ComplexArray, Array]:
@@ -374,54 +379,50 @@ def measure_sharpness(swings: Swings, own: slice) -> Array:
     return np.divide(whole, sine, out=np.ones(len(tone)), where=sine > 0)
 
 
-ARM_MODE, ARM_ERROR = 28.0, 0.6
-"""Compliance of the links: the gripper moves 1 / (1 - (f / `ARM_MODE` [Hz])^2) times as far as the motors read, with a
-relative error of `ARM_ERROR` (f / `FAST`)^3 (evaluation/trials/arm_readings.py)."""
+GripMotion = Callable[[ComplexArray, Array, Array], ComplexArray]
+"""(phasors of the motors (K, J) [rad], frequencies (K,) [Hz], deviates (A,)) -> (A, K, 3) phasors of the grip [m].
+
+An arm reads its motors, not its links: what the grip does hangs on how stiff its joints are. They are so many standard
+deviations off what is believed of them."""
+
+DEVIATES = np.linspace(-2.5, 2.5, 21)
+"""Of the joints, that are compared."""
 
 
-def fit_gripper_motion(
-    samples: Sequence[ArmSample], middle: Callable[[Array], Array], frequencies: Array
-) -> ComplexArray:
-    """Fit the gripper's motion to the arm's readings: (K, 3) phasors, world, on the robot's clock [m].
+class Arm(NamedTuple):
+    """What is believed of an arm's joints.
+
+    Attributes:
+        grip: see `GripMotion`.
+        odds: (A,) ln of how likely each of `DEVIATES` is, up to a constant.
+    """
+
+    grip: GripMotion
+    odds: Array = -(DEVIATES**2) / 2
+
+    def drawn(self, motors: ComplexArray, frequencies: Array, count: int) -> ComplexArray:
+        """Return (count, K, 3) phasors of the grip for joints that are as likely as is believed."""
+        apart = 0.15  # springs are not all off by the same, nor is the arm's model exact: a guess
+        near = np.exp(-(((DEVIATES[:, None] - DEVIATES) / apart) ** 2) / 2)
+        share = near / near.sum(axis=0) @ np.exp(self.odds - self.odds.max())
+        below = np.append(0.0, np.cumsum(share) / share.sum())
+        half = (DEVIATES[1] - DEVIATES[0]) / 2
+        even = np.interp((np.arange(count) + 0.5) / count, below, np.append(DEVIATES - half, DEVIATES[-1] + half))
+        return self.grip(motors, frequencies, np.random.default_rng(0).permutation(even))
+
+
+def fit_motors(samples: Sequence[ArmSample], frequencies: Array) -> ComplexArray:
+    """Fit the motors' swings to the arm's readings: (K, J) phasors on the robot's clock [rad].
 
     Args:
         samples: of the arm during the steady shake.
-        middle: joints (R, J) -> (R, 3) grip position, world [m].
         frequencies: (K,) [Hz].
     """
     times = np.array([s.time for s in samples])
-    places = middle(np.array([s.measured for s in samples]))
+    places = np.array([s.measured for s in samples])
     phase = 2 * np.pi * times[:, None] * frequencies
     basis = np.column_stack([np.sin(phase), np.cos(phase), np.ones_like(times), times - times.mean()])
     parts = np.linalg.solve(basis.T @ basis + 1e-12 * np.eye(basis.shape[1]), basis.T @ places)
     return np.asarray(
         parts[: len(frequencies)] + 1j * parts[len(frequencies) : 2 * len(frequencies)], dtype=np.complex128
     )
-
-
-def correct_for_links(readings: ComplexArray, frequencies: Array) -> tuple[ComplexArray, Array]:
-    """Return the gripper's motion, (K, 3) phasors [m], and `Observation.doubt` from the motors' readings.
-
-    Towards the modes of the links the readings say little of the gripper, and the estimate falls back to the prior.
-
-    Args:
-        readings: (K, 3) phasors of the gripper for rigid links [m].
-        frequencies: (K,) [Hz].
-    """
-    error = ARM_ERROR * (frequencies / FAST) ** 3
-    follows = 0.9  # prior of the arm's motion over its command, at any phase (evaluation/trials/arm_readings.py)
-    weight = follows**2 / (follows**2 + error**2)
-    beyond = 1 / (1 - np.minimum(frequencies / ARM_MODE, 0.7) ** 2)  # nearer to the mode readings count for little
-    return readings * (weight * beyond)[:, None], error * np.sqrt(weight)
-
-
-def draw_gripper_errors(count: int, direction: Array, tone: int) -> ComplexArray:
-    """Return (M, 3) errors of the gripper's motion for `count` members, for an `Observation.doubt` of 1.
-
-    Each member maps the commanded `direction` (3,) linearly, the same way in every observation at a frequency, so that
-    directions still superpose.
-    """
-    parts = np.random.default_rng([0, tone]).normal(size=(2, count, 10)) / np.sqrt(2)
-    along, aside = np.split(parts[0] + 1j * parts[1], [1], axis=1)
-    elsewhere = 0.3  # of the arm's motion over its command, along other directions (evaluation/trials/arm_readings.py)
-    return np.asarray(along * direction + elsewhere * aside.reshape(-1, 3, 3) @ direction, dtype=np.complex128)

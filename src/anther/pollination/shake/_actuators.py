@@ -14,13 +14,21 @@ Limit = Callable[[Grasp, Array, Array], Array]
 """(grasp, unit direction (3,), frequencies (Q,) [Hz]) -> largest amplitudes (Q,) [m]."""
 
 
-Delivery = Callable[[Array], tuple[Array, Array]]
+Delivery = Callable[[Grasp, Array, Array], tuple[Array, Array]]
 """See `Actuator.delivers`."""
 
 
-def exactly(frequencies: Array) -> tuple[Array, Array]:
-    """Return that an actuator does what it is commanded."""
-    return np.zeros_like(frequencies), np.zeros_like(frequencies)
+def within(spread: float) -> Delivery:
+    """Return that an actuator does what it is commanded, but for a standard deviation of ln of that."""
+
+    def delivers(_: Grasp, directions: Array, frequencies: Array) -> tuple[Array, Array]:
+        shape = len(frequencies), len(directions)
+        return np.zeros(shape), np.full(shape, spread)
+
+    return delivers
+
+
+EXACTLY = within(0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +42,8 @@ class Actuator:
         least_amplitude: it cannot be trusted with less [m].
         tones: so many frequencies are worth trying at once; of more, what it can do of each is too little to be seen.
         closing: whether it moves the grip along the gripper's closing axis alone.
-        delivers: frequencies [Hz] -> mean and standard deviation of ln of what the grip does over what is commanded.
+        delivers: (grasp, unit directions (D, 3), frequencies (Q,) [Hz]) -> mean and standard deviation (Q, D) of ln of
+            what the grip does along them over what is commanded.
     """
 
     name: str
@@ -44,7 +53,7 @@ class Actuator:
     least_amplitude: float
     tones: int
     closing: bool = False
-    delivers: Delivery = exactly
+    delivers: Delivery = EXACTLY
 
 
 def sawyer_limit(grasp: Grasp, direction: Array, frequencies: Array) -> Array:
@@ -72,16 +81,11 @@ def _amplitude(table: Array, frequencies: Array) -> Array:
     return inside * np.minimum(1, (hertz[-1] / frequencies) ** 2)
 
 
-def _arm_delivers(frequencies: Array) -> tuple[Array, Array]:
-    """Servos ring and links hang on springs: 12 simulated Sawyers that hold nothing, whose truth is drawn wide
-    (evaluation/trials/arm_readings.py)."""
-    tones = np.array([3.0, 7.0, 12.0, 17.0, 23.5, 31.0])
-    delivered = np.array([[0.15, 0.23, 0.13, 0.01, -0.26, -0.58], [0.03, 0.12, 0.29, 0.36, 0.41, 0.47]])
-    mean, spread = (np.interp(np.log(frequencies), np.log(tones), row) for row in delivered)
-    return mean, spread
+ANY_ARM = within(0.4)
+"""An arm of which neither joints nor springs are known, at 15 to 25 Hz (evaluation/trials/arm_readings.py)."""
 
 
-def arm_shaker(limit: Limit = sawyer_limit) -> Actuator:
+def arm_shaker(limit: Limit = sawyer_limit, delivers: Delivery = ANY_ARM) -> Actuator:
     """Return an arm that shakes the closed gripper.
 
     Its joints' speed, acceleration and torque bound it, so that the amplitude falls as 1/f^2 above 1-2 Hz (facts:
@@ -91,8 +95,9 @@ def arm_shaker(limit: Limit = sawyer_limit) -> Actuator:
 
     Args:
         limit: what its joints manage at the grasp's own joint angles.
+        delivers: what the grip then does; see `Actuator`.
     """
-    return Actuator("arm", limit, lowest=1.0, highest=35.0, least_amplitude=0.3e-3, tones=3, delivers=_arm_delivers)
+    return Actuator("arm", limit, lowest=1.0, highest=35.0, least_amplitude=0.3e-3, tones=3, delivers=delivers)
 
 
 STROKE, ACCELERATION = 1.5e-3, 50.0
@@ -105,11 +110,6 @@ def _motor_limit(_: Grasp, __: Array, frequencies: Array) -> Array:
     return ramps * np.minimum(STROKE, ACCELERATION / (2 * np.pi * np.asarray(frequencies, dtype=float)) ** 2)
 
 
-def _motor_delivers(frequencies: Array) -> tuple[Array, Array]:
-    """A voice coil that is set in volts, or calibrated by hand: within about 14 %, a guess."""
-    return np.zeros_like(frequencies), np.full_like(frequencies, 0.08)
-
-
 VIBRATING_GRIPPER = Actuator(
     "vibrating gripper",
     _motor_limit,
@@ -118,7 +118,7 @@ VIBRATING_GRIPPER = Actuator(
     least_amplitude=0.02e-3,
     tones=6,
     closing=True,
-    delivers=_motor_delivers,
+    delivers=within(0.08),  # a voice coil that is set in volts, or calibrated by hand: within about 14 %, a guess
 )
 """A gripper whose fingers a motor moves to and fro along their closing axis, so that the pads push the stem and need no
 friction; the arm stands still. A design of ours, not a product.

@@ -63,7 +63,7 @@ class Search(NamedTuple):
     score: Array  # (Q, G, D) what it is worth (`decision.Worth.net`); -1 where it is nothing, or for the map alone
     regret: dict[str, Array]  # (Q, G, D) how much more the best is worth if that measure of motion frees pollen
     bounds: dict[str, Bound]  # by name; in the first three, of the machine, the plant has no part
-    delivered: tuple[Array, Array]  # (Q, 1, 1) each, see `Actuator.delivers`
+    delivered: tuple[Array, Array]  # (Q, G, D) each, see `Actuator.delivers`
     least: float  # a shake of less amplitude is none [m]
 
 
@@ -110,9 +110,11 @@ def search(
     """
     hertz = frequencies[:, None, None]
     omega = 2 * np.pi * hertz
-    near = [[actuator.amplitude(grasp, d, frequencies) for d in ds] for grasp, ds in zip(grasps, grips.directions)]  # noqa: B905
+    at = list(zip(grasps, grips.directions))  # noqa: B905
+    near = [[actuator.amplitude(grasp, d, frequencies) for d in ds] for grasp, ds in at]
     most = np.moveaxis(np.asarray(near, dtype=float), 2, 0)[:, grips.grasp]  # the map: as at the nearest grasp
-    delivered = actuator.delivers(hertz)
+    moved = np.array([actuator.delivers(grasp, ds, frequencies) for grasp, ds in at])
+    delivered: tuple[Array, Array] = tuple(np.moveaxis(part, 0, 1)[:, grips.grasp] for part in np.moveaxis(moved, 1, 0))
 
     def load(values: Array, limit: float | Array, kind: str) -> Bound:
         """Return the bound of a load of which members have values (M, Q, G, D): the median of what is expected."""
@@ -199,7 +201,7 @@ def predicted_at(found: Search, at: Place) -> tuple[Array, Array]:
     """Return each flower's amplitude at a shake (F,), the median of what is expected [m], and (F, 2) of which 5 % lie
     below and above, over that: by the scenarios, the model's errors, and what the actuator delivers."""
     q, g, d = at
-    hertz, (shift, wrong) = float(found.frequencies[q]), (float(part[q, 0, 0]) for part in found.delivered)
+    hertz, (shift, wrong) = float(found.frequencies[q]), (float(part[at]) for part in found.delivered)
     omega2 = (2 * np.pi * hertz) ** 2
     logs, doubt = believed("flowers", omega2 * found.flower[:, q, g, d], hertz)
     middle = float(found.amplitude[at]) * np.exp(shift + logs.mean(axis=0)) / omega2
@@ -215,7 +217,7 @@ def worth_curve_at(found: Search, at: Place, params: Params) -> WorthCurve:
     alone = Answer(*(part[(slice(None), *at)] for part in found.answer))
     held, delivered = (
         params.held(float(found.grips.press[g, 0])),
-        (found.delivered[0][q, 0, 0], found.delivered[1][q, 0, 0]),
+        (found.delivered[0][at], found.delivered[1][at]),
     )
     return weighed(alone, tried, found.frequencies[q], held, params.price, delivered=delivered)
 

@@ -244,6 +244,13 @@ def shake_amplitude(arm: ArmModel, q: Array, rates: Array, frequencies: ArrayLik
     return np.maximum(room / (np.abs(swung) * omega**2), 0.0).min(axis=1)
 
 
+def inertia(arm: ArmModel, q: Array) -> Array:
+    """Return the (J, J) mass matrix of the links about joints (J,) [kg m^2], without the motors' rotors."""
+    model, data = _model(arm)
+    upper = np.triu(pin.crba(model, data, np.asarray(q, dtype=np.float64)))
+    return upper + np.triu(upper, 1).T - np.diag(arm.rotor_inertia)
+
+
 @cache
 def _model(arm: ArmModel) -> tuple[Any, Any]:
     model = pin.buildModelFromXML(urdf(arm))

@@ -16,7 +16,7 @@ from anther.core.checks import check_array, check_transform
 from anther.core.errors import StageFailure
 from anther.core.geometry import Array, Box, transform
 from anther.core.records import Range, Record
-from anther.robot.arm import _kinematics, motions, shaking
+from anther.robot.arm import _kinematics, compliance, motions, shaking
 from anther.robot.arm._collision import GROUP, CollisionWorld, cube_centres
 from anther.robot.arm._tours import DETOUR, least_times
 from anther.robot.arm.model import ArmModel, outline
@@ -157,6 +157,17 @@ class Planner:
         rooms = np.geomspace(SHAKE_CAP, SHAKE_CAP / 64, num=7)  # m, tried for being free
         room = next((size for size in rooms if self._may_swing(here, here + np.outer([-size, size], rate))), 0.0)
         return np.minimum(shake_limit(self.arm, here, way, frequencies), room)
+
+    def delivered(self, q: ArrayLike, directions: Array, frequencies: Array) -> tuple[Array, Array]:
+        """See `compliance.delivered`."""
+        return compliance.delivered(self.arm, check_array("joints", q, (self.arm.count,)), directions, frequencies)
+
+    def grip_motion(
+        self, q: ArrayLike, motors: compliance.ComplexArray, frequencies: Array, deviates: Array
+    ) -> compliance.ComplexArray:
+        """See `compliance.grip_motion`."""
+        here = check_array("joints", q, (self.arm.count,))
+        return compliance.grip_motion(self.arm, here, motors, frequencies, deviates)
 
     def swing(self, q: ArrayLike, direction: ArrayLike, pieces: Sequence[Swing], reach: float) -> JointTrajectory:
         """Return joined pieces of a flange shake about joints (J,); see `shaking.swing_trajectory`.
