@@ -28,7 +28,9 @@ import numpy as np
 from anther.core import Advance
 from anther.plant import PEPPER, TOMATO, Crop, EarlierShake, Material
 from anther.pollination import Done, Params, Seen, ShakePlan, execute, perceive, pollinate
+from anther.pollination.escalation import Escalation
 from anther.robot import GuardedArm
+from anther.robot.arm.compliance import STIFFNESS, STIFFNESS_SPREAD
 from anther.sim import WIDE, SimulatedCell, build
 from anther.sim.simulated_cell import PRESETS
 from evaluation.harness import by_turns, failed, finish, options, run_cases
@@ -56,7 +58,19 @@ class Case:
 
 
 class Brief(Memory):
-    """A run in memory that measures no response after the shake: nothing is learned from it here."""
+    """A run in memory that measures no response after the shake: nothing is learned from it here.
+
+    Attributes:
+        watched: the shake as it was watched last, if it was.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        self.watched: Escalation | None = None
+        self.told = self._hear
+
+    def _hear(self, name: str, value: Any) -> None:
+        self.watched = value if name == "watched" else self.watched
 
     def stage(self, name: str, load: Any, compute: Callable[[Advance], Any], save: Any = None) -> Any:
         """Compute a stage, but the response."""
@@ -122,6 +136,9 @@ def shaken(case: Case, folder: Path, earlier: EarlierShake | None = None) -> dic
         row["steps"] = [asdict(step) for step in done.trial.steps]
         row["shaking_s"] = float(np.ptp(done.trial.shake_times)) if len(done.trial.shake_times) else 0.0
         row["flowers"] = seen_and_true(cell, run, done, case)
+        if run.watched is not None and run.watched.joints is not None:
+            true = np.log(truth.joint_stiffness / STIFFNESS) / STIFFNESS_SPREAD
+            row |= {"joints_found": run.watched.joints, "joints_true": float(true)}
     return row
 
 

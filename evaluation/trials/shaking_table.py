@@ -5,7 +5,9 @@ net_fruit_<way>_<measure> by another measure of motion that frees pollen, "drawn
 oracle_share_<way>, net fruit over the oracle's on the same plants (a ratio of sums); regret_<way>_<measure>, by how
 much less it is; regret_<way>, the largest of them; bent_<way>, plants with a stem, fork or base that stays bent;
 robot_s_<way>, what the robot's views, approach, shake and retreat take; flowers_probably_lost_<way>, the share of the
-flowers that are lost on average over what plants may bear.
+flowers that are lost on average over what plants may bear. joints_error, how far off a watched shake finds the stiffness
+of the arm's joints, in standard deviations of what is believed before (median); joints_outside, how many of the true
+ones are outside of what it then believes of nine in ten.
 """
 
 from __future__ import annotations
@@ -160,6 +162,10 @@ def metrics(rows: Sequence[Row]) -> dict[str, float]:
         whole = ("share_above_5", "shaking_s", "flowers_lost", "oracle_share")
         table |= {key: table[f"{key}_arm"] for key in whole if f"{key}_arm" in table}
         table["measured_within_15"] = within(of(rows, "escalated"), 0.15)
+        if found := [(*row["joints_found"], row["joints_true"]) for row in rows if row.get("joints_found")]:
+            mean, spread, true = np.array(found).T
+            table["joints_error"] = float(np.median(np.abs(mean - true)))
+            table["joints_outside"] = float(np.mean(np.abs(mean - true) > 1.645 * spread))
         table["over_paper"] = over_paper(rows)
     return table
 

@@ -19,9 +19,9 @@ from anther.pollination.decision import believed, worth
 from anther.pollination.escalation import Escalation, Foresight, Params
 from anther.pollination.escalation import _foresight as foresight_module
 from anther.pollination.escalation._knowledge import (
+    DEVIATES,
     Answer,
     Observation,
-    draw_gripper_errors,
     extrapolate_growth,
     predict,
     sum_answers,
@@ -47,7 +47,6 @@ def shaken(monkeypatch: pytest.MonkeyPatch) -> Shaken:
     monkeypatch.setattr(foresight_module, "MISFIT", 0.02)
     for module in ("decision", "escalation._option"):
         monkeypatch.setattr(f"anther.pollination.{module}.GUSTS", float(TONES.max()))  # leaves count at every tone
-    monkeypatch.setattr(escalation, "correct_for_links", lambda readings, tones: (readings, np.zeros(len(tones))))
     monkeypatch.setattr(escalation, "sight", lambda *_: SimpleNamespace(shown=SIGHTED))
 
     def run(world: World, raised: float = escalation.RAISED) -> Escalation:
@@ -386,7 +385,7 @@ def test_every_look_draws_errors_of_its_own(shaken: Shaken, monkeypatch: pytest.
     watched = shaken(raised_slowly([SIGHTED]))
     assert np.unique(numbers).tolist() == list(range(len(watched.steps)))
     foresight = made_foresight(1)
-    at = Observation(np.array([0]), ALONG, np.ones(1, complex), ALONG[None] + 0j, np.zeros(1), SEEN)
+    at = Observation(np.array([0]), ALONG, np.ones(1, complex), ALONG[None, None] + 0j, SEEN)
     first, again, second = (update_answer(foresight, at._replace(number=n), 0, 0.0).members for n in (1, 1, 2))
     assert np.array_equal(first, again)
     assert not np.allclose(first, second)
@@ -492,12 +491,22 @@ def test_a_slow_tone_is_left_as_slowly_as_it_is_begun(
     check_pieces(world, shaken(world))
 
 
-def test_members_differ_in_the_grippers_motion_by_what_is_doubted_and_lines_add_up() -> None:
-    along, across = np.eye(3)[0], np.eye(3)[1]
-    drawn = draw_gripper_errors(4000, along, 2)
-    assert np.mean(np.abs(drawn) ** 2, axis=0) == pytest.approx([1 + 0.3**2, 0.3**2, 0.3**2], rel=0.1)
-    both = draw_gripper_errors(4000, along + across, 2)
-    assert both == pytest.approx(drawn + draw_gripper_errors(4000, across, 2))
+@pytest.mark.parametrize("springs", [-1.5, 1.0])
+def test_what_the_camera_sees_tells_what_an_arm_on_springs_does(shaken: Shaken, springs: float) -> None:
+    """Its motors read what they are told. Looks that prove nothing teach nothing of it."""
+    foresight = made_foresight(1, unsure=0.2)
+    world = World(foresight, foresight.vectors[0], soft=0.3, springs=springs)
+    watched = shaken(world)
+    assert watched._arm is not None
+    share = np.exp(watched._arm.odds - watched._arm.odds.max())
+    assert share @ DEVIATES / share.sum() == pytest.approx(springs, abs=0.4)
+    tone = int(np.flatnonzero(watched.steps[-1].frequencies[0] == TONES)[0])
+    direction = np.array(watched.steps[-1].direction)
+    felt = watched.steps[-1].amplitudes[0] * world.flowers(tone, direction)
+    assert watched.steps[-1].flowers == pytest.approx(felt, rel=0.1)
+    blind = shaken(World(foresight, 0 * foresight.vectors[0], soft=0.3, springs=springs))
+    assert blind._arm is not None
+    assert blind._arm.odds == pytest.approx(-(DEVIATES**2) / 2)
 
 
 def test_the_plan_as_carried_out_is_the_last_step(shaken: Shaken) -> None:
@@ -767,7 +776,7 @@ def test_what_is_seen_along_one_direction_is_believed_of_the_others(monkeypatch:
     ]
     moved = np.einsum("px,pxa->pa", truth.of(0, lines[2])[0, own], AXES)
     seen = Swings(moved[:, None], np.full((FLOWERS + POINTS, 3), 1e-3), AXES)
-    at = Observation(np.array([0]), lines[2], np.ones(1, complex), lines[2][None] + 0j, np.zeros(1), seen)
+    at = Observation(np.array([0]), lines[2], np.ones(1, complex), lines[2][None, None] + 0j, seen)
     before = predict(foresight, TONES[0], sum_answers(along, parts), 0.0)
     before = before._replace(detectable=np.full(FLOWERS, np.inf))
     found = update_directions(foresight, at, 0.0, along, parts, before)

@@ -56,6 +56,8 @@ ARM = arm_shaker()
 NO_ANSWER: Any = None
 EXACT = np.zeros((2, 1, 1, 1))
 """What an actuator delivers that does as it is told."""
+DOUBT = 0.0, 0.4
+"""What an arm delivers of which nothing is known."""
 
 
 @pytest.fixture(scope="module")
@@ -118,7 +120,7 @@ def test_every_shake_is_as_large_as_it_is_worth_most(grasps: list[Grasp]) -> Non
 
     def net(size: Array) -> Array:
         held = Params().held(1.0) * found.grips.press
-        delivered = arm_shaker().delivers(hertz)
+        delivered = DOUBT
         return worth(response.answer(found.frequencies), size[None], hertz, held, ALL.price, delivered=delivered).net[0]
 
     assert np.all(found.score > 0)
@@ -164,8 +166,8 @@ def test_the_bound_of_pedicels_is_that_of_the_flower_that_is_expected_to_feel_mo
     """Of each member the flower that feels most, whatever the rods say of its pedicel."""
     flower, hertz = np.array([[[1.0, 4.0]], [[9.0, 1.0]]]), 2.0
     found, _ = weighed(grasps, flower, 0.02, joint_strain=np.array([0.7, 0.2]))
-    one, delivered = found.bounds[PEAKS["joint_strain"]], arm_shaker().delivers(np.array(hertz))[0]
-    felt = float(expected("flowers", (2 * np.pi * hertz) ** 2 * np.array([4.0, 9.0]), hertz) * np.exp(delivered))
+    one = found.bounds[PEAKS["joint_strain"]]
+    felt = float(expected("flowers", (2 * np.pi * hertz) ** 2 * np.array([4.0, 9.0]), hertz))
     assert one.value.item() == pytest.approx(stalk_strain(hertz) * felt)
     assert one.limit.item() == LOADED["joint_strain"].low
 
@@ -181,7 +183,9 @@ def test_bounds_count_what_the_actuator_delivers(grasps: list[Grasp], kind: str)
 
 
 def _bounds_of(grasps: list[Grasp], mean: float) -> dict[str, Bound]:
-    machine = replace(arm_shaker(), delivers=lambda f: (np.full_like(f, mean), np.zeros_like(f)))
+    machine = replace(
+        arm_shaker(), delivers=lambda _, d, f: (np.full((len(f), len(d)), mean), np.zeros((len(f), len(d))))
+    )
     return weighed(grasps, np.ones((2, 1, 1)), 0.01, machine=machine, **dict.fromkeys(LOADS, np.ones((2, 1))))[0].bounds
 
 
@@ -274,7 +278,7 @@ def test_the_table_of_limits_compares_the_force_that_is_expected_with_that_of_th
     assert needed[0] == pytest.approx(2 * needed[1])
     held = pad_nodes(plant, grip_rows(plant, plans[0].grasp.point[None]))
     modelled = gains(scenarios(plant, shake.DRAWS), held, plans[0].direction[None, None], np.array([6.0])).grip_force
-    force = expected("grip_force", modelled.ravel(), 6.0) * np.exp(arm_shaker().delivers(np.array(6.0))[0])
+    force = expected("grip_force", modelled.ravel(), 6.0)
     assert needed[0] == pytest.approx(float(force) / params.held(1.0))
 
 
@@ -409,13 +413,12 @@ def test_the_table_of_limits_says_what_is_expected_beside_what_nineteen_of_twent
     modelled = gains(scenarios(plant, shake.DRAWS), held, plan.direction[None, None], np.array([plan.frequency]))
     felt = (2 * np.pi * plan.frequency) ** 2 * modelled.flower.max(axis=-1)
     loads = modelled._asdict() | {"joint_strain": felt}
-    delivered = float(arm_shaker().delivers(np.array(plan.frequency))[0])
     for kind in kept:
         value, limit = rows[PEAKS[kind]]
         assert limit == LOADED[kind].low < LOADED[kind].median
         middle = expected(kind.replace("joint_strain", "flowers"), loads[kind].ravel(), plan.frequency)
         middle *= stalk_strain(plan.frequency) if kind == "joint_strain" else 1.0
-        reached = plan.amplitude * float(middle) * np.exp(delivered)
+        reached = plan.amplitude * float(middle)
         assert value == pytest.approx(reached, rel=1e-3)
 
 
@@ -452,7 +455,7 @@ def test_without_scenarios_the_interval_is_of_what_model_and_actuator_are_off(
     monkeypatch.setattr(shake, "DRAWS", 0)
     plan = plan_shake(plant, grasps, params=QUICK)
     _, doubt = believed("flowers", np.ones(1), plan.frequency)
-    only = np.exp(1.645 * np.hypot(doubt, arm_shaker().delivers(np.array(plan.frequency))[1]))
+    only = np.exp(1.645 * np.hypot(doubt, DOUBT[1]))
     low, high = plan.predicted_amplitude_interval.T
     assert low * only == pytest.approx(plan.predicted_amplitude)
     assert high / only == pytest.approx(plan.predicted_amplitude)

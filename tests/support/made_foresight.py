@@ -107,6 +107,8 @@ class World:
         late: of the camera's clock [s].
         noise: of what is seen [m].
         arm: (3, 3) what the gripper does of what it is told.
+        soft: how much more an arm does whose joints are a standard deviation softer, ln of that.
+        springs: how stiff its joints are, in standard deviations off what is believed (`grip`).
         depth: whether the camera reads how far away things are.
         plan, params, limits: of the shake.
         pieces: that were asked for.
@@ -118,6 +120,8 @@ class World:
     late: float = 0.0
     noise: float = 1e-6
     arm: Array = field(default_factory=lambda: np.eye(3))
+    soft: float = 0.0
+    springs: float = 0.0
     depth: bool = False
     plan: ShakePlan = field(default_factory=made_plan)
     params: Params = field(default_factory=Params)
@@ -152,14 +156,18 @@ class World:
             np.zeros((FLOWERS, 3)),
             np.zeros((POINTS, 3)),
             camera=(Intrinsics(8, 6, 10.0, 10.0, 3.5, 2.5), T_WORLD_CAM),
-            middle=lambda q: q[:, :3],
+            grip=self.grip,
             limits=self.limits,
             params=self.params,
         )
 
+    def grip(self, motors: ComplexArray, tones: Array, deviates: Array) -> ComplexArray:
+        """Return (A, K, 3) what an arm of three straight joints does, the more the softer they are."""
+        return np.asarray(np.exp(-self.soft * deviates)[:, None, None] * motors[None, :, :3])
+
     def answer(self, tone: int, direction: Array = ALONG) -> ComplexArray:
         """Return (S, 3) what a shake along a direction does in truth, per metre."""
-        return np.einsum("asx,a->sx", self.truth[tone], self.arm @ direction)
+        return np.exp(-self.soft * self.springs) * np.einsum("asx,a->sx", self.truth[tone], self.arm @ direction)
 
     def shaken(self, watched: Escalation) -> Escalation:
         """Shake until the last piece."""

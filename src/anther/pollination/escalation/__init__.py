@@ -131,6 +131,16 @@ class Escalation:
             for d, direction in enumerate(tones.directions)
         )
 
+    @property
+    def joints(self) -> tuple[float, float] | None:
+        """By how many standard deviations the arm's joints are stiffer than is believed (`GripMotion`): mean and
+        standard deviation of what the looks told. None of a motor."""
+        if self._arm is None:
+            return None
+        share = self._arm.probabilities
+        mean = float(share @ DEVIATES)
+        return mean, float(np.sqrt(share @ (DEVIATES - mean) ** 2))
+
     def frame_rate(self, rates: Sequence[float]) -> float:
         """Return the slowest camera rate [1/s] that separates the frequencies about as well as the fastest one."""
         looks = [

@@ -400,12 +400,17 @@ class Arm(NamedTuple):
     grip: GripMotion
     odds: Array = -(DEVIATES**2) / 2
 
-    def drawn(self, motors: ComplexArray, frequencies: Array, count: int) -> ComplexArray:
-        """Return (count, K, 3) phasors of the grip for joints that are as likely as is believed."""
+    @property
+    def probabilities(self) -> Array:
+        """(A,) probability of each of `DEVIATES`."""
         apart = 0.15  # springs are not all off by the same, nor is the arm's model exact: a guess
         near = np.exp(-(((DEVIATES[:, None] - DEVIATES) / apart) ** 2) / 2)
         share = near / near.sum(axis=0) @ np.exp(self.odds - self.odds.max())
-        below = np.append(0.0, np.cumsum(share) / share.sum())
+        return np.asarray(share / share.sum())
+
+    def drawn(self, motors: ComplexArray, frequencies: Array, count: int) -> ComplexArray:
+        """Return (count, K, 3) phasors of the grip for joints that are as likely as is believed."""
+        below = np.append(0.0, np.cumsum(self.probabilities))
         half = (DEVIATES[1] - DEVIATES[0]) / 2
         even = np.interp((np.arange(count) + 0.5) / count, below, np.append(DEVIATES - half, DEVIATES[-1] + half))
         return self.grip(motors, frequencies, np.random.default_rng(0).permutation(even))
