@@ -35,7 +35,7 @@ from anther.pollination.learning import ObservedShake, measure_grip, refine
 from anther.pollination.response import Response, measure_response, stem_near
 from anther.pollination.response.thresholds import FEWEST_FRAMES
 from anther.pollination.shake import Pads, ShakePlan
-from anther.robot.cell import Cell, MotionPlanner
+from anther.robot.cell import Cell, GripMotion, MotionPlanner
 from anther.robot.safety import shake_amplitude
 
 TRY_THE_NEXT: tuple[FailureKind, ...] = (
@@ -233,14 +233,20 @@ def pollinate(
         modelled = beside.submit(model_plant, seen, material, params)
         with early_reach(planner, grasps[0], cell.robot, cell.limits) as arrive:
             rods = run.stage("plant model", PlantModel.load, lambda _: modelled.result())
-            shake, trial, alone, planned = _shaken(cell, planner, rods, grasps, seen, run, arrive, params, earlier)
+            shake, trial, alone, planned, joints = _shaken(
+                cell, planner, rods, grasps, seen, run, arrive, params, earlier
+            )
     answer = _watched(cell, trial, shake, seen, run)
     if answer is None:
         return Done(shake, trial, answer, rods.material, rods.material, params.shake.pads, alone, planned)
-    grip = measure_grip(trial, shake, cell.limits.forward)
-    observed = [ObservedShake.of(shake, answer, grip)]
+    by_arm = _grip_motion(planner, shake.grasp) if params.actuator == "arm" else None
+    observed = [ObservedShake.of(shake, answer, *([measure_grip(trial, shake, by_arm, joints)] if by_arm else ()))]
     learned = run.timed("learning", lambda _: refine(rods, observed, pads=params.shake.pads))
     return Done(shake, trial, answer, learned.material, rods.material, learned.pads, alone, planned)
+
+
+def _grip_motion(planner: MotionPlanner, grasp: Grasp) -> GripMotion | None:
+    return None if grasp.joints is None else partial(planner.grip_motion, grasp.joints)
 
 
 def _watched(cell: Cell, trial: Trial, plan: ShakePlan, seen: Seen, run: Run) -> Response | None:
@@ -272,11 +278,12 @@ def _shaken(
     arrive: Arrive | None,
     params: Params,
     earlier: EarlierShake | None,
-) -> tuple[ShakePlan, Trial, str | None, ShakePlan]:
+) -> tuple[ShakePlan, Trial, str | None, ShakePlan, float | None]:
     """Shake at one of the best grasps; where that fails and leaves the plant unharmed, at one of the others.
 
     `arrive` waits for the arm that has gone before the best. Return the shake as carried out, its record, why the
-    plan alone was to be carried out, and the shake as planned.
+    plan alone was to be carried out, the shake as planned, and how stiff the arm's joints were seen to be
+    (`Escalation.joints`).
     """
 
     def arm_limit(at: Grasp, direction: Array, hertz: Array) -> Array:
@@ -325,7 +332,8 @@ def _shaken(
             plan = watched.executed_plan(trial.steps)
         grasps = [g for i, g in enumerate(grasps) if i != planned.grasp_index]
         if trial.failure not in TRY_THE_NEXT or len(trial.shake_times) or not grasps:
-            return plan, trial, alone, planned
+            found = None if watched is None or watched.joints is None else watched.joints[0]
+            return plan, trial, alone, planned, found
         at = f"{100 * planned.grasp.arc_length:.0f} cm up the stem"
         run.note_attempt(f"the grasp {at} is left for the next: {trial.stop_reason}")
 
@@ -355,7 +363,7 @@ def _watching(
         return f"the cell's shake_duration is less than the {SHORTEST:g} s that watching takes"
     if not len(seen.flowers.positions):
         return "no flower was found that could be watched"
-    points, joints = watch_points(rods), plan.grasp.joints
+    points = watch_points(rods)
     pressing = float(cell.limits.pressing.most(plan.grasp.stem_diameter))
     return Escalation(
         replace(plan, press=max(plan.press, pressing)),
@@ -363,7 +371,7 @@ def _watching(
         seen.flowers.positions,
         rods.rods.nodes[points],
         camera=(camera.intrinsics, pose),
-        grip=partial(planner.grip_motion, joints) if params.actuator == "arm" and joints is not None else None,
+        grip=_grip_motion(planner, plan.grasp) if params.actuator == "arm" else None,
         limits=params.shake,
         params=replace(params.escalation, most_seconds=seconds),
     )

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from anther.core.geometry import Array, Box
 from anther.core.runs import Advance
@@ -12,6 +15,13 @@ from anther.perception.capture import Capture
 from anther.perception.cloud import Cloud
 from anther.robot.devices import JointTrajectory, Robot, SafetyLimits
 from anther.robot.swing import Swing
+
+ComplexArray = NDArray[np.complex128]
+GripMotion = Callable[[ComplexArray, Array, Array], ComplexArray]
+"""(phasors of the motors (Q, J) [rad], frequencies (Q,) [Hz], deviates (S,)) -> the grip's, world (S, Q, 3) [m].
+
+An arm reads its motors, not its links: what the grip does hangs on how stiff its joints are. They are so many standard
+deviations off what is believed of them (`anther.robot.arm.compliance`)."""
 
 
 class TrajectoryPlanner(Protocol):
@@ -46,9 +56,8 @@ class MotionPlanner(TrajectoryPlanner, Protocol):
         (J,) [rad], along directions (D, 3)."""
         ...
 
-    def grip_motion(self, q: Array, motors: Any, frequencies: Array, deviates: Array) -> Any:
-        """Return (S, Q, 3) phasors of the grip, world [m], that phasors of the motors (Q, J) [rad] cause about joints
-        (J,) [rad], at so many standard deviations (S,) off what is believed of the joints' stiffness."""
+    def grip_motion(self, q: Array, motors: ComplexArray, frequencies: Array, deviates: Array) -> ComplexArray:
+        """Return what `GripMotion` does, about joints (J,) [rad]."""
         ...
 
 

@@ -21,7 +21,6 @@ from anther.pollination.escalation._knowledge import (
     DEVIATES,
     Answer,
     Arm,
-    GripMotion,
     Observation,
     Prediction,
     extrapolate_growth,
@@ -40,6 +39,7 @@ from anther.pollination.response.points import likeness, sight, swings
 from anther.pollination.response.thresholds import overtones
 from anther.pollination.shake import Params as Limits
 from anther.pollination.shake import ShakePlan
+from anther.robot.cell import GripMotion
 from anther.robot.devices import LEAD, ArmSample, Frame
 from anther.robot.swing import Swing
 
@@ -134,8 +134,8 @@ class Escalation:
     @property
     def joints(self) -> tuple[float, float] | None:
         """By how many standard deviations the arm's joints are stiffer than is believed (`GripMotion`): mean and
-        standard deviation of what the looks told. None of a motor."""
-        if self._arm is None:
+        standard deviation of what the looks told. None if they told nothing, and of a motor."""
+        if self._arm is None or not any(self._proofs):
             return None
         share = self._arm.probabilities
         mean = float(share @ DEVIATES)

@@ -5,7 +5,7 @@ F flowers, K frequencies, M members, P points, S vectors.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +29,7 @@ from anther.pollination.escalation._foresight import (
 from anther.pollination.response.points import Swings
 from anther.pollination.shake.observables import ComplexArray, semi_major
 from anther.pollination.shake.params import FAST
+from anther.robot.cell import GripMotion
 from anther.robot.devices import ArmSample
 
 
@@ -378,12 +379,6 @@ def measure_sharpness(swings: Swings, own: slice) -> Array:
     whole, sine = peak(np.concatenate([tone[:, None], over], axis=1)), peak(tone[:, None])
     return np.divide(whole, sine, out=np.ones(len(tone)), where=sine > 0)
 
-
-GripMotion = Callable[[ComplexArray, Array, Array], ComplexArray]
-"""(phasors of the motors (K, J) [rad], frequencies (K,) [Hz], deviates (A,)) -> (A, K, 3) phasors of the grip [m].
-
-An arm reads its motors, not its links: what the grip does hangs on how stiff its joints are. They are so many standard
-deviations off what is believed of them."""
 
 DEVIATES = np.linspace(-2.5, 2.5, 21)
 """Of the joints, that are compared."""

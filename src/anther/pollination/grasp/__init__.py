@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from anther.core.errors import StageFailure, bad_input
-from anther.core.geometry import Array, inverse, pose7, transform
+from anther.core.geometry import Array, pose7, transform
 from anther.core.records import Range, Record, Shape, Share, Stored
 from anther.perception.cloud import Cloud
 from anther.perception.masks import FLOWER
@@ -114,15 +114,6 @@ class Grasp(Record):
     def pregrasp(self, distance: float) -> Array:
         """Return T_world_flange `distance` [m] back along the approach."""
         return self.T_world_flange @ transform(np.eye(3), [0, 0, -distance])
-
-    def carried(self, forward: Callable[[Array], Array]) -> Callable[[Array], Array]:
-        """Return what tells where the held point is: joints (T, J) [rad] -> (T, 3) [m], carried along by the flange.
-
-        Args:
-            forward: joints (T, J) -> T_world_flange (T, 4, 4).
-        """
-        middle = np.append((inverse(self.T_world_flange) @ np.append(self.point, 1))[:3], 1)
-        return lambda joints: (forward(joints) @ middle)[:, :3]
 
 
 Reach = Callable[[Array, Array], Array | None]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -15,7 +14,7 @@ from anther.core.oscillation import fit_swing
 from anther.pollination.execution import Trial
 from anther.pollination.response import Response, StemMotion
 from anther.pollination.shake import ShakePlan
-from anther.pollination.shake.params import FAST
+from anther.robot.cell import GripMotion
 
 
 def _unknown() -> Array:
@@ -124,30 +123,34 @@ LEAST_READINGS = 16
 """Least number of readings for a fit."""
 
 
-def measure_grip(trial: Trial, shake: ShakePlan, forward: Callable[[Array], Array]) -> GripMeasurement:
-    """Measure the grip's motion and force; nothing above `FAST`, where the links deviate from the motors that the arm
-    reads (`escalation._knowledge.ARM_ERROR`), nor where a motor in the gripper shakes.
+def measure_grip(trial: Trial, shake: ShakePlan, grip: GripMotion, joints: float | None) -> GripMeasurement:
+    """Measure the motion and the force of a grip that an arm shakes.
 
-    The gripper's motion follows from the measured joints. The arm reports the magnitude of a force, which contains the
-    stem's constant pull F0. In its square, |F0 + Im(F exp(i w t))|^2, only the motion's force F has a component at
-    twice the frequency, -Re(F . F exp(2 i w t)) / 2, which gives F . F for any F0.
+    The gripper's motion follows from what the motors read and from how stiff the joints are. As long as that is not
+    known, nothing is measured above 5 Hz, where it counts (evaluation/trials/arm_readings.py). The arm reports the
+    magnitude of a force, which contains the stem's constant pull F0. In its square, |F0 + Im(F exp(i w t))|^2, only the
+    motion's force F has a component at twice the frequency, -Re(F . F exp(2 i w t)) / 2, which gives F . F for any F0.
 
     Args:
         trial: record of the shake.
         shake: as planned.
-        forward: joints (T, J) [rad] -> flange poses (T, 4, 4) in the world.
+        grip: what the motors do to the grip.
+        joints: by how many standard deviations the joints are stiffer than is believed; None: not known.
     """
+    slow = 5.0  # Hz up to which an arm is as stiff as it reads
     moving = _select_steady(trial.shake_times, trial)
-    times, joints = trial.shake_times[moving], trial.measured[moving]
-    if len(times) < LEAST_READINGS or shake.frequency > FAST:
+    times, readings = trial.shake_times[moving], trial.measured[moving]
+    if len(times) < LEAST_READINGS or (joints is None and shake.frequency > slow):
         return NOT_MEASURED
     try:
-        swing = fit_swing(times, shake.grasp.carried(forward)(joints), shake.frequency)
+        swing = fit_swing(times, readings, shake.frequency)
     except InputError:
         return NOT_MEASURED
     omega = 2 * np.pi * shake.frequency
-    cosine, sine = swing.coefficients[:2] @ shake.direction
-    motion = (sine + 1j * cosine) * np.exp(-1j * omega * swing.span[0])
+    cosine, sine = swing.coefficients[:2]
+    motors = (sine + 1j * cosine) * np.exp(-1j * omega * swing.span[0])
+    moved = grip(motors[None], np.array([shake.frequency]), np.array([joints or 0.0]))
+    motion = complex(moved[0, 0] @ shake.direction)
     amplitude, start = float(abs(motion)), float(-np.angle(motion) / omega)
     return GripMeasurement(amplitude, start, *_fit_force(trial, omega, start))
 
