@@ -50,15 +50,16 @@ def holding(species: Crop, seed: int, truth: Truth) -> Array:
     return best.joints
 
 
-def swings(truth: Truth, joints: Array, along: Array) -> tuple[ComplexArray, ComplexArray]:
+def swings(truth: Truth, joints: Array, along: Array, seed: int = FIRST) -> tuple[ComplexArray, ComplexArray]:
     """Return phasors over what is commanded: of the motors (Q, J) [rad/m], and of the grip (Q, 3) as it truly moves.
 
     Args:
         truth: of the arm.
         joints: (J,) about which it moves [rad].
         along: (3,) unit.
+        seed: of what of the arm its truth leaves open.
     """
-    cell = world.Cell(grow("pepper", FIRST, 0, FAR), joints, truth=truth, arm=SAWYER)
+    cell = world.Cell(grow("pepper", seed, 0, FAR), joints, truth=truth, arm=SAWYER)
     sizes = SIZE / (2 * np.pi * TONES) ** 2
     times = cell.timestep * np.arange(round(SECONDS / cell.timestep))
     move = np.clip(times / RAMP, 0, 1) * (sizes @ np.sin(2 * np.pi * TONES[:, None] * times))
@@ -86,7 +87,7 @@ def one_arm(species: Crop, seed: int) -> dict[str, Array]:
     truth = truth_of("wide", seed)
     joints, angle = holding(species, seed, truth), np.random.default_rng(seed).uniform(0, np.pi)
     along = np.array([np.cos(angle), np.sin(angle), 0.0])
-    motors, grip = swings(truth, joints, along)
+    motors, grip = swings(truth, joints, along, seed)
     stiffer = np.log(truth.joint_stiffness / compliance.STIFFNESS) / compliance.STIFFNESS_SPREAD
     rigid = 20.0  # standard deviations: no spring yields
     said = compliance.grip_motion(SAWYER, joints, motors, TONES, np.array([rigid, 0.0, stiffer]))

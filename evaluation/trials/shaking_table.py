@@ -5,9 +5,9 @@ net_fruit_<way>_<measure> by another measure of motion that frees pollen, "drawn
 oracle_share_<way>, net fruit over the oracle's on the same plants (a ratio of sums); regret_<way>_<measure>, by how
 much less it is; regret_<way>, the largest of them; bent_<way>, plants with a stem, fork or base that stays bent;
 robot_s_<way>, what the robot's views, approach, shake and retreat take; flowers_probably_lost_<way>, the share of the
-flowers that are lost on average over what plants may bear. joints_error, how far off a watched shake finds the stiffness
-of the arm's joints, in standard deviations of what is believed before (median); joints_outside, how many of the true
-ones are outside of what it then believes of nine in ten.
+flowers that are lost on average over what plants may bear. joints_error, how far off the true stiffness of the arm's
+joints is from what a watched shake finds, in standard deviations of what is believed before (median); joints_outside,
+how often it is outside of what is then believed of nine in ten.
 """
 
 from __future__ import annotations

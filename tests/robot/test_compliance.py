@@ -62,11 +62,14 @@ def test_every_arm_delivers_all_of_a_slow_shake_and_little_of_a_fast_one(name: s
 
 def test_drawn_drives_are_as_likely_as_is_believed() -> None:
     drives = draw_drives(7, 64)
-    logs = np.log(drives.stiffness / compliance.STIFFNESS), np.log(drives.bandwidth / compliance.BANDWIDTH)
-    assert [logs[0].std(), logs[1].std()] == pytest.approx(
-        [compliance.STIFFNESS_SPREAD, compliance.BANDWIDTH_SPREAD], rel=0.05
+    logs, fast = np.log(drives.stiffness / compliance.STIFFNESS), np.log(drives.bandwidth / compliance.BANDWIDTH)
+    common = logs.mean(axis=1)
+    assert common.std() == pytest.approx(
+        np.hypot(compliance.STIFFNESS_SPREAD, compliance.SCATTER / np.sqrt(7)), rel=0.1
     )
-    assert abs(np.corrcoef(*logs)[0, 1]) < 0.3
+    assert (logs - common[:, None]).std() == pytest.approx(compliance.SCATTER, rel=0.15)
+    assert fast.std() == pytest.approx(compliance.BANDWIDTH_SPREAD, rel=0.05)
+    assert abs(np.corrcoef(common, fast)[0, 1]) < 0.3
     assert drives.feedforward.std(axis=0) == pytest.approx(np.full(7, compliance.FEEDFORWARD_ERROR), rel=0.05)
 
 
@@ -81,7 +84,7 @@ def test_mujocos_arm_does_what_the_equations_say(monkeypatch: pytest.MonkeyPatch
     assert off[0][slow].max() < 0.15, "the springs are damped by their inertia elsewhere"
     assert off[1][(TONES > 8) & slow].min() > 0.3
     monkeypatch.setattr(
-        compliance, "draw_drives", lambda count: Drives(np.array([10.0]), np.array([7.0]), np.ones((1, count)))
+        compliance, "draw_drives", lambda count: Drives(np.full((1, 7), 10.0), np.array([7.0]), np.ones((1, count)))
     )
     mean, spread = delivered(SAWYER, NEAR_PLANT, ALONG[None], TONES)
     assert np.log(np.abs(grip @ ALONG))[slow] == pytest.approx(mean[slow, 0], abs=0.15)

@@ -163,7 +163,8 @@ class World:
 
     def grip(self, motors: ComplexArray, tones: Array, deviates: Array) -> ComplexArray:
         """Return (A, K, 3) what an arm of three straight joints does, the more the softer they are."""
-        return np.asarray(np.exp(-self.soft * deviates)[:, None, None] * motors[None, :, :3])
+        stiffer = deviates.reshape(len(deviates), -1).mean(axis=1)[:, None, None]
+        return np.asarray(np.exp(-self.soft * stiffer) * motors[None, :, :3])
 
     def answer(self, tone: int, direction: Array = ALONG) -> ComplexArray:
         """Return (S, 3) what a shake along a direction does in truth, per metre."""

@@ -21,7 +21,7 @@ GripMotion = Callable[[ComplexArray, Array, Array], ComplexArray]
 """(phasors of the motors (Q, J) [rad], frequencies (Q,) [Hz], deviates (S,)) -> the grip's, world (S, Q, 3) [m].
 
 An arm reads its motors, not its links: what the grip does hangs on how stiff its joints are. They are so many standard
-deviations off what is believed of them (`anther.robot.arm.compliance`)."""
+deviations off what is believed of them (`anther.robot.arm.compliance`), all alike or each of the joints (S, J)."""
 
 
 class TrajectoryPlanner(Protocol):

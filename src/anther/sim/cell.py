@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from itertools import takewhile
 from typing import Any
@@ -122,7 +122,9 @@ class Cell:
         spec = _world(self.params.timestep, plant, solids, obstacles)
         pieces = add_plant(spec, plant, self.params.plant, contype=_Bit.PLANT)
         forces = {"grip_force": self.params.grip_force, "coil_force": self.params.coil_force}
-        arm_model.add_arm(spec, arm, truth, **forces, contype=_Bit.ROBOT, conaffinity=_Bit.PLANT)
+        scatter = truth.joint_scatter * np.random.default_rng([plant.seed, 9]).normal(size=arm.count)
+        sprung = replace(arm, stiffness=arm.stiffness * np.exp(scatter))
+        arm_model.add_arm(spec, sprung, truth, **forces, contype=_Bit.ROBOT, conaffinity=_Bit.PLANT)
         stems = np.flatnonzero(np.isin(plant.organ, (Organ.STEM, Organ.BRANCH, Organ.PEDUNCLE)))
         arm_model.add_grips(spec, [f"segment_{k}" for k in stems])
         self.model: Any = spec.compile()
@@ -139,7 +141,7 @@ class Cell:
         joints = arm.neutral if joints is None else joints
         self.data.qpos[self._arm], self.data.qpos[self._fingers] = joints, arm.tool.stroke / 2
         self.data.ctrl[: arm.count], self.data.ctrl[self._grip] = joints, arm.tool.stroke / 2
-        arm_model.tune_servos(self.model, arm, truth)
+        arm_model.tune_servos(self.model, sprung, truth)
         self.mechanics = PlantMechanics(self.model, plant, pieces)
         self._air = Air(self.mechanics, truth.wind, plant.seed)
         self._codes = _contact_codes(self.model)

@@ -91,6 +91,7 @@ class Truth:
         servo_bandwidth: of the arm's joint servos [Hz].
         feedforward_error: standard deviation of each joint's relative error in the torque that the arm expects [-].
         joint_stiffness: factor on the arm's `stiffness` [-]; inf: rigid joints.
+        joint_scatter: standard deviation of ln of each joint's own stiffness beside it [-].
         motor_gain: what the gripper's motor moves over what it was asked to [-].
         pose_error, hand_eye_error: factors on the errors of the arm's poses and of the hand-eye calibration [-].
         clock_offset: by which the side camera's clock is late on the arm's [s].
@@ -121,6 +122,7 @@ class Truth:
     servo_bandwidth: float = 10.0
     feedforward_error: float = 0.0
     joint_stiffness: float = np.inf
+    joint_scatter: float = 0.0
     motor_gain: float = 1.0
     pose_error: float = 1.0
     hand_eye_error: float = 1.0
@@ -178,6 +180,7 @@ WIDE: dict[str, dict[str, Spread]] = {
         "feedforward_error": Spread(0.05, 0.25, log=False),
         "joint_stiffness": Spread(6.0, 60.0),
         "motor_gain": Spread(0.87, 1.15),
+        "joint_scatter": Spread(0.1, 0.4, log=False),
     },
     # Registration believes the nominal size of these errors.
     "camera poses": {"pose_error": Spread(0.5, 3.0), "hand_eye_error": Spread(0.5, 3.0)},

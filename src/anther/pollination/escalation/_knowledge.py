@@ -398,7 +398,9 @@ class Arm(NamedTuple):
     @property
     def probabilities(self) -> Array:
         """(A,) probability of each of `DEVIATES`."""
-        apart = 0.15  # springs are not all off by the same, nor is the arm's model exact: a guess
+        apart = (
+            0.3  # by which the equations err: springs are not all off by the same (evaluation/trials/arm_readings.py)
+        )
         near = np.exp(-(((DEVIATES[:, None] - DEVIATES) / apart) ** 2) / 2)
         share = near / near.sum(axis=0) @ np.exp(self.odds - self.odds.max())
         return np.asarray(share / share.sum())
@@ -408,7 +410,10 @@ class Arm(NamedTuple):
         below = np.append(0.0, np.cumsum(self.probabilities))
         half = (DEVIATES[1] - DEVIATES[0]) / 2
         even = np.interp((np.arange(count) + 0.5) / count, below, np.append(DEVIATES - half, DEVIATES[-1] + half))
-        return self.grip(motors, frequencies, np.random.default_rng(0).permutation(even))
+        rng, own = np.random.default_rng(0), 0.4  # standard deviation of each joint's own: a guess
+        return self.grip(
+            motors, frequencies, rng.permutation(even)[:, None] + own * rng.normal(size=(count, motors.shape[1]))
+        )
 
 
 def fit_motors(samples: Sequence[ArmSample], frequencies: Array) -> ComplexArray:

@@ -24,6 +24,8 @@ ComplexArray = NDArray[np.complex128]
 STIFFNESS, STIFFNESS_SPREAD = 19.0, 0.7
 """Joint springs over `ArmModel.stiffness`: median, and standard deviation of the logarithm. A guess: Sawyer's large
 joints then have 4e3 to 6e4 N m/rad, where harmonic drives of that size have 1e4 to 3e4 (remembered)."""
+SCATTER = 0.3
+"""Standard deviation of ln of a joint's own spring beside what all of an arm have in common: a guess."""
 BANDWIDTH, BANDWIDTH_SPREAD = 8.0, 0.3
 """Of position servos [Hz], and standard deviation of its logarithm. A guess."""
 FEEDFORWARD_ERROR = 0.15
@@ -38,7 +40,7 @@ class Drives(NamedTuple):
     """Drawn joints.
 
     Attributes:
-        stiffness: (S,) over `ArmModel.stiffness`.
+        stiffness: (S, J) over `ArmModel.stiffness`.
         bandwidth: (S,) of the servos [Hz].
         feedforward: (S, J) torque that a servo expects over what a rigid arm would need.
     """
@@ -51,11 +53,12 @@ class Drives(NamedTuple):
 def draw_drives(joints: int, count: int = DRAWN) -> Drives:
     """Return joints drawn from what is believed, each quantity evenly."""
     rng, even = np.random.default_rng(0), np.asarray(ndtri((np.arange(count) + 0.5) / count), dtype=np.float64)
-    bandwidth, *errors = (rng.permutation(even) for _ in range(1 + joints))
+    bandwidth, *errors = (rng.permutation(even) for _ in range(1 + 2 * joints))
+    own, expected = np.stack(errors, axis=1).reshape(count, 2, joints).swapaxes(0, 1)
     return Drives(
-        STIFFNESS * np.exp(STIFFNESS_SPREAD * even),
+        STIFFNESS * np.exp(STIFFNESS_SPREAD * even[:, None] + SCATTER * own),
         BANDWIDTH * np.exp(BANDWIDTH_SPREAD * bandwidth),
-        1 + FEEDFORWARD_ERROR * np.stack(errors, axis=1),
+        1 + FEEDFORWARD_ERROR * expected,
     )
 
 
@@ -67,7 +70,7 @@ def grip_motion(arm: ArmModel, q: Array, motors: ComplexArray, frequencies: Arra
         q: (J,) joints about which it swings [rad].
         motors: (Q, J) phasors of what the motors do [rad].
         frequencies: (Q,) [Hz].
-        deviates: (S,) how many standard deviations stiffer the springs are than is believed.
+        deviates: (S,) how many standard deviations stiffer the springs are than is believed, or (S, J) each of them.
     """
     omega, mass, springs = _springs(arm, q, frequencies, STIFFNESS * np.exp(STIFFNESS_SPREAD * deviates))
     links = np.linalg.solve(_diagonal(springs) - omega**2 * mass, (springs * motors)[..., None])[..., 0]
@@ -104,7 +107,7 @@ def delivered(arm: ArmModel, q: Array, directions: Array, frequencies: Array) ->
 def _springs(arm: ArmModel, q: Array, frequencies: Array, stiffness: Array) -> tuple[Array, Array, ComplexArray]:
     """Return 2 pi f (Q, 1, 1), the links' mass matrix (J, J), and the springs' complex stiffness (S, Q, J)."""
     mass, omega = inertia(arm, q), 2 * np.pi * np.asarray(frequencies, dtype=np.float64)[:, None, None]
-    stiff = stiffness[:, None, None] * np.asarray(arm.stiffness)
+    stiff = stiffness.reshape(len(stiffness), 1, -1) * np.asarray(arm.stiffness)
     return omega, mass, stiff + 2j * omega[..., 0] * DAMPING * np.sqrt(stiff * np.diag(mass))
 
 
