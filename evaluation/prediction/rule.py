@@ -84,10 +84,11 @@ RULES = {
     "free": Rule("nothing costs anything", price=0.0),
     "flowers_only": Rule("only flowers are lost", changes={"COSTS": dict.fromkeys(decision.COSTS, 0.0)}),
 }
-LIMITED, ALIKE = "limits", "alike"
+LIMITED, ALIKE, KNOWN = "limits", "alike", "known"
 WORDS = {name: rule.words for name, rule in RULES.items()} | {
     LIMITED: "as far as 19 of 20 organs bear, most flower motion",
     ALIKE: "one tone and amplitude for all, the best afterwards",
+    KNOWN: "what every shake does is known, but not what a plant bears",
 }
 
 
@@ -113,6 +114,7 @@ def shakes_of(grip: Grip) -> dict[str, dict[str, Any]]:
         found[machine][ALIKE] = [
             [_outcome(grip.true, k, share * most[k]) for share in np.geomspace(0.02, 1, 12)] for k in tones
         ]
+        found[machine][KNOWN] = max((one for tone in found[machine][ALIKE] for one in tone), key=lambda one: one[0])
     return found
 
 
@@ -177,7 +179,7 @@ def metrics(plants: list[list[dict[str, dict[str, Any]]]]) -> dict[str, float]:
     for machine in MACHINES:
         of = {
             name: np.array([np.mean([grip[machine][name] for grip in grips], axis=0) for grips in plants])
-            for name in (*RULES, LIMITED)
+            for name in (*RULES, LIMITED, KNOWN)
         }
         every = np.array([np.mean([grip[machine][ALIKE] for grip in grips], axis=0) for grips in plants])
         best = np.unravel_index(every[..., 0].mean(axis=0).argmax(), every.shape[1:3])

@@ -497,16 +497,16 @@ def test_what_the_camera_sees_tells_what_an_arm_on_springs_does(shaken: Shaken, 
     foresight = made_foresight(1, unsure=0.2)
     world = World(foresight, foresight.vectors[0], soft=0.3, springs=springs)
     watched = shaken(world)
-    assert watched._arm is not None
-    share = np.exp(watched._arm.odds - watched._arm.odds.max())
+    assert watched._joints is not None
+    share = np.exp(watched._joints.odds - watched._joints.odds.max())
     assert share @ DEVIATES / share.sum() == pytest.approx(springs, abs=0.4)
     tone = int(np.flatnonzero(watched.steps[-1].frequencies[0] == TONES)[0])
     direction = np.array(watched.steps[-1].direction)
     felt = watched.steps[-1].amplitudes[0] * world.flowers(tone, direction)
     assert watched.steps[-1].flowers == pytest.approx(felt, rel=0.1)
     blind = shaken(World(foresight, 0 * foresight.vectors[0], soft=0.3, springs=springs))
-    assert blind._arm is not None
-    assert blind._arm.odds == pytest.approx(-(DEVIATES**2) / 2)
+    assert blind._joints is not None
+    assert blind._joints.odds == pytest.approx(-(DEVIATES**2) / 2)
 
 
 def test_the_plan_as_carried_out_is_the_last_step(shaken: Shaken) -> None:

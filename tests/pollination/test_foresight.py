@@ -26,7 +26,7 @@ from anther.pollination.escalation._foresight import (
 from anther.pollination.escalation._knowledge import (
     DELAYS,
     DEVIATES,
-    Arm,
+    JointBelief,
     Observation,
     Prediction,
     fit_motors,
@@ -551,24 +551,24 @@ def test_what_is_seen_tells_how_stiff_the_joints_are(deviate: float) -> None:
         motors = np.asarray(at.commanded[:, None] * ALONG)
         (moved,) = springy(motors, TONES, np.array([deviate])) @ ALONG / at.commanded
         seen = at._replace(swings=at.swings._replace(phasors=at.swings.phasors * moved[:, None]))
-        arm = Arm(springy)
+        arm = JointBelief(springy)
         odds = arm.odds[:, None] + weigh_arms(foresight, seen, springy(motors, TONES, DEVIATES), DELAYS)
         best, late = np.unravel_index(odds.argmax(), odds.shape)
         assert DEVIATES[best] == pytest.approx(deviate, abs=0.3)
         assert DELAYS[late] == pytest.approx(0.02, abs=0.003)
         found.append(np.ptp(arm._replace(odds=odds[:, late]).drawn(motors, TONES, 32)[:, 1, 0].real))
-    before = np.ptp(Arm(springy).drawn(motors, TONES, 32)[:, 1, 0].real)
+    before = np.ptp(JointBelief(springy).drawn(motors, TONES, 32)[:, 1, 0].real)
     assert max(found) < before
 
 
 def test_drawn_joints_are_as_likely_as_is_believed() -> None:
-    def deviates(arm: Arm) -> np.ndarray:
+    def deviates(arm: JointBelief) -> np.ndarray:
         told = lambda motors, tones, z: np.asarray(z[:, None] + 0j * motors)  # noqa: E731
         return arm._replace(grip=told).drawn(np.zeros((1, 3), complex), TONES[:1], 400)[:, 0].real
 
-    before = deviates(Arm(springy))
+    before = deviates(JointBelief(springy))
     assert [before.mean(), before.std()] == pytest.approx([0.0, np.hypot(1.0, 0.4)], abs=0.06)
-    sure = deviates(Arm(springy, np.where(np.arange(len(DEVIATES)) == 4, 0.0, -50.0)))
+    sure = deviates(JointBelief(springy, np.where(np.arange(len(DEVIATES)) == 4, 0.0, -50.0)))
     assert [sure.mean(), sure.std()] == pytest.approx([DEVIATES[4], np.hypot(0.3, 0.4)], abs=0.06)
     assert np.ptp(sure, axis=1).min() > 0, "joints are not all alike"
 

@@ -20,7 +20,7 @@ from anther.pollination.escalation._knowledge import (
     DELAYS,
     DEVIATES,
     Answer,
-    Arm,
+    JointBelief,
     Observation,
     Prediction,
     extrapolate_growth,
@@ -107,7 +107,7 @@ class Escalation:
         self.plan, self.params = plan, params
         self.steps: tuple[Step, ...] = ()
         self._foresight, self._rest_points, self._camera = foresight, (flowers, points), camera
-        self._arm = None if grip is None else Arm(grip)
+        self._joints = None if grip is None else JointBelief(grip)
         tones = plan.tones
         self._frequency_index, self._direction_index = (part.ravel() for part in np.indices(tones.reach.shape))
         self._frequencies = tones.frequencies[self._frequency_index]
@@ -135,9 +135,9 @@ class Escalation:
     def joints(self) -> tuple[float, float] | None:
         """By how many standard deviations the arm's joints are stiffer than is believed (`GripMotion`): mean and
         standard deviation of what the looks told. None if they told nothing, and of a motor."""
-        if self._arm is None or not any(self._proofs):
+        if self._joints is None or not any(self._proofs):
             return None
-        share = self._arm.probabilities
+        share = self._joints.probabilities
         mean = float(share @ DEVIATES)
         return mean, float(np.sqrt(share @ (DEVIATES - mean) ** 2))
 
@@ -170,15 +170,15 @@ class Escalation:
         """Return the next piece, chosen from the observation of the current one; the last piece ends at rest."""
         started, steady = perf_counter(), [s for s in samples if s.time >= samples[0].time + self.steady_from(piece)]
         self._piece = piece
-        observation, arm = self._observe(frames, steady, samples[0].time), self._arm
+        observation, joints = self._observe(frames, steady, samples[0].time), self._joints
         if not self.steps:
             self._visible_count = observation.followed
         if observation.followed and (self._probing or not any(self._proofs)):
-            observation, arm = self._fit_clock_and_arm(observation, steady)
+            observation, joints = self._fit_clock_and_joints(observation, steady)
         self._proofs.append(shows_plant(self._foresight, observation, self._camera_delay, self._proven_observations))
         if self._proofs[-1]:
             self._proven_observations.append(observation)
-            self._arm = arm
+            self._joints = joints
         active = np.flatnonzero(piece.amplitudes).tolist()
         before = [self._options[n].prediction for n in active] if self._options else [None] * len(active)
         if self._probing and not self._proofs[-1]:
@@ -281,32 +281,32 @@ class Escalation:
         piece, active = self._piece, np.flatnonzero(self._piece.amplitudes)
         direction, tones = self.plan.tones.directions[self._direction_index[active[0]]], piece.frequencies[active]
         commanded = np.asarray(piece.amplitudes[active] * np.exp(-2j * np.pi * tones * begin), dtype=np.complex128)
-        if self._arm is None:
+        if self._joints is None:
             gripper = np.asarray(commanded[None, :, None] * direction, dtype=np.complex128)
         else:
-            gripper = self._arm.drawn(fit_motors(steady, tones), tones, len(self._foresight.vectors))
+            gripper = self._joints.drawn(fit_motors(steady, tones), tones, len(self._foresight.vectors))
         expected = None
         if self._options:
             expected = np.stack([c * self._options[n].prediction.phasors for c, n in zip(commanded, active)], axis=1)  # noqa: B905
         seen = extrapolate_growth(swings(self._sight, frames, tones, expected), float(tones[0]))
         return Observation(self._frequency_index[active], direction, commanded, gripper, seen, len(self.steps))
 
-    def _fit_clock_and_arm(
+    def _fit_clock_and_joints(
         self, observation: Observation, steady: Sequence[ArmSample]
-    ) -> tuple[Observation, Arm | None]:
+    ) -> tuple[Observation, JointBelief | None]:
         """Fit the camera's delay, if nothing has shown the plant yet, and the arm's joints to an observation."""
         delays = np.array([self._camera_delay]) if any(self._proofs) else DELAYS
-        if self._arm is None:
+        if self._joints is None:
             odds = weigh_arms(self._foresight, observation, observation.gripper, delays)
             self._camera_delay = float(delays[odds[0].argmax()])
             return observation, None
         tones = self._foresight.frequencies[observation.frequency_indices]
         motors = fit_motors(steady, tones)
-        arms = self._arm.grip(motors, tones, DEVIATES)
-        odds = self._arm.odds[:, None] + weigh_arms(self._foresight, observation, arms, delays)
+        arms = self._joints.grip(motors, tones, DEVIATES)
+        odds = self._joints.odds[:, None] + weigh_arms(self._foresight, observation, arms, delays)
         best = int(np.logaddexp.reduce(odds, axis=0).argmax())
-        self._camera_delay, arm = float(delays[best]), self._arm._replace(odds=odds[:, best])
-        return observation._replace(gripper=arm.drawn(motors, tones, len(self._foresight.vectors))), arm
+        self._camera_delay, joints = float(delays[best]), self._joints._replace(odds=odds[:, best])
+        return observation._replace(gripper=joints.drawn(motors, tones, len(self._foresight.vectors))), joints
 
     def _predict(self, shake: int, answer: Answer) -> Prediction:
         return predict(self._foresight, float(self._frequencies[shake]), answer, self._camera_delay)

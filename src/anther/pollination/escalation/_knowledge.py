@@ -384,7 +384,7 @@ DEVIATES = np.linspace(-2.5, 2.5, 21)
 """Of the joints, that are compared."""
 
 
-class Arm(NamedTuple):
+class JointBelief(NamedTuple):
     """What is believed of an arm's joints.
 
     Attributes:
@@ -398,10 +398,8 @@ class Arm(NamedTuple):
     @property
     def probabilities(self) -> Array:
         """(A,) probability of each of `DEVIATES`."""
-        apart = (
-            0.3  # by which the equations err: springs are not all off by the same (evaluation/trials/arm_readings.py)
-        )
-        near = np.exp(-(((DEVIATES[:, None] - DEVIATES) / apart) ** 2) / 2)
+        error = 0.3  # of the stiffness that fits best, in arms whose joints each differ by 30 % (measured on seven)
+        near = np.exp(-(((DEVIATES[:, None] - DEVIATES) / error) ** 2) / 2)
         share = near / near.sum(axis=0) @ np.exp(self.odds - self.odds.max())
         return np.asarray(share / share.sum())
 
@@ -410,10 +408,9 @@ class Arm(NamedTuple):
         below = np.append(0.0, np.cumsum(self.probabilities))
         half = (DEVIATES[1] - DEVIATES[0]) / 2
         even = np.interp((np.arange(count) + 0.5) / count, below, np.append(DEVIATES - half, DEVIATES[-1] + half))
-        rng, own = np.random.default_rng(0), 0.4  # standard deviation of each joint's own: a guess
-        return self.grip(
-            motors, frequencies, rng.permutation(even)[:, None] + own * rng.normal(size=(count, motors.shape[1]))
-        )
+        rng, apart = np.random.default_rng(0), 0.4  # by which one arm's joints differ: 30 % of their stiffness, a guess
+        own = apart * rng.normal(size=(count, motors.shape[1]))
+        return self.grip(motors, frequencies, rng.permutation(even)[:, None] + own)
 
 
 def fit_motors(samples: Sequence[ArmSample], frequencies: Array) -> ComplexArray:
