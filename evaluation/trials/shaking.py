@@ -136,9 +136,10 @@ def shaken(case: Case, folder: Path, earlier: EarlierShake | None = None) -> dic
         row["steps"] = [asdict(step) for step in done.trial.steps]
         row["shaking_s"] = float(np.ptp(done.trial.shake_times)) if len(done.trial.shake_times) else 0.0
         row["flowers"] = seen_and_true(cell, run, done, case)
-        if run.watched is not None and run.watched.joints is not None:
+        joints = run.watched.joints if run.watched is not None else None
+        if joints is not None and np.isfinite(truth.joint_stiffness):
             true = np.log(truth.joint_stiffness / STIFFNESS) / STIFFNESS_SPREAD
-            row |= {"joints_found": run.watched.joints, "joints_true": float(true)}
+            row |= {"joints_found": joints.stiffness, "joints_true": float(true)}
     return row
 
 

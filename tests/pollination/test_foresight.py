@@ -25,19 +25,19 @@ from anther.pollination.escalation._foresight import (
 )
 from anther.pollination.escalation._knowledge import (
     DELAYS,
-    DEVIATES,
+    DEPTH_BAND,
+    STIFFNESS_DEVIATES,
     JointBelief,
     Observation,
     Prediction,
     fit_motors,
+    log_likelihood,
     predict,
     sum_answers,
     update_answer,
-    weigh_arms,
 )
 from anther.pollination.escalation._option import Option
 from anther.pollination.shake.observables import semi_major
-from anther.pollination.shake.params import FAST
 from anther.robot.devices import ArmSample
 from anther.robot.swing import Swing
 
@@ -285,8 +285,8 @@ def test_a_late_clock_is_found(late: float) -> None:
     for member in (0, 5, 11):
         world = World(foresight, foresight.vectors[member], late=late)
         at = look(world)
-        (odds,) = weigh_arms(foresight, at, at.gripper, DELAYS)
-        assert DELAYS[odds.argmax()] == pytest.approx(late, abs=0.005)
+        (found,) = log_likelihood(foresight, at, at.gripper, DELAYS)
+        assert DELAYS[found.argmax()] == pytest.approx(late, abs=0.005)
 
 
 @pytest.fixture
@@ -468,7 +468,7 @@ def test_depth_tells_of_fast_tones_only_swings_that_it_cannot_feign() -> None:
     at = look(World(foresight, foresight.vectors[5], depth=True))
     far = np.abs(at.swings.phasors[:FLOWERS, 1, 2]) >= 1e-3
     assert 0 < far.sum() < FLOWERS
-    for factor, told_by_depth in ((1.0, True), (FAST / TONES[1], True), (1.01 * FAST / TONES[1], far)):
+    for factor, told_by_depth in ((1.0, True), (DEPTH_BAND / TONES[1], True), (1.01 * DEPTH_BAND / TONES[1], far)):
         quick = foresight._replace(frequencies=factor * TONES)
         assert np.all(np.isfinite(update_answer(quick, at, 1, 0.0).std[:, 2]) == told_by_depth)
 
@@ -552,24 +552,26 @@ def test_what_is_seen_tells_how_stiff_the_joints_are(deviate: float) -> None:
         (moved,) = springy(motors, TONES, np.array([deviate])) @ ALONG / at.commanded
         seen = at._replace(swings=at.swings._replace(phasors=at.swings.phasors * moved[:, None]))
         arm = JointBelief(springy)
-        odds = arm.odds[:, None] + weigh_arms(foresight, seen, springy(motors, TONES, DEVIATES), DELAYS)
-        best, late = np.unravel_index(odds.argmax(), odds.shape)
-        assert DEVIATES[best] == pytest.approx(deviate, abs=0.3)
+        fit = arm.log_posterior[:, None] + log_likelihood(
+            foresight, seen, springy(motors, TONES, STIFFNESS_DEVIATES), DELAYS
+        )
+        best, late = np.unravel_index(fit.argmax(), fit.shape)
+        assert STIFFNESS_DEVIATES[best] == pytest.approx(deviate, abs=0.3)
         assert DELAYS[late] == pytest.approx(0.02, abs=0.003)
-        found.append(np.ptp(arm._replace(odds=odds[:, late]).drawn(motors, TONES, 32)[:, 1, 0].real))
-    before = np.ptp(JointBelief(springy).drawn(motors, TONES, 32)[:, 1, 0].real)
+        found.append(np.ptp(arm._replace(log_posterior=fit[:, late]).sample(motors, TONES, 32)[:, 1, 0].real))
+    before = np.ptp(JointBelief(springy).sample(motors, TONES, 32)[:, 1, 0].real)
     assert max(found) < before
 
 
 def test_drawn_joints_are_as_likely_as_is_believed() -> None:
     def deviates(arm: JointBelief) -> np.ndarray:
         told = lambda motors, tones, z: np.asarray(z[:, None] + 0j * motors)  # noqa: E731
-        return arm._replace(grip=told).drawn(np.zeros((1, 3), complex), TONES[:1], 400)[:, 0].real
+        return arm._replace(grip=told).sample(np.zeros((1, 3), complex), TONES[:1], 400)[:, 0].real
 
     before = deviates(JointBelief(springy))
     assert [before.mean(), before.std()] == pytest.approx([0.0, np.hypot(1.0, 0.4)], abs=0.06)
-    sure = deviates(JointBelief(springy, np.where(np.arange(len(DEVIATES)) == 4, 0.0, -50.0)))
-    assert [sure.mean(), sure.std()] == pytest.approx([DEVIATES[4], np.hypot(0.3, 0.4)], abs=0.06)
+    sure = deviates(JointBelief(springy, np.where(np.arange(len(STIFFNESS_DEVIATES)) == 4, 0.0, -50.0)))
+    assert [sure.mean(), sure.std()] == pytest.approx([STIFFNESS_DEVIATES[4], np.hypot(0.3, 0.4)], abs=0.06)
     assert np.ptp(sure, axis=1).min() > 0, "joints are not all alike"
 
 

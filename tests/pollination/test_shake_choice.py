@@ -25,6 +25,7 @@ from anther.pollination.shake import (
     VIBRATING_GRIPPER,
     Pads,
     Params,
+    any_arm,
     arm_shaker,
     plan_shake,
     sawyer_limit,
@@ -56,8 +57,11 @@ ARM = arm_shaker()
 NO_ANSWER: Any = None
 EXACT = np.zeros((2, 1, 1, 1))
 """What an actuator delivers that does as it is told."""
-DOUBT = 0.0, 0.4
-"""What an arm delivers of which nothing is known."""
+
+
+def any_doubt(hertz: float) -> float:
+    """Return the spread of ln of what an arm delivers of which nothing is known."""
+    return float(any_arm(NO_ANSWER, np.eye(3)[:1], np.array([hertz]))[1][0, 0])
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +124,7 @@ def test_every_shake_is_as_large_as_it_is_worth_most(grasps: list[Grasp]) -> Non
 
     def net(size: Array) -> Array:
         held = Params().held(1.0) * found.grips.press
-        delivered = DOUBT
+        delivered = 0.0, any_doubt(2.0)
         return worth(response.answer(found.frequencies), size[None], hertz, held, ALL.price, delivered=delivered).net[0]
 
     assert np.all(found.score > 0)
@@ -455,7 +459,7 @@ def test_without_scenarios_the_interval_is_of_what_model_and_actuator_are_off(
     monkeypatch.setattr(shake, "DRAWS", 0)
     plan = plan_shake(plant, grasps, params=QUICK)
     _, doubt = believed("flowers", np.ones(1), plan.frequency)
-    only = np.exp(1.645 * np.hypot(doubt, DOUBT[1]))
+    only = np.exp(1.645 * np.hypot(doubt, any_doubt(plan.frequency)))
     low, high = plan.predicted_amplitude_interval.T
     assert low * only == pytest.approx(plan.predicted_amplitude)
     assert high / only == pytest.approx(plan.predicted_amplitude)

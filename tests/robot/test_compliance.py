@@ -15,6 +15,7 @@ from anther.robot.arm.arms import find_arm
 from anther.robot.arm.compliance import Drives, delivered, draw_drives, grip_motion
 from anther.robot.arm.motions import inertia
 from anther.robot.arm.sawyer import SAWYER
+from anther.robot.cell import JOINT_SCATTER
 from anther.sim import NOMINAL
 from evaluation.trials.arm_readings import TONES, swings
 
@@ -63,28 +64,28 @@ def test_every_arm_delivers_all_of_a_slow_shake_and_little_of_a_fast_one(name: s
 def test_drawn_drives_are_as_likely_as_is_believed() -> None:
     drives = draw_drives(7, 64)
     logs, fast = np.log(drives.stiffness / compliance.STIFFNESS), np.log(drives.bandwidth / compliance.BANDWIDTH)
-    common = logs.mean(axis=1)
-    assert common.std() == pytest.approx(
-        np.hypot(compliance.STIFFNESS_SPREAD, compliance.SCATTER / np.sqrt(7)), rel=0.1
-    )
-    assert (logs - common[:, None]).std() == pytest.approx(compliance.SCATTER, rel=0.15)
+    common, scatter = logs.mean(axis=1), JOINT_SCATTER * compliance.STIFFNESS_SPREAD
+    assert common.std() == pytest.approx(np.hypot(compliance.STIFFNESS_SPREAD, scatter / np.sqrt(7)), rel=0.1)
+    assert (logs - common[:, None]).std() == pytest.approx(scatter, rel=0.15)
     assert fast.std() == pytest.approx(compliance.BANDWIDTH_SPREAD, rel=0.05)
     assert abs(np.corrcoef(common, fast)[0, 1]) < 0.3
     assert drives.feedforward.std(axis=0) == pytest.approx(np.full(7, compliance.FEEDFORWARD_ERROR), rel=0.05)
 
 
-def test_mujocos_arm_does_what_the_equations_say(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("scatter", [0.0, 0.3])
+def test_mujocos_arm_does_what_the_equations_say(monkeypatch: pytest.MonkeyPatch, scatter: float) -> None:
     """With its true springs, servos and torques; as stiff as it reads, it would be far off above 8 Hz."""
-    truth = replace(NOMINAL, joint_stiffness=10.0, servo_bandwidth=7.0)
-    motors, grip = swings(truth, np.asarray(NEAR_PLANT), ALONG)
-    true = np.log(10.0 / compliance.STIFFNESS) / compliance.STIFFNESS_SPREAD
-    known, rigid = grip_motion(SAWYER, NEAR_PLANT, motors, TONES, np.array([true, 20.0]))
+    truth = replace(NOMINAL, joint_stiffness=10.0, servo_bandwidth=7.0, joint_scatter=scatter)
+    motors, grip = swings(truth, np.asarray(NEAR_PLANT), ALONG, seed=3)
+    stiffness = 10.0 * np.exp(scatter * np.random.default_rng([3, 9]).normal(size=7))
+    true = np.log(stiffness / compliance.STIFFNESS) / compliance.STIFFNESS_SPREAD
+    known, rigid = grip_motion(SAWYER, NEAR_PLANT, motors, TONES, np.stack([true, np.full(7, 20.0)]))
     slow = TONES < 15
     off = [np.linalg.norm(said - grip, axis=1) / np.linalg.norm(grip, axis=1) for said in (known, rigid)]
     assert off[0][slow].max() < 0.15, "the springs are damped by their inertia elsewhere"
     assert off[1][(TONES > 8) & slow].min() > 0.3
     monkeypatch.setattr(
-        compliance, "draw_drives", lambda count: Drives(np.full((1, 7), 10.0), np.array([7.0]), np.ones((1, count)))
+        compliance, "draw_drives", lambda count: Drives(stiffness[None], np.array([7.0]), np.ones((1, count)))
     )
     mean, spread = delivered(SAWYER, NEAR_PLANT, ALONG[None], TONES)
     assert np.log(np.abs(grip @ ALONG))[slow] == pytest.approx(mean[slow, 0], abs=0.15)

@@ -26,11 +26,11 @@ from anther.plant.limits import like_breeze
 from anther.plant.source import Properties, SourcePlant, read_plant
 from anther.pollination.grasp import Grasp, load_grasps
 from anther.pollination.shake import (
-    ANY_ARM,
     VIBRATING_GRIPPER,
     Actuator,
     Params,
     ShakePlan,
+    any_arm,
     arm_shaker,
     plan_shake,
     sawyer_limit,
@@ -134,7 +134,7 @@ def _actuator(args: Args, arm: str) -> Actuator:
 
     def delivers(grasp: Grasp, directions: Array, frequencies: Array) -> tuple[Array, Array]:
         if grasp.joints is None:
-            return ANY_ARM(grasp, directions, frequencies)
+            return any_arm(grasp, directions, frequencies)
         from anther.robot.arm.arms import find_arm
         from anther.robot.arm.compliance import delivered
 

@@ -28,10 +28,10 @@ from anther.plant import model as plant
 from anther.plant.belief import EarlierShake
 from anther.plant.model import Material, PlantModel
 from anther.pollination import escalation, execution, grasp, shake
-from anther.pollination.escalation import SHORTEST, Escalation, foresee, watch_points
+from anther.pollination.escalation import SHORTEST, Escalation, JointBelief, foresee, watch_points
 from anther.pollination.execution import Arrive, Trial, early_reach
 from anther.pollination.grasp import Grasp
-from anther.pollination.learning import ObservedShake, measure_grip, refine
+from anther.pollination.learning import NOT_MEASURED, ObservedShake, measure_grip, refine
 from anther.pollination.response import Response, measure_response, stem_near
 from anther.pollination.response.thresholds import FEWEST_FRAMES
 from anther.pollination.shake import Pads, ShakePlan
@@ -239,14 +239,16 @@ def pollinate(
     answer = _watched(cell, trial, shake, seen, run)
     if answer is None:
         return Done(shake, trial, answer, rods.material, rods.material, params.shake.pads, alone, planned)
-    by_arm = _grip_motion(planner, shake.grasp) if params.actuator == "arm" else None
-    observed = [ObservedShake.of(shake, answer, *([measure_grip(trial, shake, by_arm, joints)] if by_arm else ()))]
+    if params.actuator == "arm":
+        joints = joints or JointBelief(_grip_motion(planner, shake.grasp))
+    observed = [ObservedShake.of(shake, answer, NOT_MEASURED if joints is None else measure_grip(trial, shake, joints))]
     learned = run.timed("learning", lambda _: refine(rods, observed, pads=params.shake.pads))
     return Done(shake, trial, answer, learned.material, rods.material, learned.pads, alone, planned)
 
 
-def _grip_motion(planner: MotionPlanner, grasp: Grasp) -> GripMotion | None:
-    return None if grasp.joints is None else partial(planner.grip_motion, grasp.joints)
+def _grip_motion(planner: MotionPlanner, grasp: Grasp) -> GripMotion:
+    assert grasp.joints is not None
+    return partial(planner.grip_motion, grasp.joints)
 
 
 def _watched(cell: Cell, trial: Trial, plan: ShakePlan, seen: Seen, run: Run) -> Response | None:
@@ -278,12 +280,11 @@ def _shaken(
     arrive: Arrive | None,
     params: Params,
     earlier: EarlierShake | None,
-) -> tuple[ShakePlan, Trial, str | None, ShakePlan, float | None]:
+) -> tuple[ShakePlan, Trial, str | None, ShakePlan, JointBelief | None]:
     """Shake at one of the best grasps; where that fails and leaves the plant unharmed, at one of the others.
 
     `arrive` waits for the arm that has gone before the best. Return the shake as carried out, its record, why the
-    plan alone was to be carried out, the shake as planned, and how stiff the arm's joints were seen to be
-    (`Escalation.joints`).
+    plan alone was to be carried out, the shake as planned, and what it told of the arm's joints.
     """
 
     def arm_limit(at: Grasp, direction: Array, hertz: Array) -> Array:
@@ -332,8 +333,7 @@ def _shaken(
             plan = watched.executed_plan(trial.steps)
         grasps = [g for i, g in enumerate(grasps) if i != planned.grasp_index]
         if trial.failure not in TRY_THE_NEXT or len(trial.shake_times) or not grasps:
-            found = None if watched is None or watched.joints is None else watched.joints[0]
-            return plan, trial, alone, planned, found
+            return plan, trial, alone, planned, None if watched is None else watched.joints
         at = f"{100 * planned.grasp.arc_length:.0f} cm up the stem"
         run.note_attempt(f"the grasp {at} is left for the next: {trial.stop_reason}")
 

@@ -24,6 +24,11 @@ An arm reads its motors, not its links: what the grip does hangs on how stiff it
 deviations off what is believed of them (`anther.robot.arm.compliance`), all alike or each of the joints (S, J)."""
 
 
+JOINT_SCATTER = 0.4
+"""Standard deviation of one joint's stiffness beside what all of an arm have in common, in `GripMotion`'s deviates: 28 %
+of it, a guess."""
+
+
 class TrajectoryPlanner(Protocol):
     """What execution asks of an arm's motion planner. Every trajectory keeps the arm's own limits."""
 

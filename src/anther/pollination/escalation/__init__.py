@@ -1,6 +1,6 @@
 """Escalation: a shake starts gently and is raised stepwise while the camera measures the plant.
 
-F flowers, P visible plant points, R arm readings, N candidate shakes (one frequency along one direction each).
+F flowers, P visible plant points, N candidate shakes (one frequency along one direction each).
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from anther.pollination.decision import WorthCurve, believed, interval
 from anther.pollination.escalation._foresight import Foresight, foresee, watch_points
 from anther.pollination.escalation._knowledge import (
     DELAYS,
-    DEVIATES,
+    STIFFNESS_DEVIATES,
     Answer,
     JointBelief,
     Observation,
     Prediction,
     extrapolate_growth,
     fit_motors,
+    log_likelihood,
     predict,
     prior_answer,
     shows_plant,
     sum_answers,
     update_answer,
     update_directions,
-    weigh_arms,
 )
 from anther.pollination.escalation._option import SHORTEST, WORDS, Option, Params, limits_of
 from anther.pollination.execution import ShakeDirection, Step
@@ -43,7 +43,17 @@ from anther.robot.cell import GripMotion
 from anther.robot.devices import LEAD, ArmSample, Frame
 from anther.robot.swing import Swing
 
-__all__ = ["SHORTEST", "WORDS", "Escalation", "Foresight", "Params", "foresee", "limits_of", "watch_points"]
+__all__ = [
+    "SHORTEST",
+    "WORDS",
+    "Escalation",
+    "Foresight",
+    "JointBelief",
+    "Params",
+    "foresee",
+    "limits_of",
+    "watch_points",
+]
 
 
 DEFAULTS = Params()
@@ -132,14 +142,9 @@ class Escalation:
         )
 
     @property
-    def joints(self) -> tuple[float, float] | None:
-        """By how many standard deviations the arm's joints are stiffer than is believed (`GripMotion`): mean and
-        standard deviation of what the looks told. None if they told nothing, and of a motor."""
-        if self._joints is None or not any(self._proofs):
-            return None
-        share = self._joints.probabilities
-        mean = float(share @ DEVIATES)
-        return mean, float(np.sqrt(share @ (DEVIATES - mean) ** 2))
+    def joints(self) -> JointBelief | None:
+        """What the looks told of the arm's joints; None if they told nothing, and of a motor."""
+        return self._joints if any(self._proofs) else None
 
     def frame_rate(self, rates: Sequence[float]) -> float:
         """Return the slowest camera rate [1/s] that separates the frequencies about as well as the fastest one."""
@@ -170,15 +175,16 @@ class Escalation:
         """Return the next piece, chosen from the observation of the current one; the last piece ends at rest."""
         started, steady = perf_counter(), [s for s in samples if s.time >= samples[0].time + self.steady_from(piece)]
         self._piece = piece
-        observation, joints = self._observe(frames, steady, samples[0].time), self._joints
+        observation = self._observe(frames, steady, samples[0].time)
+        fitted, joints = observation, self._joints
         if not self.steps:
             self._visible_count = observation.followed
         if observation.followed and (self._probing or not any(self._proofs)):
-            observation, joints = self._fit_clock_and_joints(observation, steady)
-        self._proofs.append(shows_plant(self._foresight, observation, self._camera_delay, self._proven_observations))
-        if self._proofs[-1]:
+            fitted, joints = self._fit_clock_and_joints(observation, steady)
+        self._proofs.append(shows_plant(self._foresight, fitted, self._camera_delay, self._proven_observations))
+        if self._proofs[-1]:  # what proves nothing teaches nothing of the joints either
+            observation, self._joints = fitted, joints
             self._proven_observations.append(observation)
-            self._joints = joints
         active = np.flatnonzero(piece.amplitudes).tolist()
         before = [self._options[n].prediction for n in active] if self._options else [None] * len(active)
         if self._probing and not self._proofs[-1]:
@@ -284,7 +290,7 @@ class Escalation:
         if self._joints is None:
             gripper = np.asarray(commanded[None, :, None] * direction, dtype=np.complex128)
         else:
-            gripper = self._joints.drawn(fit_motors(steady, tones), tones, len(self._foresight.vectors))
+            gripper = self._joints.sample(fit_motors(steady, tones), tones, len(self._foresight.vectors))
         expected = None
         if self._options:
             expected = np.stack([c * self._options[n].prediction.phasors for c, n in zip(commanded, active)], axis=1)  # noqa: B905
@@ -297,16 +303,16 @@ class Escalation:
         """Fit the camera's delay, if nothing has shown the plant yet, and the arm's joints to an observation."""
         delays = np.array([self._camera_delay]) if any(self._proofs) else DELAYS
         if self._joints is None:
-            odds = weigh_arms(self._foresight, observation, observation.gripper, delays)
-            self._camera_delay = float(delays[odds[0].argmax()])
+            found = log_likelihood(self._foresight, observation, observation.gripper, delays)
+            self._camera_delay = float(delays[found[0].argmax()])
             return observation, None
         tones = self._foresight.frequencies[observation.frequency_indices]
         motors = fit_motors(steady, tones)
-        arms = self._joints.grip(motors, tones, DEVIATES)
-        odds = self._joints.odds[:, None] + weigh_arms(self._foresight, observation, arms, delays)
-        best = int(np.logaddexp.reduce(odds, axis=0).argmax())
-        self._camera_delay, joints = float(delays[best]), self._joints._replace(odds=odds[:, best])
-        return observation._replace(gripper=joints.drawn(motors, tones, len(self._foresight.vectors))), joints
+        grips = self._joints.grip(motors, tones, STIFFNESS_DEVIATES)
+        found = self._joints.log_posterior[:, None] + log_likelihood(self._foresight, observation, grips, delays)
+        best = int(np.logaddexp.reduce(found, axis=0).argmax())
+        self._camera_delay, joints = float(delays[best]), self._joints._replace(log_posterior=found[:, best])
+        return observation._replace(gripper=joints.sample(motors, tones, len(self._foresight.vectors))), joints
 
     def _predict(self, shake: int, answer: Answer) -> Prediction:
         return predict(self._foresight, float(self._frequencies[shake]), answer, self._camera_delay)

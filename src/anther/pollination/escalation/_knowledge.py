@@ -28,9 +28,11 @@ from anther.pollination.escalation._foresight import (
 )
 from anther.pollination.response.points import Swings
 from anther.pollination.shake.observables import ComplexArray, semi_major
-from anther.pollination.shake.params import FAST
-from anther.robot.cell import GripMotion
+from anther.robot.cell import JOINT_SCATTER, GripMotion
 from anther.robot.devices import ArmSample
+
+DEPTH_BAND = 14.0
+"""Up to here depth tells swings as they are [Hz]: a faster one moves less than depth errs, which feigns it."""
 
 
 class Prediction(NamedTuple):
@@ -126,22 +128,24 @@ DELAYS = np.arange(-0.005, 0.0451, 0.0025)
 """Of the camera's clock against the robot's [s], that are compared."""
 
 
-def weigh_arms(foresight: Foresight, observation: Observation, arms: ComplexArray, delays: Array) -> Array:
+def log_likelihood(foresight: Foresight, observation: Observation, grips: ComplexArray, delays: Array) -> Array:
     """Return ln of how likely an observation is (A, L), up to a constant.
 
     Args:
         foresight: prior responses of the members.
         observation: of flowers and points.
-        arms: (A, K, 3) what the gripper may have done [m], in place of what the observation says.
+        grips: (A, K, 3) what the gripper may have done [m], in place of what the observation says.
         delays: (L,) of the camera's clock [s].
     """
-    odds = np.zeros((len(arms), len(delays)))
+    found = np.zeros((len(grips), len(delays)))
     for i, k in enumerate(observation.frequency_indices.tolist()):
         motion, std = _align_phase(foresight, observation, i, 0.0)
+        watched = foresight.vectors[:, k, :, : len(motion)]
         turns = np.exp(2j * np.pi * foresight.frequencies[k] * delays)
-        for a, moved in enumerate(arms[:, i] / observation.commanded[i]):
-            odds[a] -= misfits(foresight.of(k, moved), motion, std, observation.swings.axes, turns)
-    return odds
+        for a, moved in enumerate(grips[:, i] / observation.commanded[i]):
+            members = np.asarray(np.einsum("mapx,a->mpx", watched, moved))
+            found[a] -= misfits(members, motion, std, observation.swings.axes, turns)
+    return found
 
 
 def shows_plant(
@@ -184,7 +188,7 @@ def _repeats_earlier(
         )
         for i, j in alike:
             hertz = float(foresight.frequencies[observation.frequency_indices[i]])
-            raised = float(np.linalg.norm(observation.gripper[:, i]) / np.linalg.norm(last.gripper[:, j]))
+            raised = float(np.abs(observation.commanded[i]) / np.abs(last.commanded[j]))
             changing = float(np.hypot(predict_growth(observation.swings, hertz), predict_growth(last.swings, hertz)))
             if repeats_motion(moved(observation, i), moved(last, j), raised, changing):
                 return True
@@ -200,7 +204,7 @@ def update_answer(
         foresight: prior responses of the members.
         observation: of flowers and points.
         i: into the observation's frequencies.
-        delay: of the camera's clock [s], see `fit_camera_delay`.
+        delay: of the camera's clock [s], see `log_likelihood`.
         before: previous prediction of the same shake.
     """
     members = _predict_members(foresight, observation, i)
@@ -288,7 +292,7 @@ def predict(foresight: Foresight, hertz: float, one: Answer, delay: float) -> Pr
         foresight: prior responses of the members.
         hertz: frequency of the shake [Hz].
         one: response of the plant.
-        delay: of the camera's clock [s], see `fit_camera_delay`.
+        delay: of the camera's clock [s], see `log_likelihood`.
     """
     own, omega = foresight.where["flowers"], 2 * np.pi * hertz
     moved = np.einsum("mfx,fxa->mfa", one.members[:, own], one.axes)
@@ -354,11 +358,11 @@ def _predict_members(foresight: Foresight, observation: Observation, i: int) -> 
 def _align_phase(foresight: Foresight, observation: Observation, i: int, delay: float) -> tuple[ComplexArray, Array]:
     """Return (F + P, 3) motion per metre commanded, in the phase of the shake, and its standard deviation.
 
-    Above `FAST`, little depth motion is NaN.
+    Above `DEPTH_BAND`, little depth motion is NaN.
     """
     tone, moved = float(foresight.frequencies[observation.frequency_indices[i]]), observation.swings.phasors[:, i]
     least = 0.001  # m of depth motion, several times the depth error of 0.1 to 0.3 mm; a judgement
-    shallow = (tone > FAST) & ~(np.abs(moved[:, 2]) >= least)
+    shallow = (tone > DEPTH_BAND) & ~(np.abs(moved[:, 2]) >= least)
     parts = np.where(shallow[:, None], [1.0, 1.0, np.nan], 1.0)
     turned = parts * np.exp(2j * np.pi * tone * delay) / observation.commanded[i]
     return np.asarray(moved * turned), observation.swings.std * np.abs(turned)
@@ -380,37 +384,43 @@ def measure_sharpness(swings: Swings, own: slice) -> Array:
     return np.divide(whole, sine, out=np.ones(len(tone)), where=sine > 0)
 
 
-DEVIATES = np.linspace(-2.5, 2.5, 21)
-"""Of the joints, that are compared."""
+STIFFNESS_DEVIATES = np.linspace(-2.5, 2.5, 21)
+"""How stiff an arm's joints may be (`GripMotion`): the values that are compared."""
 
 
 class JointBelief(NamedTuple):
-    """What is believed of an arm's joints.
+    """What is believed of how stiff an arm's joints are.
 
     Attributes:
-        grip: see `GripMotion`.
-        odds: (A,) ln of how likely each of `DEVIATES` is, up to a constant.
+        grip: what its motors do to the grip.
+        log_posterior: (A,) ln of how likely each of `STIFFNESS_DEVIATES` is, up to a constant.
     """
 
     grip: GripMotion
-    odds: Array = -(DEVIATES**2) / 2
+    log_posterior: Array = -(STIFFNESS_DEVIATES**2) / 2
 
     @property
     def probabilities(self) -> Array:
-        """(A,) probability of each of `DEVIATES`."""
+        """(A,) probability of each of `STIFFNESS_DEVIATES`."""
         error = 0.3  # of the stiffness that fits best, in arms whose joints each differ by 30 % (measured on seven)
-        near = np.exp(-(((DEVIATES[:, None] - DEVIATES) / error) ** 2) / 2)
-        share = near / near.sum(axis=0) @ np.exp(self.odds - self.odds.max())
+        kernel = np.exp(-(((STIFFNESS_DEVIATES[:, None] - STIFFNESS_DEVIATES) / error) ** 2) / 2)
+        share = kernel / kernel.sum(axis=0) @ np.exp(self.log_posterior - self.log_posterior.max())
         return np.asarray(share / share.sum())
 
-    def drawn(self, motors: ComplexArray, frequencies: Array, count: int) -> ComplexArray:
+    @property
+    def stiffness(self) -> tuple[float, float]:
+        """Mean and standard deviation, in deviates."""
+        mean = float(self.probabilities @ STIFFNESS_DEVIATES)
+        return mean, float(np.sqrt(self.probabilities @ (STIFFNESS_DEVIATES - mean) ** 2))
+
+    def sample(self, motors: ComplexArray, frequencies: Array, count: int) -> ComplexArray:
         """Return (count, K, 3) phasors of the grip for joints that are as likely as is believed."""
         below = np.append(0.0, np.cumsum(self.probabilities))
-        half = (DEVIATES[1] - DEVIATES[0]) / 2
-        even = np.interp((np.arange(count) + 0.5) / count, below, np.append(DEVIATES - half, DEVIATES[-1] + half))
-        rng, apart = np.random.default_rng(0), 0.4  # by which one arm's joints differ: 30 % of their stiffness, a guess
-        own = apart * rng.normal(size=(count, motors.shape[1]))
-        return self.grip(motors, frequencies, rng.permutation(even)[:, None] + own)
+        half = (STIFFNESS_DEVIATES[1] - STIFFNESS_DEVIATES[0]) / 2
+        edges = np.append(STIFFNESS_DEVIATES - half, STIFFNESS_DEVIATES[-1] + half)
+        common, rng = np.interp((np.arange(count) + 0.5) / count, below, edges), np.random.default_rng(0)
+        own = JOINT_SCATTER * rng.normal(size=(count, motors.shape[1]))
+        return self.grip(motors, frequencies, rng.permutation(common)[:, None] + own)
 
 
 def fit_motors(samples: Sequence[ArmSample], frequencies: Array) -> ComplexArray:

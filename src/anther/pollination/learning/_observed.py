@@ -11,10 +11,10 @@ from anther.core.checks import check_array
 from anther.core.errors import InputError, bad_input
 from anther.core.geometry import Array
 from anther.core.oscillation import fit_swing
+from anther.pollination.escalation import JointBelief
 from anther.pollination.execution import Trial
 from anther.pollination.response import Response, StemMotion
 from anther.pollination.shake import ShakePlan
-from anther.robot.cell import GripMotion
 
 
 def _unknown() -> Array:
@@ -123,24 +123,22 @@ LEAST_READINGS = 16
 """Least number of readings for a fit."""
 
 
-def measure_grip(trial: Trial, shake: ShakePlan, grip: GripMotion, joints: float | None) -> GripMeasurement:
+def measure_grip(trial: Trial, shake: ShakePlan, joints: JointBelief) -> GripMeasurement:
     """Measure the motion and the force of a grip that an arm shakes.
 
-    The gripper's motion follows from what the motors read and from how stiff the joints are. As long as that is not
-    known, nothing is measured above 5 Hz, where it counts (evaluation/trials/arm_readings.py). The arm reports the
-    magnitude of a force, which contains the stem's constant pull F0. In its square, |F0 + Im(F exp(i w t))|^2, only the
-    motion's force F has a component at twice the frequency, -Re(F . F exp(2 i w t)) / 2, which gives F . F for any F0.
+    The gripper's motion follows from what the motors read and from how stiff the joints are believed to be; where that
+    leaves the phase open, the amplitude alone is told. The arm reports the magnitude of a force, which contains the
+    stem's constant pull F0. In its square, |F0 + Im(F exp(i w t))|^2, only the motion's force F has a component at
+    twice the frequency, -Re(F . F exp(2 i w t)) / 2, which gives F . F for any F0.
 
     Args:
         trial: record of the shake.
         shake: as planned.
-        grip: what the motors do to the grip.
-        joints: by how many standard deviations the joints are stiffer than is believed; None: not known.
+        joints: what is believed of the arm's.
     """
-    slow = 5.0  # Hz up to which an arm is as stiff as it reads
     moving = _select_steady(trial.shake_times, trial)
     times, readings = trial.shake_times[moving], trial.measured[moving]
-    if len(times) < LEAST_READINGS or (joints is None and shake.frequency > slow):
+    if len(times) < LEAST_READINGS:
         return NOT_MEASURED
     try:
         swing = fit_swing(times, readings, shake.frequency)
@@ -149,9 +147,13 @@ def measure_grip(trial: Trial, shake: ShakePlan, grip: GripMotion, joints: float
     omega = 2 * np.pi * shake.frequency
     cosine, sine = swing.coefficients[:2]
     motors = (sine + 1j * cosine) * np.exp(-1j * omega * swing.span[0])
-    moved = grip(motors[None], np.array([shake.frequency]), np.array([joints or 0.0]))
-    motion = complex(moved[0, 0] @ shake.direction)
-    amplitude, start = float(abs(motion)), float(-np.angle(motion) / omega)
+    drawn = 64
+    motions = joints.sample(motors[None], np.array([shake.frequency]), drawn)[:, 0] @ shake.direction
+    amplitude, ahead = float(np.median(np.abs(motions))), float(np.angle(motions.mean()))
+    unsure = 0.3  # rad, of the phase: as much as learning takes a flower's to be off
+    if np.std(np.angle(motions * np.exp(-1j * ahead))) > unsure:
+        return GripMeasurement(amplitude)
+    start = -ahead / omega
     return GripMeasurement(amplitude, start, *_fit_force(trial, omega, start))
 
 

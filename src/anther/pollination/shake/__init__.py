@@ -15,7 +15,7 @@ from anther.core.geometry import Array
 from anther.plant.belief import EarlierShake
 from anther.plant.model import PlantModel
 from anther.pollination.grasp import Grasp
-from anther.pollination.shake._actuators import ANY_ARM, VIBRATING_GRIPPER, Actuator, arm_shaker, sawyer_limit
+from anther.pollination.shake._actuators import VIBRATING_GRIPPER, Actuator, any_arm, arm_shaker, sawyer_limit
 from anther.pollination.shake._plan import ResponseMap, RunnerUp, ShakePlan
 from anther.pollination.shake.choice import (
     Place,
@@ -36,7 +36,7 @@ from anther.pollination.shake.search import gains, scenarios
 from anther.robot.pressing import PRESSING, Pressing
 
 __all__ = [
-    "ANY_ARM", "PADS", "VIBRATING_GRIPPER", "Actuator", "Pads", "Params", "ResponseMap", "RunnerUp", "ShakePlan",
+    "PADS", "VIBRATING_GRIPPER", "Actuator", "Pads", "Params", "ResponseMap", "RunnerUp", "ShakePlan", "any_arm",
     "arm_shaker", "plan_shake", "sawyer_limit", "with_preset",
 ]  # fmt: skip
 

@@ -81,11 +81,16 @@ def _amplitude(table: Array, frequencies: Array) -> Array:
     return inside * np.minimum(1, (hertz[-1] / frequencies) ** 2)
 
 
-ANY_ARM = within(0.4)
-"""An arm of which neither joints nor springs are known, at 15 to 25 Hz (evaluation/trials/arm_readings.py)."""
+def any_arm(_: Grasp, directions: Array, frequencies: Array) -> tuple[Array, Array]:
+    """Return what an arm delivers of which nothing is known: less and less of it the faster it is to be.
+
+    A guess by Sawyers near plants (evaluation/trials/arm_readings.py)."""
+    most, fast = 0.4, 15.0  # the spread, reached at a frequency [Hz]
+    spread = most * np.minimum(frequencies / fast, 1.0)
+    return np.zeros((len(frequencies), len(directions))), np.repeat(spread[:, None], len(directions), axis=1)
 
 
-def arm_shaker(limit: Limit = sawyer_limit, delivers: Delivery = ANY_ARM) -> Actuator:
+def arm_shaker(limit: Limit = sawyer_limit, delivers: Delivery = any_arm) -> Actuator:
     """Return an arm that shakes the closed gripper.
 
     Its joints' speed, acceleration and torque bound it, so that the amplitude falls as 1/f^2 above 1-2 Hz (facts:

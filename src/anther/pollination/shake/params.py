@@ -13,8 +13,6 @@ from anther.core.records import Range, Record
 from anther.pollination.decision import PRICES
 from anther.pollination.shake.pads import PADS, Pads
 
-FAST = 14.0
-"""Up to here an arm's readings tell what its gripper does, and loads err as they do at slow tones [Hz]."""
 MOST_DURATION = 5.0
 """Of a visit [s]."""
 

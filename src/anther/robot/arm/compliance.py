@@ -18,14 +18,11 @@ from scipy.special import ndtri
 from anther.core.geometry import Array
 from anther.robot.arm.model import ArmModel
 from anther.robot.arm.motions import inertia
-
-ComplexArray = NDArray[np.complex128]
+from anther.robot.cell import JOINT_SCATTER, ComplexArray
 
 STIFFNESS, STIFFNESS_SPREAD = 19.0, 0.7
 """Joint springs over `ArmModel.stiffness`: median, and standard deviation of the logarithm. A guess: Sawyer's large
 joints then have 4e3 to 6e4 N m/rad, where harmonic drives of that size have 1e4 to 3e4 (remembered)."""
-SCATTER = 0.3
-"""Standard deviation of ln of a joint's own spring beside what all of an arm have in common: a guess."""
 BANDWIDTH, BANDWIDTH_SPREAD = 8.0, 0.3
 """Of position servos [Hz], and standard deviation of its logarithm. A guess."""
 FEEDFORWARD_ERROR = 0.15
@@ -56,7 +53,7 @@ def draw_drives(joints: int, count: int = DRAWN) -> Drives:
     bandwidth, *errors = (rng.permutation(even) for _ in range(1 + 2 * joints))
     own, expected = np.stack(errors, axis=1).reshape(count, 2, joints).swapaxes(0, 1)
     return Drives(
-        STIFFNESS * np.exp(STIFFNESS_SPREAD * even[:, None] + SCATTER * own),
+        STIFFNESS * np.exp(STIFFNESS_SPREAD * (even[:, None] + JOINT_SCATTER * own)),
         BANDWIDTH * np.exp(BANDWIDTH_SPREAD * bandwidth),
         1 + FEEDFORWARD_ERROR * expected,
     )
