@@ -5,8 +5,8 @@
 The real `Escalation` shakes made-up plants of which it is known what any shake does
 (tests/support/made_foresight.py). What it is told of each look is falsified from some look on: a picture that stands
 still, a tracker that sits on what stands still, times that are late, another plant. Beside each lie stands the healthy
-camera. A plant is one of those that are believed, or SOFT times softer than it: then a shake that is raised because
-nothing seems to move breaks it.
+camera. How stiff the arm's joints are is not known; they are as is believed. A plant is one of those that are
+believed, or SOFT times softer than it: then a shake that is raised because nothing seems to move breaks it.
 
 A lie harms a plant where the largest true load of any step passes what nineteen of twenty organs bear, and is larger
 than with the healthy camera: what that raises it to is worth its cost (docs/shake.md).
@@ -36,6 +36,7 @@ from evaluation.harness import finish, in_processes, options
 from evaluation.tables import markdown
 
 NOISE = 3e-5  # m, of what is seen
+SPRINGS = 0.15  # ln of how much more an arm's grip does at 6 Hz whose joints are a standard deviation softer
 PLANNED, REACH = 0.002, 0.03  # m, at every tone: what the model allows, and what the actuator can do
 FIRST_MEMBER, DRAWN = 3, 20  # the truth is one of so many members of the belief
 OWN = np.arange(FLOWERS + POINTS) < FLOWERS
@@ -123,12 +124,11 @@ def shaken(case: Case) -> Outcome:
     foresight = made_foresight(case.seed)
     truth = case.softer * foresight.vectors[FIRST_MEMBER + case.seed % DRAWN]
     plan = made_plan((PLANNED,) * len(TONES), (REACH,) * len(TONES))
-    world = Lying(foresight, truth, noise=NOISE, plan=plan, lie=LIES[case.lie][0], since=case.since)
+    world = Lying(foresight, truth, noise=NOISE, plan=plan, lie=LIES[case.lie][0], since=case.since, soft=SPRINGS)
     sighted = SimpleNamespace(shown=OWN | True)
     with (
         patch.object(escalation, "swings", world.swings),
         patch.object(escalation, "sight", lambda *_: sighted),
-        patch.object(escalation, "correct_for_links", lambda readings, tones: (readings, np.zeros(len(tones)))),
     ):
         steps = world.shaken(world.escalation()).steps
     share = flowers = 0.0

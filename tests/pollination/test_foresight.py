@@ -17,8 +17,8 @@ from anther.pollination.decision import OBSERVED_ERRORS, expected
 from anther.pollination.escalation import _foresight as foresight_module
 from anther.pollination.escalation._foresight import (
     Foresight,
-    evidence,
     misfit,
+    moves_or_stands,
     repeats_motion,
     update_members,
     watch_points,
@@ -42,6 +42,12 @@ from anther.robot.devices import ArmSample
 from anther.robot.swing import Swing
 
 ROWS = np.arange(FLOWERS + POINTS)
+
+
+def evidence(*given: Any) -> float:
+    """Return ln of how much likelier it is that a plant moves as predicted than that it stands still."""
+    moves, stands = moves_or_stands(*given)
+    return float(moves - stands)
 
 
 def off(foresight: Foresight, vectors: np.ndarray, truth: np.ndarray) -> float:
@@ -204,7 +210,7 @@ def test_a_point_that_is_less_sure_counts_for_less(monkeypatch: pytest.MonkeyPat
 def test_members_that_explain_what_was_seen_fit_better_than_others() -> None:
     foresight, other = made_foresight(3), made_foresight(4)
     std = deviation(np.full(len(ROWS), 0.01))
-    fits = [misfit(of(foresight), seen(of(f)[9]), std, AXES) for f in (foresight, other)]
+    fits = [float(misfit(of(foresight), seen(of(f)[9]), std, AXES)[0]) for f in (foresight, other)]
     assert fits[0] < fits[1]
 
 
@@ -218,7 +224,7 @@ def test_the_misfit_is_that_of_gaussian_noise_and_the_members_own_spread(monkeyp
     covariance = 2 * np.diag(std[used] ** 2) + off.T @ off.conj() / (len(members) - 1)
     miss = motion[used] - said.mean(axis=0)
     expected = (miss.conj() @ np.linalg.solve(covariance, miss)).real + np.linalg.slogdet(covariance)[1]
-    assert misfit(members, motion, std, AXES) == pytest.approx(expected)
+    assert misfit(members, motion, std, AXES) == pytest.approx([expected])
 
 
 def test_what_moves_as_the_members_say_is_evidence_and_what_stands_still_or_moves_otherwise_is_none() -> None:

@@ -25,8 +25,8 @@ deviations off what is believed of them (`anther.robot.arm.compliance`), all ali
 
 
 JOINT_SCATTER = 0.4
-"""Standard deviation of one joint's stiffness beside what all of an arm have in common, in `GripMotion`'s deviates: 28 %
-of it, a guess."""
+"""Standard deviation of a joint's own stiffness beside what all of an arm have in common, in `GripMotion`'s deviates:
+28 % of it, a guess."""
 
 
 class TrajectoryPlanner(Protocol):

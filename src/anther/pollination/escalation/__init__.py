@@ -181,7 +181,7 @@ class Escalation:
             self._visible_count = observation.followed
         if observation.followed and (self._probing or not any(self._proofs)):
             fitted, joints = self._fit_clock_and_joints(observation, steady)
-        self._proofs.append(shows_plant(self._foresight, fitted, self._camera_delay, self._proven_observations))
+        self._proofs.append(self._shows_plant(fitted, steady))
         if self._proofs[-1]:  # what proves nothing teaches nothing of the joints either
             observation, self._joints = fitted, joints
             self._proven_observations.append(observation)
@@ -313,6 +313,15 @@ class Escalation:
         best = int(np.logaddexp.reduce(found, axis=0).argmax())
         self._camera_delay, joints = float(delays[best]), self._joints._replace(log_posterior=found[:, best])
         return observation._replace(gripper=joints.sample(motors, tones, len(self._foresight.vectors))), joints
+
+    def _shows_plant(self, observation: Observation, steady: Sequence[ArmSample]) -> bool:
+        """Return whether an observation can only show the plant, by what was believed of the arm's joints before."""
+        known = self._foresight, observation, self._camera_delay, self._proven_observations
+        if self._joints is None:
+            return shows_plant(*known)
+        tones = self._foresight.frequencies[observation.frequency_indices]
+        grips = self._joints.grip(fit_motors(steady, tones), tones, STIFFNESS_DEVIATES)
+        return shows_plant(*known, grips, np.log(self._joints.probabilities))
 
     def _predict(self, shake: int, answer: Answer) -> Prediction:
         return predict(self._foresight, float(self._frequencies[shake]), answer, self._camera_delay)

@@ -135,29 +135,30 @@ def update_members(
     return members + (weights @ off).reshape(members.shape)
 
 
-def misfit(members: ComplexArray, motion: ComplexArray, std: Array, axes: Array) -> float:
-    """Return -ln likelihood of the observation of one shake, up to a constant; arguments as of `update_members`."""
-    return float(misfits(members, motion, std, axes, np.ones(1, np.complex128))[0])
+def misfit(
+    members: ComplexArray, motion: ComplexArray, std: Array, axes: Array, turns: ComplexArray | None = None
+) -> Array:
+    """Return (L,) -ln likelihood of the observation of one shake, up to a constant; arguments as of `update_members`.
 
-
-def misfits(members: ComplexArray, motion: ComplexArray, std: Array, axes: Array, turns: ComplexArray) -> Array:
-    """Return (L,) the same of the observed motion times each of the `turns` (L,), of absolute value 1."""
+    `turns`: (L,) of absolute value 1, that the observed motion is times; by default the one is 1.
+    """
     misses, spread, gram, noise = _innovations(members, motion, std, axes)
     shown = motion[np.isfinite(std)] / noise
-    miss = turns[:, None] * shown - (shown - misses.mean(axis=0))
+    turned = shown[None] if turns is None else turns[:, None] * shown
+    miss = turned - (shown - misses.mean(axis=0))
     explained = np.linalg.solve(gram, spread.conj() @ miss.T).T @ spread
     fit = np.sum(miss.conj() * (miss - explained), axis=1).real
     return np.asarray(fit + np.linalg.slogdet(gram)[1] + 2 * np.sum(np.log(noise)))
 
 
-def evidence(members: ComplexArray, motion: ComplexArray, std: Array, axes: Array) -> float:
-    """Return the ln likelihood ratio of two hypotheses: the plant moves as predicted, or a tenth as far.
+def moves_or_stands(members: ComplexArray, motion: ComplexArray, std: Array, axes: Array) -> Array:
+    """Return (2,) ln likelihoods, up to a constant: the plant moves as predicted, or a tenth as far.
 
-    The ratio is low if tracked points stand still, move at another phase than the pads, or are too few. Arguments as
-    of `update_members`.
+    The first is the lower one if tracked points stand still, move at another phase than the pads, or are too few.
+    Arguments as of `update_members`.
     """
     still = 0.1  # share of the predicted motion that a still plant is taken to show; a judgement
-    return misfit(still * members, motion, std, axes) - misfit(members, motion, std, axes)
+    return -np.concatenate([misfit(share * members, motion, std, axes) for share in (1.0, still)])
 
 
 def flowers_stand_still(members: ComplexArray, motion: ComplexArray, std: Array, axes: Array, count: int) -> bool:

@@ -20,9 +20,9 @@ from anther.pollination.escalation._foresight import (
     FLOWER_SPREAD,
     SIGNIFICANCE,
     Foresight,
-    evidence,
     flowers_stand_still,
-    misfits,
+    misfit,
+    moves_or_stands,
     repeats_motion,
     update_members,
 )
@@ -144,30 +144,54 @@ def log_likelihood(foresight: Foresight, observation: Observation, grips: Comple
         turns = np.exp(2j * np.pi * foresight.frequencies[k] * delays)
         for a, moved in enumerate(grips[:, i] / observation.commanded[i]):
             members = np.asarray(np.einsum("mapx,a->mpx", watched, moved))
-            found[a] -= misfits(members, motion, std, observation.swings.axes, turns)
+            found[a] -= misfit(members, motion, std, observation.swings.axes, turns)
     return found
 
 
 def shows_plant(
-    foresight: Foresight, observation: Observation, delay: float, before: Sequence[Observation] = ()
+    foresight: Foresight,
+    observation: Observation,
+    delay: float,
+    before: Sequence[Observation] = (),
+    grips: ComplexArray | None = None,
+    log_prior: Array | None = None,
 ) -> bool:
     """Return whether an observation can only show a plant that the gripper moves.
 
-    The `evidence` of stem, branches and leaves must suffice; flowers may move little, but may not stand still
-    (`flowers_stand_still`); and the motion must not repeat that of a gentler shake (`repeats_motion`).
+    Stem, branches and leaves must move as predicted rather than a tenth as far (`moves_or_stands`), whatever the arm's
+    joints let the gripper do; flowers may move little, but may not stand still (`flowers_stand_still`); and the motion
+    must not repeat that of a gentler shake (`repeats_motion`).
+
+    Args:
+        foresight: prior responses of the members.
+        observation: of flowers and points.
+        delay: of the camera's clock [s].
+        before: observations that showed the plant.
+        grips: (A, K, 3) what the gripper may have done [m]; None: as the observation says.
+        log_prior: (A,) ln of how likely each is, up to a constant.
     """
     points, count = foresight.where["points"], foresight.where["flowers"].stop
-    odds, stands = 0.0, False
-    for i in range(len(observation.frequency_indices)):
+    found, stands = np.zeros((2, 1 if grips is None else len(grips))), False
+    for i, k in enumerate(observation.frequency_indices.tolist()):
         members, (motion, std), axes = (
             _predict_members(foresight, observation, i),
             _align_phase(foresight, observation, i, delay),
             observation.swings.axes,
         )
-        odds += evidence(members[:, points], motion[points], std[points], axes[points])
+        seen = motion[points], std[points], axes[points]
+        watched, moved = foresight.vectors[:, k, :, points], None if grips is None else grips[:, i]
+        likely = (
+            [members[:, points]]
+            if moved is None
+            else np.einsum("mapx,ja->jmpx", watched, moved / observation.commanded[i])
+        )
+        found += np.array([moves_or_stands(one, *seen) for one in likely]).T
         stands |= flowers_stand_still(members, motion, std, axes, count)
+    odds = np.logaddexp.reduce(found + (0.0 if log_prior is None else log_prior), axis=1)
     least = 3.0  # ln of 20 to 1
-    return odds > least and not stands and not _repeats_earlier(foresight, observation, delay, before)
+    return (
+        bool(odds[0] - odds[1] > least) and not stands and not _repeats_earlier(foresight, observation, delay, before)
+    )
 
 
 def _repeats_earlier(
