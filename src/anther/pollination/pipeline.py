@@ -247,8 +247,12 @@ def pollinate(
 
 
 def _grip_motion(planner: MotionPlanner, grasp: Grasp) -> GripMotion:
-    assert grasp.joints is not None
-    return partial(planner.grip_motion, grasp.joints)
+    return partial(planner.grip_motion, _joints(grasp))
+
+
+def _joints(grasp: Grasp) -> Array:
+    assert grasp.joints is not None, "grasps are ranked by what the arm can reach"
+    return grasp.joints
 
 
 def _watched(cell: Cell, trial: Trial, plan: ShakePlan, seen: Seen, run: Run) -> Response | None:
@@ -288,12 +292,10 @@ def _shaken(
     """
 
     def arm_limit(at: Grasp, direction: Array, hertz: Array) -> Array:
-        assert at.joints is not None
-        return np.minimum(planner.shake_limit(at.joints, direction, hertz), shake_amplitude(hertz, cell.limits))
+        return np.minimum(planner.shake_limit(_joints(at), direction, hertz), shake_amplitude(hertz, cell.limits))
 
     def arm_delivers(at: Grasp, directions: Array, hertz: Array) -> tuple[Array, Array]:
-        assert at.joints is not None
-        return planner.delivered(at.joints, directions, hertz)
+        return planner.delivered(_joints(at), directions, hertz)
 
     by_arm = params.actuator == "arm"
     actuator = shake.arm_shaker(arm_limit, arm_delivers) if by_arm else shake.VIBRATING_GRIPPER

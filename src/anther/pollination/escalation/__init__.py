@@ -316,12 +316,13 @@ class Escalation:
 
     def _shows_plant(self, observation: Observation, steady: Sequence[ArmSample]) -> bool:
         """Return whether an observation can only show the plant, by what was believed of the arm's joints before."""
-        known = self._foresight, observation, self._camera_delay, self._proven_observations
-        if self._joints is None:
-            return shows_plant(*known)
-        tones = self._foresight.frequencies[observation.frequency_indices]
-        grips = self._joints.grip(fit_motors(steady, tones), tones, STIFFNESS_DEVIATES)
-        return shows_plant(*known, grips, np.log(self._joints.probabilities))
+        grips, log_prior = observation.gripper, np.zeros(1)
+        if self._joints is not None:
+            tones = self._foresight.frequencies[observation.frequency_indices]
+            grips = self._joints.grip(fit_motors(steady, tones), tones, STIFFNESS_DEVIATES)
+            log_prior = np.log(self._joints.probabilities)
+        before = self._proven_observations
+        return shows_plant(self._foresight, observation, grips, log_prior, self._camera_delay, before)
 
     def _predict(self, shake: int, answer: Answer) -> Prediction:
         return predict(self._foresight, float(self._frequencies[shake]), answer, self._camera_delay)

@@ -151,10 +151,10 @@ def log_likelihood(foresight: Foresight, observation: Observation, grips: Comple
 def shows_plant(
     foresight: Foresight,
     observation: Observation,
+    grips: ComplexArray,
+    log_prior: Array,
     delay: float,
     before: Sequence[Observation] = (),
-    grips: ComplexArray | None = None,
-    log_prior: Array | None = None,
 ) -> bool:
     """Return whether an observation can only show a plant that the gripper moves.
 
@@ -165,33 +165,23 @@ def shows_plant(
     Args:
         foresight: prior responses of the members.
         observation: of flowers and points.
+        grips: (A, K, 3) what the gripper may have done [m].
+        log_prior: (A,) ln of how likely each is, up to a constant.
         delay: of the camera's clock [s].
         before: observations that showed the plant.
-        grips: (A, K, 3) what the gripper may have done [m]; None: as the observation says.
-        log_prior: (A,) ln of how likely each is, up to a constant.
     """
-    points, count = foresight.where["points"], foresight.where["flowers"].stop
-    found, stands = np.zeros((2, 1 if grips is None else len(grips))), False
+    points, count, axes = foresight.where["points"], foresight.where["flowers"].stop, observation.swings.axes
+    found, stands = np.tile(log_prior, (2, 1)), False
     for i, k in enumerate(observation.frequency_indices.tolist()):
-        members, (motion, std), axes = (
-            _predict_members(foresight, observation, i),
-            _align_phase(foresight, observation, i, delay),
-            observation.swings.axes,
-        )
-        seen = motion[points], std[points], axes[points]
-        watched, moved = foresight.vectors[:, k, :, points], None if grips is None else grips[:, i]
-        likely = (
-            [members[:, points]]
-            if moved is None
-            else np.einsum("mapx,ja->jmpx", watched, moved / observation.commanded[i])
-        )
-        found += np.array([moves_or_stands(one, *seen) for one in likely]).T
-        stands |= flowers_stand_still(members, motion, std, axes, count)
-    odds = np.logaddexp.reduce(found + (0.0 if log_prior is None else log_prior), axis=1)
+        motion, std = _align_phase(foresight, observation, i, delay)
+        watched = foresight.vectors[:, k, :, points]
+        for a, moved in enumerate(grips[:, i] / observation.commanded[i]):
+            members = np.asarray(np.einsum("mapx,a->mpx", watched, moved))
+            found[:, a] += moves_or_stands(members, motion[points], std[points], axes[points])
+        stands |= flowers_stand_still(_predict_members(foresight, observation, i), motion, std, axes, count)
+    moves, still = np.logaddexp.reduce(found, axis=1)
     least = 3.0  # ln of 20 to 1
-    return (
-        bool(odds[0] - odds[1] > least) and not stands and not _repeats_earlier(foresight, observation, delay, before)
-    )
+    return bool(moves - still > least) and not stands and not _repeats_earlier(foresight, observation, delay, before)
 
 
 def _repeats_earlier(
