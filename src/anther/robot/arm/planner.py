@@ -21,6 +21,7 @@ from anther.robot.arm._collision import GROUP, CollisionWorld, cube_centres
 from anther.robot.arm._tours import DETOUR, least_times
 from anther.robot.arm.model import ArmModel, outline
 from anther.robot.arm.sawyer import SAWYER
+from anther.robot.cell import ComplexArray
 from anther.robot.devices import JointTrajectory
 from anther.robot.swing import Swing
 
@@ -163,8 +164,8 @@ class Planner:
         return compliance.delivered(self.arm, check_array("joints", q, (self.arm.count,)), directions, frequencies)
 
     def grip_motion(
-        self, q: ArrayLike, motors: compliance.ComplexArray, frequencies: Array, deviates: Array
-    ) -> compliance.ComplexArray:
+        self, q: ArrayLike, motors: ComplexArray, frequencies: Array, deviates: Array
+    ) -> ComplexArray:
         """See `compliance.grip_motion`."""
         here = check_array("joints", q, (self.arm.count,))
         return compliance.grip_motion(self.arm, here, motors, frequencies, deviates)
