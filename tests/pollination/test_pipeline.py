@@ -137,12 +137,13 @@ def test_a_watched_shake_ends_within_what_the_cell_allows(
     """Else the guard would end it in the middle; where there is no time to look, the plan alone is done."""
     monkeypatch.setattr(pipeline, "foresee", lambda *_, **__: None)
     monkeypatch.setattr(pipeline, "watch_points", lambda _: [0])
+    monkeypatch.setattr(pipeline, "_grip_motion", lambda *_: None)
     monkeypatch.setattr(pipeline, "Escalation", lambda *_, params, **__: params)
     robot = SimpleNamespace(side_camera=SimpleNamespace(intrinsics=None), T_world_side_camera=np.eye(4))
     cell: Any = SimpleNamespace(robot=robot, limits=replace(LIMITS, shake_duration=allowed))
     seen: Any = SimpleNamespace(flowers=SimpleNamespace(positions=np.zeros((2, 3))))
     rods: Any = SimpleNamespace(rods=SimpleNamespace(nodes=np.zeros((1, 3))))
-    made: Any = pipeline._watching(cell, rods, made_plan(), seen, pipeline.Params())
+    made: Any = pipeline._watching(cell, cast(Any, None), rods, made_plan(), seen, pipeline.Params())
     assert (None if isinstance(made, str) else made.most_seconds) == lasts
     assert lasts is not None or "shake_duration" in made
 
@@ -165,7 +166,7 @@ def test_a_trial_asks_for_the_stem_that_is_named() -> None:
 def test_the_plan_alone_has_its_reason(params: pipeline.Params, camera: Any, flowers: int, why: str) -> None:
     cell: Any = SimpleNamespace(robot=SimpleNamespace(side_camera=camera, T_world_side_camera=np.eye(4)), limits=LIMITS)
     seen: Any = SimpleNamespace(flowers=SimpleNamespace(positions=np.zeros((flowers, 3))))
-    said = pipeline._watching(cell, cast(Any, None), made_plan(), seen, params)
+    said = pipeline._watching(cell, cast(Any, None), cast(Any, None), made_plan(), seen, params)
     assert isinstance(said, str)
     assert why in said
 
