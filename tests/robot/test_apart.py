@@ -168,6 +168,7 @@ def test_who_is_killed_leaves_an_arm_at_rest_within_100_ms(tmp_path: Path, left:
         assert process.stdout is not None
         assert process.stdout.readline() == "ready\n"
         while np.abs(robot.v).max() < 0.4:
+            assert process.poll() is None, "what commands ended by itself"
             time.sleep(0.01)
         process.kill()
         killed = clock()
