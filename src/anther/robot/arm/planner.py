@@ -163,9 +163,7 @@ class Planner:
         """See `compliance.delivered`."""
         return compliance.delivered(self.arm, check_array("joints", q, (self.arm.count,)), directions, frequencies)
 
-    def grip_motion(
-        self, q: ArrayLike, motors: ComplexArray, frequencies: Array, deviates: Array
-    ) -> ComplexArray:
+    def grip_motion(self, q: ArrayLike, motors: ComplexArray, frequencies: Array, deviates: Array) -> ComplexArray:
         """See `compliance.grip_motion`."""
         here = check_array("joints", q, (self.arm.count,))
         return compliance.grip_motion(self.arm, here, motors, frequencies, deviates)
