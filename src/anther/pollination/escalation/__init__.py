@@ -39,7 +39,7 @@ from anther.pollination.response.points import likeness, sight, swings
 from anther.pollination.response.thresholds import overtones
 from anther.pollination.shake import Params as Limits
 from anther.pollination.shake import ShakePlan
-from anther.robot.cell import GripMotion
+from anther.robot.cell import ComplexArray, GripMotion
 from anther.robot.devices import LEAD, ArmSample, Frame
 from anther.robot.swing import Swing
 
@@ -180,8 +180,8 @@ class Escalation:
         if not self.steps:
             self._visible_count = observation.followed
         if observation.followed and (self._probing or not any(self._proofs)):
-            fitted, joints = self._fit_clock_and_joints(observation, steady)
-        self._proofs.append(self._shows_plant(fitted, steady))
+            fitted, joints = self._fit_clock_and_joints(observation)
+        self._proofs.append(self._shows_plant(fitted))
         if self._proofs[-1]:  # what proves nothing teaches nothing of the joints either
             observation, self._joints = fitted, joints
             self._proven_observations.append(observation)
@@ -287,41 +287,41 @@ class Escalation:
         piece, active = self._piece, np.flatnonzero(self._piece.amplitudes)
         direction, tones = self.plan.tones.directions[self._direction_index[active[0]]], piece.frequencies[active]
         commanded = np.asarray(piece.amplitudes[active] * np.exp(-2j * np.pi * tones * begin), dtype=np.complex128)
-        if self._joints is None:
-            gripper = np.asarray(commanded[None, :, None] * direction, dtype=np.complex128)
-        else:
-            gripper = self._joints.sample(fit_motors(steady, tones), tones, len(self._foresight.vectors))
+        gripper, motors = np.asarray(commanded[None, :, None] * direction, dtype=np.complex128), None
+        if self._joints is not None:
+            motors = fit_motors(steady, tones)
+            gripper = self._joints.sample(motors, tones, len(self._foresight.vectors))
         expected = None
         if self._options:
             expected = np.stack([c * self._options[n].prediction.phasors for c, n in zip(commanded, active)], axis=1)  # noqa: B905
         seen = extrapolate_growth(swings(self._sight, frames, tones, expected), float(tones[0]))
-        return Observation(self._frequency_index[active], direction, commanded, gripper, seen, len(self.steps))
+        return Observation(self._frequency_index[active], direction, commanded, gripper, seen, len(self.steps), motors)
 
-    def _fit_clock_and_joints(
-        self, observation: Observation, steady: Sequence[ArmSample]
-    ) -> tuple[Observation, JointBelief | None]:
+    def _fit_clock_and_joints(self, observation: Observation) -> tuple[Observation, JointBelief | None]:
         """Fit the camera's delay, if nothing has shown the plant yet, and the arm's joints to an observation."""
         delays = np.array([self._camera_delay]) if any(self._proofs) else DELAYS
-        if self._joints is None:
-            found = log_likelihood(self._foresight, observation, observation.gripper, delays)
+        grips, motors = self._possible_grips(observation), observation.motors
+        found = log_likelihood(self._foresight, observation, grips, delays)
+        if self._joints is None or motors is None:
             self._camera_delay = float(delays[found[0].argmax()])
             return observation, None
-        tones = self._foresight.frequencies[observation.frequency_indices]
-        motors = fit_motors(steady, tones)
-        grips = self._joints.grip(motors, tones, STIFFNESS_DEVIATES)
-        found = self._joints.log_posterior[:, None] + log_likelihood(self._foresight, observation, grips, delays)
+        found += self._joints.log_posterior[:, None]
         best = int(np.logaddexp.reduce(found, axis=0).argmax())
         self._camera_delay, joints = float(delays[best]), self._joints._replace(log_posterior=found[:, best])
+        tones = self._foresight.frequencies[observation.frequency_indices]
         return observation._replace(gripper=joints.sample(motors, tones, len(self._foresight.vectors))), joints
 
-    def _shows_plant(self, observation: Observation, steady: Sequence[ArmSample]) -> bool:
+    def _possible_grips(self, observation: Observation) -> ComplexArray:
+        """Return (A, K, 3) what the gripper did, for each stiffness that the arm's joints may have [m]."""
+        if self._joints is None or observation.motors is None:
+            return observation.gripper
+        tones = self._foresight.frequencies[observation.frequency_indices]
+        return self._joints.grip(observation.motors, tones, STIFFNESS_DEVIATES)
+
+    def _shows_plant(self, observation: Observation) -> bool:
         """Return whether an observation can only show the plant, by what was believed of the arm's joints before."""
-        grips, log_prior = observation.gripper, np.zeros(1)
-        if self._joints is not None:
-            tones = self._foresight.frequencies[observation.frequency_indices]
-            grips = self._joints.grip(fit_motors(steady, tones), tones, STIFFNESS_DEVIATES)
-            log_prior = np.log(self._joints.probabilities)
-        before = self._proven_observations
+        log_prior = np.zeros(1) if self._joints is None else np.log(self._joints.probabilities)
+        grips, before = self._possible_grips(observation), self._proven_observations
         return shows_plant(self._foresight, observation, grips, log_prior, self._camera_delay, before)
 
     def _predict(self, shake: int, answer: Answer) -> Prediction:

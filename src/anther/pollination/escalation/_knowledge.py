@@ -72,6 +72,7 @@ class Observation(NamedTuple):
         gripper: (M, K, 3) phasors of the gripper's motion, world [m], by member, or the same for all (1, K, 3).
         swings: of flowers and points.
         number: of the observation within the shake.
+        motors: (K, J) phasors of what the arm's motors did, as they read [rad]; None of a motor in the gripper.
     """
 
     frequency_indices: NDArray[np.int64]
@@ -80,6 +81,7 @@ class Observation(NamedTuple):
     gripper: ComplexArray
     swings: Swings
     number: int = 0
+    motors: ComplexArray | None = None
 
     @property
     def followed(self) -> int:

@@ -114,7 +114,8 @@ def search(
     near = [[actuator.amplitude(grasp, d, frequencies) for d in ds] for grasp, ds in at]
     most = np.moveaxis(np.asarray(near, dtype=float), 2, 0)[:, grips.grasp]  # the map: as at the nearest grasp
     moved = np.array([actuator.delivers(grasp, ds, frequencies) for grasp, ds in at])
-    delivered: tuple[Array, Array] = tuple(np.moveaxis(part, 0, 1)[:, grips.grasp] for part in np.moveaxis(moved, 1, 0))
+    shift, wrong = np.moveaxis(moved, 0, 2)[:, :, grips.grasp]
+    delivered = shift, wrong
 
     def load(values: Array, limit: float | Array, kind: str) -> Bound:
         """Return the bound of a load of which members have values (M, Q, G, D): the median of what is expected."""
