@@ -34,6 +34,7 @@ from scipy.spatial import KDTree
 from scipy.special import logsumexp, ndtr
 
 from anther.core import Array, StageFailure
+from anther.core.geometry import ComplexArray
 from anther.plant import Crop
 from anther.plant.limits import STALK_SPREAD, stalk_strain
 from anther.pollination import decision, foresee
@@ -44,7 +45,7 @@ from anther.pollination.escalation._knowledge import Answer, Prediction, predict
 from anther.pollination.response.points import sight
 from anther.pollination.shake import VIBRATING_GRIPPER
 from anther.pollination.shake._actuators import ACCELERATION, STROKE
-from anther.pollination.shake.observables import ComplexArray, semi_major
+from anther.pollination.shake.observables import semi_major
 from anther.robot import Frame
 from anther.sim import Organ, Scene, SimPlant, layout
 from anther.sim.robot import SIDE

@@ -29,9 +29,9 @@ from rich.table import Table
 sys.path.append(str(Path(__file__).parents[2] / "tests" / "support"))
 from made_foresight import FLOWERS, POINTS, TONES, World, made_foresight, made_plan
 
+from anther.core.geometry import ComplexArray
 from anther.pollination import escalation
 from anther.pollination.response.points import Swings
-from anther.pollination.shake.observables import ComplexArray
 from evaluation.harness import finish, in_processes, options
 from evaluation.tables import markdown
 

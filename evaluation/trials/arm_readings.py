@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 
 from anther.core import Array
+from anther.core.geometry import ComplexArray
 from anther.plant import Crop
 from anther.pollination import Params, pipeline
 from anther.pollination.escalation._knowledge import fit_motors
-from anther.pollination.shake.observables import ComplexArray
 from anther.robot import ArmSample
 from anther.robot.arm import compliance
 from anther.robot.arm.sawyer import SAWYER

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from anther.core.geometry import Array
+from anther.core.geometry import Array, ComplexArray
 from anther.pollination.escalation import JointBelief
 from anther.pollination.escalation._knowledge import STIFFNESS_DEVIATES
 from anther.pollination.execution import Trial
 from anther.pollination.learning import measure_grip
-from anther.robot.cell import ComplexArray
 
 F, START = 6.0, 41.3
 PLAN: Any = SimpleNamespace(

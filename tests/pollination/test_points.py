@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from anther.core.geometry import Array, Intrinsics
+from anther.core.geometry import Array, ComplexArray, Intrinsics
 from anther.pollination.escalation._knowledge import measure_sharpness
 from anther.pollination.response._petals import smoothed
 from anther.pollination.response.points import (
@@ -34,7 +34,6 @@ from anther.pollination.response.points import (
     sight,
     swings,
 )
-from anther.pollination.shake.observables import ComplexArray
 from anther.robot.devices import Frame
 
 CAMERA = Intrinsics(240, 180, 300.0, 300.0, 119.5, 89.5)

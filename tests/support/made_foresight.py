@@ -10,7 +10,7 @@ import numpy as np
 from fake_robot import horizontal_grasp
 from numpy.typing import NDArray
 
-from anther.core.geometry import Array, Intrinsics, look_at
+from anther.core.geometry import Array, ComplexArray, Intrinsics, look_at
 from anther.plant.limits import PEAKS, stalk_strain
 from anther.pollination.escalation import Escalation, Params
 from anther.pollination.escalation._foresight import Foresight
@@ -18,7 +18,7 @@ from anther.pollination.response.points import Swings
 from anther.pollination.shake import Params as Limits
 from anther.pollination.shake import ResponseMap, ShakePlan
 from anther.pollination.shake._plan import CandidateShakes
-from anther.pollination.shake.observables import ComplexArray, semi_major
+from anther.pollination.shake.observables import semi_major
 from anther.robot.devices import LEAD, ArmSample, Frame
 from anther.robot.swing import Swing
 

@@ -19,6 +19,7 @@ from anther.core.choices import Axis
 from anther.core.errors import bad_input
 
 Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 TO_Z_UP: dict[Axis, list[int]] = {"x": [1, 2, 0], "y": [2, 0, 1], "z": [0, 1, 2]}
 """Axis that is up -> in which order a file's axes are x, y, z with z up."""
 

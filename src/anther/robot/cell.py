@@ -6,17 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
-from anther.core.geometry import Array, Box
+from anther.core.geometry import Array, Box, ComplexArray
 from anther.core.runs import Advance
 from anther.perception.capture import Capture
 from anther.perception.cloud import Cloud
 from anther.robot.devices import JointTrajectory, Robot, SafetyLimits
 from anther.robot.swing import Swing
 
-ComplexArray = NDArray[np.complex128]
 GripMotion = Callable[[ComplexArray, Array, Array], ComplexArray]
 """(phasors of the motors (Q, J) [rad], frequencies (Q,) [Hz], deviates (S,)) -> the grip's, world (S, Q, 3) [m].
 

@@ -16,11 +16,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from anther.core.checks import check_array, check_range
 from anther.core.errors import StageFailure, bad_input
+from anther.core.geometry import ComplexArray
 from anther.rods._assembly import Blocks, add_supports, assemble, assemble_edges, new_blocks, on_nodes
 from anther.rods._equilibrium import Tangent, by_edges, loaded_state, tangent
 from anther.rods._loads import Loads
 from anther.rods._model import Model, build_model
-from anther.rods._motion import Clamp, ComplexArray, unit_direction
+from anther.rods._motion import Clamp, unit_direction
 from anther.rods._rods import GRAVITY, Array, Rods
 from anther.rods._stepping import State
 from anther.rods._tree_solver import constrain, factor, solve

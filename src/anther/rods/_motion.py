@@ -12,9 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from anther.core.checks import check_array, check_range
 from anther.core.errors import bad_input
+from anther.core.geometry import ComplexArray
 from anther.rods._rods import Array, Rods
-
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

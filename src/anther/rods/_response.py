@@ -19,13 +19,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_array
 
 from anther.core.checks import check_array, check_range, check_room
+from anther.core.geometry import ComplexArray
 from anther.rods._assembly import new_blocks
 from anther.rods._linear import checked_hertz, linearise, moving_parts, set_dynamic
 from anther.rods._model import Model
 from anther.rods._motion import (
     RIGID,
     Clamp,
-    ComplexArray,
     Drive,
     Springs,
     check_node,

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.core.geometry import Array, Intrinsics
+from anther.core.geometry import Array, ComplexArray, Intrinsics
 from anther.pollination.decision import WorthCurve, believed, interval
 from anther.pollination.escalation._foresight import Foresight, foresee, watch_points
 from anther.pollination.escalation._knowledge import (
@@ -39,7 +39,7 @@ from anther.pollination.response.points import likeness, sight, swings
 from anther.pollination.response.thresholds import overtones
 from anther.pollination.shake import Params as Limits
 from anther.pollination.shake import ShakePlan
-from anther.robot.cell import ComplexArray, GripMotion
+from anther.robot.cell import GripMotion
 from anther.robot.devices import LEAD, ArmSample, Frame
 from anther.robot.swing import Swing
 

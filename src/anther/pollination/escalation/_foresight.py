@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.core.geometry import Array
+from anther.core.geometry import Array, ComplexArray
 from anther.plant.model import PlantModel
 from anther.pollination.decision import Answer
-from anther.pollination.shake.observables import ComplexArray, semi_major
+from anther.pollination.shake.observables import semi_major
 from anther.pollination.shake.pads import PADS, Pads, friction_force, grip_rows, pad_nodes
 from anther.pollination.shake.search import held_radius, motions, scenarios
 

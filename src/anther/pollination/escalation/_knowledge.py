@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.core.geometry import Array
+from anther.core.geometry import Array, ComplexArray
 from anther.core.oscillation import peak
 from anther.plant.limits import stalk_strain
 from anther.pollination import decision
@@ -27,7 +27,7 @@ from anther.pollination.escalation._foresight import (
     update_members,
 )
 from anther.pollination.response.points import Swings
-from anther.pollination.shake.observables import ComplexArray, semi_major
+from anther.pollination.shake.observables import semi_major
 from anther.robot.cell import JOINT_SCATTER, GripMotion
 from anther.robot.devices import ArmSample
 

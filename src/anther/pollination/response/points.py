@@ -13,13 +13,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.core.geometry import Array, Intrinsics, inverse, transform_points
+from anther.core.geometry import Array, ComplexArray, Intrinsics, inverse, transform_points
 from anther.core.oscillation import MUCH_ALIKE
 from anther.pollination.response._depth import depth_along
 from anther.pollination.response._following import placed
 from anther.pollination.response._petals import Image, Patch, seek, smoothed
 from anther.pollination.response.thresholds import DEPTH_GATE, OUTLIER, overtones
-from anther.pollination.shake.observables import ComplexArray
 from anther.robot.devices import Frame
 
 NEAR = 0.02

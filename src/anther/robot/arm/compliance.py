@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from anther.core.geometry import Array
+from anther.core.geometry import Array, ComplexArray
 from anther.robot.arm.model import ArmModel
 from anther.robot.arm.motions import inertia
-from anther.robot.cell import JOINT_SCATTER, ComplexArray
+from anther.robot.cell import JOINT_SCATTER
 
 STIFFNESS, STIFFNESS_SPREAD = 19.0, 0.7
 """Joint springs over `ArmModel.stiffness`: median, and standard deviation of the logarithm. A guess: Sawyer's large

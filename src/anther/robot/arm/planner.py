@@ -14,14 +14,13 @@ from roboplan.rrt import RRT, RRTOptions
 
 from anther.core.checks import check_array, check_transform
 from anther.core.errors import StageFailure
-from anther.core.geometry import Array, Box, transform
+from anther.core.geometry import Array, Box, ComplexArray, transform
 from anther.core.records import Range, Record
 from anther.robot.arm import _kinematics, compliance, motions, shaking
 from anther.robot.arm._collision import GROUP, CollisionWorld, cube_centres
 from anther.robot.arm._tours import DETOUR, least_times
 from anther.robot.arm.model import ArmModel, outline
 from anther.robot.arm.sawyer import SAWYER
-from anther.robot.cell import ComplexArray
 from anther.robot.devices import JointTrajectory
 from anther.robot.swing import Swing
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.core.geometry import Array
+from anther.core.geometry import Array, ComplexArray
 from anther.plant.model import PlantModel
 from anther.pollination.execution import Trial
 from anther.pollination.shake import ShakePlan
@@ -22,8 +22,6 @@ from anther.show.run_scene import arm_of
 
 RATE = 30.0
 """Pictures a second of play."""
-
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
