@@ -128,7 +128,7 @@ class Escalation:
         self._watched: dict[int, tuple[Observation, Prediction] | None] = {}  # see `_update_other_directions`
         self._camera_delay, self._visible_count, self._holding = 0.0, 0, False
         self._proofs: list[bool] = []  # by step, whether the observation can only show the plant
-        self._proven_observations: list[Observation] = []  # of the steps that passed
+        self._observations: list[Observation] = []  # by step
         self._proven_amplitude = 0.0
         self._repeated = False
 
@@ -184,7 +184,7 @@ class Escalation:
         self._proofs.append(self._shows_plant(fitted))
         if self._proofs[-1]:  # what proves nothing teaches nothing of the joints either
             observation, self._joints = fitted, joints
-            self._proven_observations.append(observation)
+        self._observations.append(observation)
         active = np.flatnonzero(piece.amplitudes).tolist()
         before = [self._options[n].prediction for n in active] if self._options else [None] * len(active)
         if self._probing and not self._proofs[-1]:
@@ -231,16 +231,14 @@ class Escalation:
         return piece.then(follows.amplitudes, ramp + moving, ramp)
 
     def executed_plan(self, steps: Sequence[Step]) -> ShakePlan:
-        """Return the plan as executed: its last step, with the prior prediction for that step."""
+        """Return the plan as executed: its last step, with the prior prediction for how the grip moved in it."""
         if not steps:
             return self.plan
-        last, tones = steps[-1], self._foresight.frequencies
-        tone, amplitude = int(np.abs(tones - last.frequencies[0]).argmin()), last.amplitudes[0]
-        direction = np.array(last.direction)
-        hertz = float(tones[tone])
-        logs, doubt = believed(
-            "flowers", self._foresight.answer(self._foresight.of(tone, direction), hertz).flowers, hertz
-        )
+        last, observation = steps[-1], self._observations[len(steps) - 1]
+        tone, amplitude = int(observation.frequency_indices[0]), last.amplitudes[0]
+        direction, hertz = observation.direction, float(self._foresight.frequencies[tone])
+        prior = prior_answer(self._foresight, observation, 0).members
+        logs, doubt = believed("flowers", self._foresight.answer(prior, hertz).flowers, hertz)
         middle = amplitude * np.exp(logs.mean(axis=0))
         wide = middle[:, None] * interval(logs, doubt)
         omega2 = (2 * np.pi * hertz) ** 2
@@ -321,7 +319,8 @@ class Escalation:
     def _shows_plant(self, observation: Observation) -> bool:
         """Return whether an observation can only show the plant, by what was believed of the arm's joints before."""
         log_prior = np.zeros(1) if self._joints is None else np.log(self._joints.probabilities)
-        grips, before = self._possible_grips(observation), self._proven_observations
+        grips = self._possible_grips(observation)
+        before = [one for one, proven in zip(self._observations, self._proofs, strict=True) if proven]
         return shows_plant(self._foresight, observation, grips, log_prior, self._camera_delay, before)
 
     def _predict(self, shake: int, answer: Answer) -> Prediction:
