@@ -132,7 +132,17 @@ def test_string_is_never_the_main_stem():
     assert "the main stem" in note
 
 
-EVIDENCE = Evidence(length=0.4, bow=0.0005, noise=0.0005, taper=0.0, slenderness=100.0, orphans=0, beyond=False)
+EVIDENCE = Evidence(
+    length=0.4,
+    bow=0.0005,
+    noise=0.0005,
+    taper=0.0,
+    ripple=0.005,
+    ripple_noise=0.005,
+    slenderness=100.0,
+    orphans=0,
+    beyond=False,
+)
 
 
 @pytest.mark.parametrize(
@@ -141,6 +151,7 @@ EVIDENCE = Evidence(length=0.4, bow=0.0005, noise=0.0005, taper=0.0, slenderness
         ({}, {"bow": 0.004}),
         ({}, {"slenderness": 25.0}),
         ({}, {"taper": -0.5}),
+        ({}, {"ripple": 0.05}),
         ({}, {"orphans": 2}),
         ({"beyond": True}, {}),
         ({"greenness": (0.0, 0.25, 0.1)}, {"greenness": (0.25, 0.25, 0.1)}),

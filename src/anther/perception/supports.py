@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -215,6 +215,8 @@ class Evidence:
         bow: rms distance from the line of a cubic through these sections' centres [m].
         noise: what of it the centres' scatter about the cubic causes [m].
         taper: log of the upper third's radius over the lower third's.
+        ripple: scatter of the log of the radius about its taper.
+        ripple_noise: what of it differs from each section to the next.
         slenderness: its length over its radius.
         orphans: pieces of the plant that come loose when the rod is taken away.
         beyond: whether its upper end (of a level one, either) is beyond the rest of the plant.
@@ -225,6 +227,8 @@ class Evidence:
     bow: float
     noise: float
     taper: float
+    ripple: float
+    ripple_noise: float
     slenderness: float
     orphans: int
     beyond: bool
@@ -240,7 +244,10 @@ def log_odds(e: Evidence) -> float:
     rod = e.noise**2 + (bow * e.length) ** 2
     plant = e.noise**2 + (wander * e.length) ** 2
     straight = 2 * np.log(plant / rod) - 2 * e.bow**2 * (1 / rod - 1 / plant)  # four coefficients
-    even = _normal(e.taper, 0, 0.15) - np.logaddexp(_normal(e.taper, -0.4, 0.35), _normal(e.taper, 0, 1.0)) + np.log(2)
+    bumpy = e.ripple_noise**2 + np.square([0.01, 0.06])  # of what is made, and of what grew (guesses)
+    round_ = max(np.log(bumpy[1] / bumpy[0]) - e.ripple**2 * (1 / bumpy[0] - 1 / bumpy[1]), -4.0)
+    grown = np.logaddexp(_normal(e.taper, -0.4, 0.35), _normal(e.taper, 0, 1.0)) - np.log(2)
+    even = _normal(e.taper, 0, float(np.hypot(0.05, e.ripple_noise))) - grown
     bare = max(np.log(0.8 / 0.3) + e.orphans * np.log(0.2 / 0.7), -4.0)  # geometric, 0.25 and 2.3 in the mean
     free = np.log(0.4 / 0.05) if e.beyond else np.log(0.6 / 0.95)
     slender = np.log(max(e.slenderness, 1.0))
@@ -250,7 +257,7 @@ def log_odds(e: Evidence) -> float:
         own, middle, spread = e.greenness
         colour = float(np.clip(_normal(own, 0, 0.2) - _normal(own, middle, max(spread, 0.1)), -1.5, 1.5))
     prior = -3.0  # one in twenty (a guess)
-    return float(prior + straight + even + thin + bare + free + colour)
+    return float(prior + straight + round_ + even + thin + bare + free + colour)
 
 
 def _normal(x: float, mean: float, sigma: float) -> float:
@@ -368,19 +375,25 @@ def _sections(scene: _Scene, start: Array, end: Array) -> _Sections:
 def _fitted(scene: _Scene, line: Array) -> tuple[_Rod, Evidence] | None:
     """Return the rod along a line (2, 3) and its evidence; None where too little of it stands alone."""
     start, end = line
-    width = 3 * scene.cell
+    width, thickness = 3 * scene.cell, _Thickness(0.0, 0.0, 0.0)
     found, alone, typical, off = _sections(scene, start, end), np.zeros(0, dtype=bool), 0.0, np.zeros(0)
-    alike = 0.4  # ln of a section's spread over the usual one, within which the rod stands alone
+    alike, even = 0.4, 0.15  # ln of a section's spread over the usual one: what may be a rod, and surely is one
     least = 6  # sections that show a rod alone
     for again in (False, True):  # the line first runs on the rod's surface, then along its axis
         found = _sections(scene, start, end) if again else found
         there = found.near < width
         if np.count_nonzero(there) < least:
             return None
-        typical = float(np.quantile(found.spread[there], 0.3))  # what touches the rod makes sections wider
-        alone = there & (np.abs(np.log(found.spread / typical)) < alike)
+        typical = _mode(found.spread[there])  # what touches a rod makes sections wider, each by another amount
+        off_typical = np.abs(np.log(found.spread / typical))
+        alone = there & (off_typical < alike)
         if np.count_nonzero(alone) < least:
             return None
+        if again:
+            thickness = _thickness(found.t[alone], found.spread[alone])
+            alone = there & (off_typical < np.clip(3 * thickness.noise, even, alike))
+            if np.count_nonzero(alone) < least:
+                return None
         offset, slope, off = _straight_fit(found.t[alone], found.centre[alone])
         length = np.linalg.norm(end - start)
         along = (end - start) / length
@@ -395,15 +408,14 @@ def _fitted(scene: _Scene, line: Array) -> tuple[_Rod, Evidence] | None:
         return None
     axis = _Rod(start, end, typical, np.isin(np.arange(len(found.t)), good))
     rod = _measured(scene, axis)
-    third = np.quantile(t, [1 / 3, 2 / 3])
-    upward = np.sign(rod.along[2]) or 1.0
-    taper = np.log(np.median(found.spread[good][t >= third[1]]) / np.median(found.spread[good][t <= third[0]]))
     bow, noise = _bow(t, found.centre[good])
     evidence = Evidence(
         length=float(t[-1] - t[0]),
         bow=bow,
         noise=max(noise, 0.05 * scene.cell),
-        taper=float(upward * taper),
+        taper=(np.sign(rod.along[2]) or 1.0) * thickness.taper,
+        ripple=thickness.ripple,
+        ripple_noise=thickness.noise,
         slenderness=float(t[-1] - t[0]) / rod.radius,
         orphans=_orphans(scene, rod),
         beyond=_beyond(scene, rod),
@@ -412,12 +424,39 @@ def _fitted(scene: _Scene, line: Array) -> tuple[_Rod, Evidence] | None:
     return rod, evidence
 
 
-def _straight_fit(t: Array, centre: Array) -> tuple[Array, Array, Array]:
-    """Return offset (2,), slope (2,) and distances (K,) [m] of the line along most of the centres (K, 2)."""
-    weight, slope, offset, off = np.ones(len(t)), np.zeros(2), np.zeros(2), np.zeros(len(t))
+class _Thickness(NamedTuple):
+    """Of ln of a line's radius: the upper third over the lower, its scatter about that, and what of the scatter differs
+    from each section to the next."""
+
+    taper: float
+    ripple: float
+    noise: float
+
+
+def _thickness(t: Array, radius: Array) -> _Thickness:
+    """Measure radii (K,) along a line, most of them: something touches it here and there."""
+    logs, sigma = np.log(radius)[:, None], 1.483  # of a normal distribution over its median absolute deviation
+    offset, slope, off = _straight_fit(t, logs)
+    noise = sigma * float(np.median(np.abs(np.diff(logs[:, 0] - offset - t * slope)))) / np.sqrt(2)
+    return _Thickness(float(2 / 3 * np.ptp(t) * slope[0]), sigma * float(np.median(off)), noise)
+
+
+def _mode(values: Array) -> float:
+    """Return where values lie densest in the logarithm: the half-sample mode (Robertson and Cryer 1974)."""
+    some = np.sort(np.log(values))
+    while len(some) > 2:
+        half = (len(some) + 1) // 2
+        first = int(np.argmin(some[half - 1 :] - some[: len(some) - half + 1]))
+        some = some[first : first + half]
+    return float(np.exp(some.mean()))
+
+
+def _straight_fit(t: Array, places: Array) -> tuple[Array, Array, Array]:
+    """Return offset (D,), slope (D,) and distances (K,) of the line along most of the places (K, D), mostly [m]."""
+    weight, slope, offset, off = np.ones(len(t)), np.zeros(0), np.zeros(0), np.zeros(len(t))
     for _ in range(8):
-        slope, offset = np.polyfit(t, centre, 1, w=weight)
-        off = np.linalg.norm(centre - offset - t[:, None] * slope, axis=1)
+        slope, offset = np.polyfit(t, places, 1, w=weight)
+        off = np.linalg.norm(places - offset - t[:, None] * slope, axis=1)
         weight = 1 / (1 + (off / max(2 * float(np.median(off)), 1e-9)) ** 2)  # Cauchy
     return offset, slope, off
 

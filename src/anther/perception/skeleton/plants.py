@@ -40,6 +40,9 @@ _BRIDGE = 0.15
 _NEAR = 0.08
 """How far from the nearest point a named root may be, of the scene's height: the foot may be hidden."""
 
+_TIE = 0.03
+"""How exactly the middle and a foot are known, of the scene's height: 2 to 3 cm of a plant (a guess)."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plants:
@@ -104,7 +107,7 @@ def find_plants(
     elif plant is not None:
         asked, why = plant, "--plant names it"
     else:
-        asked, rival = _middle_one(roots, size, points, middle)
+        asked, rival = _middle_one(roots, size, points, middle, _TIE * graph.height)
         why = "the one in the middle" if rival < 0 else "the largest of those about as near the middle"
     sure = np.array([chance[minima == foot][0] for foot in feet])
     certain, notes = float(sure[asked]), _notes(roots, asked, why, owner)
@@ -135,12 +138,17 @@ def _notes(roots: Array, asked: int, why: str, owner: NDArray[np.int64]) -> tupl
     return (f"{words}; name another with --plant or --root", *none)
 
 
-def _middle_one(roots: Array, size: NDArray[Any], points: Array, middle: ArrayLike | None) -> tuple[int, int]:
-    """Return which plant stands nearest to the middle, the largest of those about as near, and the second; -1: none."""
+def _middle_one(
+    roots: Array, size: NDArray[Any], points: Array, middle: ArrayLike | None, tie: float
+) -> tuple[int, int]:
+    """Return which plant stands nearest to the middle, the largest of those about as near, and the second; -1: none.
+
+    `tie`: how much farther [m] is about as near.
+    """
     low, high = np.quantile(points, [0.005, 0.995], axis=0)
     centre = (low + high) / 2 if middle is None else np.asarray(middle, dtype=np.float64)
     away = np.linalg.norm(roots[:, :2] - centre[:2], axis=1)
-    alike = np.flatnonzero(away <= away.min() + 0.1 * np.ptp(roots[:, :2], axis=0).max())  # a guess
+    alike = np.flatnonzero(away <= away.min() + tie)
     alike = alike[np.argsort(-size[alike], kind="stable")]
     return int(alike[0]), int(alike[1]) if len(alike) > 1 else -1
 
