@@ -62,11 +62,11 @@ def test_what_stands_there_before_any_script_runs_is_the_answer_of_today():
 
 
 def test_twice_as_quick_needs_half_and_more_work_never_less():
-    assert fleet_for(House()).robots == 47
-    assert fleet_for(House(seconds=13.9)).robots == 24
+    assert fleet_for(House()).robots == 46
+    assert fleet_for(House(seconds=13.8)).robots == 23
     assert fleet_for(House(seconds=1.2)).robots == 2
-    assert fleet_for(House(move=5.0)).robots > 47
-    assert fleet_for(House(days=4.0)).robots == 24
+    assert fleet_for(House(move=5.0)).robots > 46
+    assert fleet_for(House(days=4.0)).robots == 23
     assert fleet_for(House(years=16.0)).cost_per_visit < fleet_for(House()).cost_per_visit
 
 

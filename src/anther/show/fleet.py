@@ -50,7 +50,7 @@ class House:
     path: float = 1.6
     hours: float = 5.0
     days: float = 2.0
-    seconds: float = 27.8
+    seconds: float = 27.6
     move: float = 0.0
     price: float = 40000.0
     years: float = 8.0
