@@ -21,8 +21,12 @@ from anther.perception.cloud import Cloud, Support
 from anther.perception.cloud._fusion import voxel_means
 from anther.perception.skeleton import Skeleton
 from anther.perception.stem import Stem
+from anther.perception.supports._evidence import Evidence, log_odds
 
 __all__ = ["Evidence", "find_supports", "log_odds", "notes_beside"]
+
+_PRICE = 3.0
+"""Log-odds that a support must have, ln of 20: to cut a stem away is so much worse than to keep one (a judgement)."""
 
 
 def find_supports(cloud: Cloud) -> Cloud:
@@ -207,64 +211,6 @@ def _straight_lines(scene: _Scene) -> Array:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Evidence:
-    """What speaks for a support, of one straight line's sections.
-
-    Attributes:
-        length: from the first to the last section that shows the rod alone [m].
-        bow: rms distance from the line of a cubic through these sections' centres [m].
-        noise: what of it the centres' scatter about the cubic causes [m].
-        taper: log of the upper third's radius over the lower third's.
-        ripple: scatter of the log of the radius about its taper.
-        ripple_noise: what of it differs from each section to the next.
-        slenderness: its length over its radius.
-        orphans: pieces of the plant that come loose when the rod is taken away.
-        beyond: whether its upper end (of a level one, either) is beyond the rest of the plant.
-        greenness: of the rod and, median and spread, of the rest; None without colour.
-    """
-
-    length: float
-    bow: float
-    noise: float
-    taper: float
-    ripple: float
-    ripple_noise: float
-    slenderness: float
-    orphans: int
-    beyond: bool
-    greenness: tuple[float, float, float] | None = None
-
-
-def log_odds(e: Evidence) -> float:
-    """Return the log-odds of a rigid rod against a piece of plant.
-
-    Each term is the log-ratio of the probabilities of what is seen; the distributions are guesses.
-    """
-    bow, wander = 0.003, 0.012  # rms over the length: of strings, stakes and pipes, and of stem segments (guesses)
-    rod = e.noise**2 + (bow * e.length) ** 2
-    plant = e.noise**2 + (wander * e.length) ** 2
-    straight = 2 * np.log(plant / rod) - 2 * e.bow**2 * (1 / rod - 1 / plant)  # four coefficients
-    bumpy = e.ripple_noise**2 + np.square([0.01, 0.06])  # of what is made, and of what grew (guesses)
-    round_ = max(np.log(bumpy[1] / bumpy[0]) - e.ripple**2 * (1 / bumpy[0] - 1 / bumpy[1]), -4.0)
-    grown = np.logaddexp(_normal(e.taper, -0.4, 0.35), _normal(e.taper, 0, 1.0)) - np.log(2)
-    even = _normal(e.taper, 0, float(np.hypot(0.05, e.ripple_noise))) - grown
-    bare = max(np.log(0.8 / 0.3) + e.orphans * np.log(0.2 / 0.7), -4.0)  # geometric, 0.25 and 2.3 in the mean
-    free = np.log(0.4 / 0.05) if e.beyond else np.log(0.6 / 0.95)
-    slender = np.log(max(e.slenderness, 1.0))
-    thin = min(_normal(slender, np.log(100), 0.9) - _normal(slender, np.log(25), 0.7), 3.0)
-    colour = 0.0
-    if e.greenness is not None:
-        own, middle, spread = e.greenness
-        colour = float(np.clip(_normal(own, 0, 0.2) - _normal(own, middle, max(spread, 0.1)), -1.5, 1.5))
-    prior = -3.0  # one in twenty (a guess)
-    return float(prior + straight + round_ + even + thin + bare + free + colour)
-
-
-def _normal(x: float, mean: float, sigma: float) -> float:
-    return float(-0.5 * ((x - mean) / sigma) ** 2 - np.log(sigma))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class _Rod:
     """A straight cylinder: the ends of its axis (3,), its radius [m], and where along it the rod is seen alone.
 
@@ -306,7 +252,6 @@ def _rods(scene: _Scene) -> Iterator[_Rod]:
     """Yield the rods that are likely enough supports, the longest lines first."""
     lines, coarse, looked = _straight_lines(scene), scene.coarser(), 0
     most_lines = 16  # looked at; more are never needed by a row of five
-    price = 3.0  # ln of 20: to cut a stem away is so much worse than to keep a support (a judgement)
     while len(lines) and looked < most_lines:
         looked += 1
         found = [pair for view in (scene, coarse) if (pair := _fitted(view, lines[0])) is not None]
@@ -315,7 +260,7 @@ def _rods(scene: _Scene) -> Iterator[_Rod]:
             continue
         rod, evidence = max(found, key=lambda pair: log_odds(pair[1]))
         lines = lines[1:][~rod.near(lines[1:], scene.cell)]
-        if log_odds(evidence) > price:
+        if log_odds(evidence) > _PRICE:
             yield rod
             scene, coarse = scene.without(rod), coarse.without(rod)
 
@@ -417,10 +362,12 @@ def _fitted(scene: _Scene, line: Array) -> tuple[_Rod, Evidence] | None:
         ripple=thickness.ripple,
         ripple_noise=thickness.noise,
         slenderness=float(t[-1] - t[0]) / rod.radius,
-        orphans=_orphans(scene, rod),
+        orphans=0,
         beyond=_beyond(scene, rod),
         greenness=_greenness(scene, rod),
     )
+    if log_odds(evidence) > _PRICE:  # else nothing that comes loose would matter
+        evidence = replace(evidence, orphans=_orphans(scene, rod))
     return rod, evidence
 
 
