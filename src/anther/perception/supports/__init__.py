@@ -173,8 +173,8 @@ def _straight_lines(scene: _Scene) -> Array:
     rng = np.random.default_rng(0)
     pairs = 150_000  # of points drawn for lines: a string with 1 % of the points is hit fifteen times
     first, second = scene.points[rng.integers(0, len(scene.points), (2, pairs))]
-    shortest = 0.4  # of the plant's size: a shorter straight thing is a petiole
-    long = np.linalg.norm(second - first, axis=1) > shortest * scene.size
+    shortest = max(0.4 * scene.size, 0.1)  # m: a shorter straight thing is a petiole, or a seedling's stem (guesses)
+    long = np.linalg.norm(second - first, axis=1) > shortest
     first, second = first[long], second[long]
     near = scene.grid.copy()  # what touches it by a face too: at the grid's border there is nothing
     for axis in range(3):
