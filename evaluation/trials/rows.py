@@ -36,7 +36,7 @@ from anther.sim.cell import BENCH, NEIGHBOUR, POT, CellLog
 from anther.sim.judge import LETS_GO, string_pull
 from evaluation.harness import CROPS, by_turns, failed, finish, options, run_cases
 from evaluation.statistics import bootstrap, interval, median
-from evaluation.tables import markdown, percent
+from evaluation.tables import by_number, by_part, markdown
 from evaluation.trials.grasping_pictures import portrait
 from evaluation.trials.grasping_trial import COMPUTE, PICTURE, overlap, performed, truth_of
 from evaluation.trials.shaking import Brief
@@ -161,11 +161,9 @@ def report(rows: Sequence[Row], found: dict[str, float]) -> list[RenderableType]
     """Return tables of what was held, what the cycle took, and what became of each row."""
     words = {"held_row": "stem held, nothing else", "moved_row": "of these median flower ≥ 5 m/s²",
              "neighbour_harm": "something else touched, or string off"}  # fmt: skip
-    lines = [
-        (text, *(_share(found, key + end) for end in ("", *(f"_{crop}" for crop in CROPS))))
-        for key, text in words.items()
-    ]  # fmt: skip
-    parts = [(part[:-2], f"{found[part]:.1f}") for part in (*PARTS, "cycle_s")]
+    crops = {"": f"{len(rows)} rows (95 % interval)"} | {f"_{crop}": crop for crop in CROPS}
+    shares = {text: f"{key}*:.0% ({key}*_low:.0% to {key}*_high:.0%)" for key, text in words.items()}
+    parts = {part: part[:-2] for part in (*PARTS, "cycle_s")}
     each = [
         (f"{row['species']} {row['seed']}", "yes" if held(row) else "no", f"{row.get(ACCELERATION) or 0:.1f}",
          f"{row.get('neighbour_force') or 0:.1f}", f"{row.get('part_force') or 0:.1f}",
@@ -173,8 +171,8 @@ def report(rows: Sequence[Row], found: dict[str, float]) -> list[RenderableType]
         for row in rows
     ]  # fmt: skip
     return [
-        markdown(("", f"{len(rows)} rows (95 % interval)", *CROPS), lines),
-        markdown(("part of a visit", "median [s]"), parts),
+        by_number(found, "", crops, shares),
+        by_part(found, "part of a visit", parts, {"median [s]": "*:.1f"}),
         markdown(
             (
                 "row",
@@ -188,12 +186,6 @@ def report(rows: Sequence[Row], found: dict[str, float]) -> list[RenderableType]
             each,
         ),
     ]
-
-
-def _share(found: dict[str, float], key: str) -> str:
-    """Return a share with its interval."""
-    share, low, high = (percent(found[f"{key}{end}"]) for end in ("", "_low", "_high"))
-    return f"{share} ({low} to {high})"
 
 
 def main() -> None:
