@@ -53,7 +53,7 @@ def main() -> None:
     done = run_cases(one_plant, map(asdict, chosen(args)), args.out, args.jobs, lost)
     rows, without = ([row for row in done if ("lost" in row) == gone] for gone in (False, True))
     numbers = metrics(rows) | {"plants_lost": len(without)}
-    finish(args, numbers, *report(rows), *(f"Left out: {row['lost']}" for row in without))
+    finish(args, numbers, *report(numbers), *(f"Left out: {row['lost']}" for row in without))
 
 
 if __name__ == "__main__":
