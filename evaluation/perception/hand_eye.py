@@ -158,7 +158,9 @@ def tables(metrics: dict[str, float]) -> tuple[Table, Table]:
         "error over what is stated, RMS": "*_error_over_stated_rms:.2f",
     }
     cases = {name: case.words for name, case in CASES.items()}
-    return by_part(metrics, "case", cases, errors), by_part(metrics, "case", cases, views)
+    there = {key: value for key, value in metrics.items() if not key.endswith("outliers_found")}
+    there |= {key: metrics[key] for name, case in CASES.items() if case.wrong and (key := f"{name}_outliers_found")}
+    return by_part(metrics, "case", cases, errors), by_part(there, "case", cases, views)
 
 
 def _case_metrics(name: str, errors: dict[str, list], judged: dict[str, list]) -> dict[str, float]:

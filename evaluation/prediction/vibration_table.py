@@ -10,12 +10,10 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from anther.core import Array
+from evaluation.harness import Row
 from evaluation.prediction.vibration_plant import HEIGHTS, MIDDLE
 from evaluation.statistics import correlation
 from evaluation.tables import by_part
-
-Row = dict[str, Any]
-"""What `vibration_plant.one_plant` returns."""
 
 MODELS = ("paper", "paper as scripted", "prior", "probe")
 CAUSES = ("prior", "probe", "probe, every flower seen", "probe, mean", "true material", "true plant")

@@ -10,12 +10,11 @@ from rich.console import RenderableType
 from rich.table import Table
 
 from anther.core import Array
-from evaluation.harness import CROPS
+from evaluation.harness import CROPS, Row
 from evaluation.prediction.wide_plant import HELD, KINDS, SLOW, TONES
 from evaluation.statistics import mean
 from evaluation.tables import by_part
 
-Row = dict[str, Any]
 BAND = {"": slice(None, len(SLOW)), "_fast": slice(len(SLOW), None)}
 """Frequencies of the paper (0.7-1.9 Hz), and those at which an arm moves flowers (3-8 Hz)."""
 

@@ -24,7 +24,7 @@ from anther.sim.cell import Cell
 from anther.sim.robot import SimArm
 from anther.sim.simulated_cell import PRESETS, USUAL_DISTANCE
 from evaluation.harness import CROPS, finish, options, progress
-from evaluation.robustness.path_judge import Surroundings, judge_path
+from evaluation.robustness.path_judge import SIGHT, Surroundings, judge_path
 from evaluation.tables import by_number
 
 LOOK = 0.2  # s to either side of a view
@@ -49,7 +49,7 @@ SHOWN = {
     "driven: largest share of a motor's torque": "*_driven_effort_share:.3g",
     "driven: contacts": "*_contacts:.0f",
 }
-"""What the table shows of a preset; no distance is looked at beyond `SIGHT`."""
+"""What the table shows of a preset."""
 
 
 def judged(views: Views, pot: Box) -> dict[str, float]:
@@ -146,7 +146,7 @@ def main() -> None:
         rows[name] = judged(views, body) | driven(views, species, args.seed)
     metrics = {f"{name}_{what}": value for name, row in rows.items() for what, value in row.items()}
     metrics["limits_broken"] = sum(len(fails(row)) for row in rows.values())
-    words = f"Limits that are broken: {metrics['limits_broken']}."
+    words = f"Nothing is looked for beyond {1e3 * SIGHT:.0f} mm. Limits that are broken: {metrics['limits_broken']}."
     presets = {name: f"preset `{name}`" for name in rows}
     finish(args, metrics, by_number(metrics, "", presets, SHOWN), words)
 

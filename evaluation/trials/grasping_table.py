@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from rich.console import RenderableType
 
+from evaluation.harness import Row
 from evaluation.statistics import interval, mcnemar
 from evaluation.tables import by_number, by_part, markdown
-
-Row = dict[str, Any]
 
 CROPS = {
     "tomato_": "tomato (the paper held 6/8 = 75.0 %)",

@@ -22,7 +22,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rich.console import RenderableType
@@ -34,19 +33,17 @@ from anther.pollination import visit_row_stem
 from anther.sim import build_row, grow_row, mapped_hook
 from anther.sim.cell import BENCH, NEIGHBOUR, POT, CellLog
 from anther.sim.judge import LETS_GO, string_pull
-from evaluation.harness import CROPS, by_turns, failed, finish, options, run_cases
+from evaluation.harness import CROPS, Row, by_turns, failed, finish, options, run_cases
 from evaluation.statistics import bootstrap, interval, median
 from evaluation.tables import by_number, by_part, markdown
 from evaluation.trials.grasping_pictures import portrait
-from evaluation.trials.grasping_trial import COMPUTE, PICTURE, overlap, performed, truth_of
+from evaluation.trials.grasping_trial import COMPUTE, PICTURE, notes, overlap, performed, truth_of
 from evaluation.trials.shaking import Brief
 
 FIRST, DEVELOPMENT = 6100, 3
 """Rows from the first seed on are in no other table; on those from the second on the visit was made."""
 PARTS = ("views_s", "thought_s", "approach_s", "shake_s", "retreat_s")
 ACCELERATION = "true_flower_acceleration_median_ms2"
-
-Row = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +71,7 @@ def one(row: Row, folder: Path) -> Row:
     found, done = performed(cell, lambda: visit_row_stem(cell.robot_side, case.species, hook, run))
     log = cell.world.log()
     found |= touched(log) | {"string_pull": string_pull(cell.world, log), "plants": len(grown.plants)}
-    found |= {"views_s": cell.capture_seconds, "first": len(_begun) == 1, "notes": notes_of(run)}
+    found |= {"views_s": cell.capture_seconds, "first": len(_begun) == 1, "notes": notes(run)}
     if done is not None:
         found |= asked_times(found, run)
         found["flowers_seen"], found["flowers_there"] = (
@@ -84,11 +81,6 @@ def one(row: Row, folder: Path) -> Row:
     if "capture" in run.results:
         portrait(run.results["capture"], done.shake.grasp if done else None, folder / PICTURE)
     return asdict(case) | found
-
-
-def notes_of(run: Brief) -> list[str]:
-    """Return what the stages warned of."""
-    return [note for name in ("cloud", "skeleton", "stem") for note in getattr(run.results.get(name), "notes", ())]
 
 
 def asked_times(row: Row, run: Brief) -> dict[str, float]:

@@ -13,7 +13,6 @@ how often it is outside of what is then believed of nine in ten.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from rich.console import RenderableType
@@ -22,11 +21,10 @@ from anther.core import Array
 from anther.plant.limits import MOVED
 from anther.sim.judge import net_fruit
 from anther.sim.truth import TOLERANCE
+from evaluation.harness import Row
 from evaluation.statistics import bootstrap, interval, median
 from evaluation.tables import by_part, markdown
 from evaluation.trials.oracle import ACCELERATIONS, ACTUATORS, MEASURES
-
-Row = dict[str, Any]
 
 ACCELERATION = "true_flower_acceleration_median_ms2"
 ROBOT_SECONDS = ("simulated_capture_seconds", "simulated_execution_seconds")

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from rich.console import RenderableType
 
-from evaluation.harness import by_turns
+from evaluation.harness import Row, by_turns
 from evaluation.statistics import interval
 from evaluation.tables import by_part
 from evaluation.trials.grasping import VIEWPOINTS
@@ -19,8 +18,6 @@ FIRST = 8000
 """Plants from this seed on are in no other table."""
 GROUPS = ("stiffness", "wind", "pads", "arm", "camera poses", "leaf mass", "pot", "drag")
 """What can matter to a grasp; tried one at a time."""
-
-Row = dict[str, Any]
 
 
 def cases(trials: int, seed: int, preset: str, truth: str) -> list[Case]:

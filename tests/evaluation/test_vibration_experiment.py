@@ -72,7 +72,7 @@ def test_a_model_without_a_prediction_has_no_score_and_no_row_in_the_report() ->
     assert isinstance(table, Table)
     lines = list(zip(*(column.cells for column in table.columns), strict=True))
     assert not any(str(line[0]).startswith("(b)") for line in lines)
-    assert ("(c) Anther, one probe shake", "0.7–1.9", "1.00 (1.00)") in [line[:3] for line in lines]
+    assert ("(c) Anther, one probe shake, 0.7–1.9 Hz", "1.00 (1.00)") in [line[:2] for line in lines]
 
 
 def test_every_shake_is_within_the_arm_and_every_height_has_the_same_amplitude() -> None:
