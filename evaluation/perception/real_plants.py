@@ -14,19 +14,14 @@ of the main stem's length on it, mean over plants), stem_on_label_95 (share of p
 stem_distance_median_mm, single_trees, tips_per_leaf, seconds_median (processor time), no_answer, plants, and on the six
 clouds without labels others_reached and others_single_trees; against the published graphs <scan>_precision_<1v|3v>,
 <scan>_recall_<1v|3v> and <scan>_spurious_tips, recall_3v (mean) and spurious_tips (sum).
-For Anther alone: radius_over_points (the main stem's radius over the distance of its labelled points; 1 is right); by
-the strict rule strict_grasp_on_stem, into_leaf, root_ok (shares of the plants as scanned), tilt20 and tilt40 (share of
-grasps on the stem), flagged_wrong and false_flags (share of wrong and of right grasps with a confidence below 0.75, a
-refusal being wrong and doubted; all disturbances), strict_cases, strict_wrong; and of a command in a process of its
-own, skeletonize_wall_s, help_wall_s, and both with cpu.
+For Anther alone: radius_over_points (the main stem's radius over the distance of its labelled points; 1 is right), and
+by the strict rule strict_grasp_on_stem, into_leaf, root_ok (shares of the plants as scanned), tilt20 and tilt40 (share
+of grasps on the stem), flagged_wrong and false_flags (share of wrong and of right grasps with a confidence below 0.75,
+a refusal being wrong and doubted; all disturbances), strict_cases, strict_wrong.
 """
 
 from __future__ import annotations
 
-import resource
-import subprocess
-import sys
-import time
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -200,30 +195,6 @@ def _on_graphs(found: dict[str, float]) -> dict[str, float]:
     return found | {"recall_3v": sum(recall) / len(WITH_REFERENCE), "spurious_tips": float(sum(tips))}
 
 
-CLOUD, RUNS = "sorghum_kinect_fused.npz", 7
-"""A plant of 50 thousand points, and how often a command is started."""
-
-
-def started(folder: Path) -> dict[str, float]:
-    """Return the wall time [s] of `anther --help` and of `anther skeletonize`, the best of some runs in processes of
-    their own after one that may compile, and the processor time of both [s], which other programs disturb less."""
-    asked = {"help": ["--help"], "skeletonize": ["skeletonize", str(folder / CLOUD)]}
-    found: dict[str, float] = {}
-    for name, words in asked.items():
-        _once(words)
-        runs = [_once(words) for _ in progress(range(RUNS), f"start of {name}")]
-        found |= {f"{name}_wall_s": min(wall for wall, _ in runs), f"{name}_cpu_s": min(cpu for _, cpu in runs)}
-    return found
-
-
-def _once(words: list[str]) -> tuple[float, float]:
-    """Run a command; return its wall time and its processor time [s]."""
-    before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-    subprocess.run([sys.executable, "-m", "anther.cli", *words], check=True, stdout=subprocess.DEVNULL)
-    wall, after = time.perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
-    return wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-
-
 def report(found: Run, numbers: dict[str, float]) -> Iterator[RenderableType]:
     """Yield the methods side by side, and what went wrong."""
     yield by_number(numbers, "", METHODS, SHOWN)
@@ -265,7 +236,7 @@ def main() -> None:
     for name, cloud in progress(list(unlabelled(args.data)), "without labels"):
         found.add_other(name, cloud, methods)
     disturbed = judged_all(progress(reported(args.data, quick=args.quick), "disturbed plants"))
-    numbers = found.metrics() | metrics(disturbed) | (started(args.data) if args.json else {})
+    numbers = found.metrics() | metrics(disturbed)
     finish(args, numbers, *report(found, numbers), *strictly(disturbed))
     if args.figures:
         found.draw(args.figures)
