@@ -35,6 +35,7 @@ mutants: $(DEV)  ## small wrong changes, and which of them the tests catch (hour
 	$(BIN)/python -m evaluation.robustness.mutants
 
 bench: $(DEV)  ## speed
+	$(BIN)/python -m evaluation.speed --quick
 	for script in evaluation/speed/[a-z]*.py; do $(BIN)/python -m evaluation.speed.$$(basename $$script .py) --quick || exit 1; done
 
 docs: $(DEV) demo  ## measure again what docs/reports shows, at one commit (90 minutes; goes on where it was stopped)

@@ -24,15 +24,14 @@ from pathlib import Path
 from typing import Any
 
 from anther.core.files import read_json, write_text
+from evaluation.tables import METRIC, written
 
 RESULTS = Path("docs/results")
-METRIC = r"(?P<metric>[\w.-]+):(?P<format>[.,\d]*[a-z%])"
 NUMBER = re.compile(rf"<!--(?P<file>[\w/]+) {METRIC}-->[^<]*<!--/-->")
 COMPARED = re.compile(
     r"(?P<head><!-- compared: (?P<file>\w+)(?:, (?P<count>\w+) (?P<cases>[^\n]+))?\n(?P<rows>.*?)-->\n).*?<!-- end -->",
     re.DOTALL,
 )
-MISSING = "–"
 
 
 def pages() -> list[Path]:
@@ -78,16 +77,9 @@ def _head(name: str, run: dict[str, Any], count: str | None, cases: str | None) 
 
 def _cells(cell: str, of_runs: list[dict[str, Any]]) -> list[str]:
     """Return a row's cell for each run."""
-
-    def text(metrics: dict[str, Any]) -> str:
-        values = {key: metrics.get(key) for key, _ in re.findall(METRIC, cell)}
-        if all(value is None for value in values.values()):
-            return MISSING
-        return re.sub(METRIC, lambda m: MISSING if values[m[1]] is None else f"{values[m[1]]:{m[2]}}", cell)
-
     if unknown := [key for key, _ in re.findall(METRIC, cell) if not any(key in metrics for metrics in of_runs)]:
         raise KeyError(f"no run has {', '.join(unknown)}")
-    return [text(metrics) for metrics in of_runs]
+    return [written(cell, metrics) for metrics in of_runs]
 
 
 def _row(label: str, cells: list[str]) -> str:

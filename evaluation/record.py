@@ -22,6 +22,7 @@ import subprocess
 import sys
 import time
 from datetime import UTC, datetime
+from importlib.util import find_spec
 from pathlib import Path
 
 from anther.core.files import read_json, write_json, write_text
@@ -37,7 +38,10 @@ def measure(command: str, commit: str) -> str:
     _, _, module, *options = shlex.split(command)  # python -m MODULE
     name = module.rpartition(".")[2]
     out, metrics = KEPT / commit / name, KEPT / commit / f"{name}.json"
-    source = Path(f"{module.replace('.', '/')}.py").read_text()
+    spec = find_spec(f"{module}.__main__") if Path(module.replace(".", "/")).is_dir() else find_spec(module)
+    assert spec is not None
+    assert spec.origin is not None
+    source = Path(spec.origin).read_text()
     own = ["--out", str(out)] if 'out="runs/' in source and "--out" not in options else []
     metrics.parent.mkdir(parents=True, exist_ok=True)
     begin = time.perf_counter()

@@ -15,7 +15,8 @@ from rich.table import Table
 from anther.core import Array, StageFailure
 from anther.sim import NOMINAL, Organ, SimPlant, as_true
 from anther.sim.sway import CALM, TIMESTEP, gusts
-from evaluation.tables import markdown
+from evaluation.harness import CROPS
+from evaluation.tables import by_part
 
 WINDS = (2.0, 4.0, 6.0)
 """Mean speeds at the plant [m/s]."""
@@ -105,16 +106,15 @@ def breeze_metrics(found: dict[tuple[str, float], list[dict[str, float]]]) -> di
     return out | {"breeze_pedicel_4ms": float(np.nanmedian(worst))}
 
 
-def breeze_table(found: dict[tuple[str, float], list[dict[str, float]]]) -> Table:
-    """Return medians over plants, and the range of the worst pedicel."""
-    heads = ("flower, m/s²", "pedicel strain", "worst pedicel of a plant", "stem strain", "base strain", "leaf base, g")
-    table = markdown(["crop", "wind, m/s", *heads])
-    for (crop, wind), rows in found.items():
-        middle = {what: float(np.nanmedian([row[what] for row in rows])) for what in rows[0]}
-        worst = [row["pedicel_worst"] for row in rows]
-        table.add_row(
-            crop, f"{wind:g}", f"{middle['flower']:.1f}", f"{middle['pedicel']:.2%}",
-            f"{np.nanmin(worst):.2%} to {np.nanmax(worst):.2%}", f"{middle['stem']:.2%}", f"{middle['base']:.2%}",
-            f"{middle['leaf'] / 9.81:.1f}",
-        )  # fmt: skip
-    return table
+def breeze_table(found: dict[str, float]) -> Table:
+    """Return medians over plants, from `breeze_metrics`."""
+    winds = {f"{crop}_{wind:g}ms": f"{crop}, {wind:g} m/s" for crop in CROPS for wind in WINDS}
+    numbers = {
+        "flower, m/s²": "breeze_flower_*:.1f",
+        "pedicel strain": "breeze_pedicel_*:.2%",
+        "worst pedicel of a plant": "breeze_pedicel_worst_*:.2%",
+        "stem strain": "breeze_stem_*:.2%",
+        "base strain": "breeze_base_*:.2%",
+        "leaf base, m/s²": "breeze_leaf_*:.1f",
+    }
+    return by_part(found, "crop, wind", winds, numbers)

@@ -7,6 +7,7 @@ frequencies, B strains that are observed.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,14 +16,11 @@ from rich.table import Table
 
 from anther.core import Array
 from anther.pollination.shake.observables import Observables, observables, semi_major
-from anther.pollination.shake.pads import Pads, grip_rows, pad_nodes
-from anther.pollination.shake.search import Version, gains
 from anther.rods import observed_response
 from anther.sim import Organ, SimPlant, plant_mechanics
-from evaluation.judge.finer_plant import divided
 from evaluation.judge.limit_rods import TrueRods, bare, true_rods
 from evaluation.prediction.shaken_plant import Params, ShakenPlant
-from evaluation.tables import markdown
+from evaluation.tables import by_part
 
 FREQUENCIES = np.array([1.0, 2.0, 5.0, 10.0, 30.0])
 HELD_AT = 0.5
@@ -39,21 +37,15 @@ class StrainRow(NamedTuple):
 
     Attributes:
         plant, kind, frequency: what and where.
-        reported: the largest that Anther reports per metre of grip motion [1/m].
         error: of the largest, Anther's over MuJoCo's less 1, with the same hysteretic damping in both codes, and the
             same radius: that in the middle of an edge.
-        error_section: of what Anther reports, where MuJoCo's sections have the radius of the very place.
-        error_own_damping: the first with MuJoCo's own damping, a ratio for each mode.
-        places: (n,) the first of single places (a stem's piece, a pedicel's, a base), as far as they count.
+        places: (n,) the same of single places (a stem's piece, a pedicel's, a base), as far as they count.
     """
 
     plant: str
     kind: str
     frequency: float
-    reported: float
     error: float
-    error_section: float
-    error_own_damping: float
     places: Array
 
 
@@ -118,7 +110,7 @@ def strain_rows(plant: SimPlant, piece: float) -> list[StrainRow]:
     both = shaken(plant, piece)
     finer, pieces = both.hinges.mechanics.plant, both.hinges.mechanics.pieces
     loss = 2 * both.rods.model.material.damping_ratio
-    same, own = (semi_major(both.hinges.bending(FREQUENCIES, loss_factor=damped)) for damped in (loss, None))
+    hinged = semi_major(both.hinges.bending(FREQUENCIES, loss_factor=loss))
     rows = []
     for kind, observed in _kinds(both, finer).items():
         edges = both.seen.edges[observed]
@@ -128,21 +120,10 @@ def strain_rows(plant: SimPlant, piece: float) -> list[StrainRow]:
         radius = np.asarray(both.rods.model.rods.edge_radius)[both.seen.edges[first]]
         section = (finer.radius_start[pieces.first[there]] / radius) ** 3
         for q, frequency in enumerate(FREQUENCIES):
-            single, mine, damped = both.reported[q, first], same[q, there] * section, own[q, there] * section
-            reported, counts = float(both.reported[q, observed].max()), mine >= COUNTS * mine.max()
-            largest, tapered = float(single.max()), float(same[q, there].max())
-            rows.append(
-                StrainRow(
-                    f"{plant.species} {plant.seed}",
-                    kind,
-                    float(frequency),
-                    reported,
-                    largest / float(mine.max()) - 1,
-                    reported / tapered - 1,
-                    largest / float(damped.max()) - 1,
-                    (single / mine - 1)[counts],
-                )
-            )
+            single, mine = both.reported[q, first], hinged[q, there] * section
+            error, counts = float(single.max()) / float(mine.max()) - 1, mine >= COUNTS * mine.max()
+            name = f"{plant.species} {plant.seed}"
+            rows.append(StrainRow(name, kind, float(frequency), error, (single / mine - 1)[counts]))
     return rows
 
 
@@ -160,60 +141,37 @@ def _kinds(both: Shaken, finer: SimPlant) -> dict[str, NDArray[Any]]:
     return {name: observed for name, observed in kinds.items() if len(observed)}
 
 
-def strain_table(rows: list[StrainRow]) -> Table:
-    """Return the errors by kind and frequency, over the plants."""
-    heads = ("largest: median", "worst", "tapered sections, worst", "MuJoCo's own damping, worst")
-    table = markdown(["strain of", "Hz", "plants", *heads, "places: median", "places: 90 %"])
-    for kind in dict.fromkeys(row.kind for row in rows):
-        for frequency in FREQUENCIES:
-            mine = [row for row in rows if (row.kind, row.frequency) == (kind, frequency)]
-            shown = list(_errors(mine).values())
-            table.add_row(kind, f"{frequency:g}", str(len(mine)), *(f"{100 * value:.1f} %" for value in shown))
-    return table
-
-
-def _errors(rows: list[StrainRow]) -> dict[str, float]:
-    largest, section, own = (
-        np.abs([getattr(row, name) for row in rows]) for name in ("error", "error_section", "error_own_damping")
-    )
-    places = np.abs(np.concatenate([row.places for row in rows]))
-    return {
-        "error_median": float(np.median(largest)),
-        "error_max": float(largest.max()),
-        "error_section_max": float(section.max()),
-        "error_own_damping_max": float(own.max()),
-        "places_error_median": float(np.median(places)),
-        "places_error_p90": float(np.quantile(places, 0.9)),
-    }
+KINDS = ("stem", "pedicel", "petiole base", "peduncle base", "fork")
 
 
 def strain_metrics(rows: list[StrainRow]) -> dict[str, float]:
-    """Return the errors over all plants, kinds and frequencies, and over those up to 5 Hz."""
+    """Return the errors over all plants, over frequencies up to 5 Hz, and of each kind and frequency."""
+    parts = {"": rows, "_to_5hz": [row for row in rows if row.frequency <= 5]}
+    for kind, frequency in product(KINDS, FREQUENCIES.tolist()):
+        mine = [row for row in rows if (row.kind, row.frequency) == (kind, frequency)]
+        parts |= {f"_{kind.replace(' ', '_')}_{frequency:g}hz": mine} if mine else {}
     out: dict[str, float] = {}
-    for band, highest in (("", np.inf), ("_to_5hz", 5.0)):
-        mine = [row for row in rows if row.frequency <= highest]
-        largest = np.abs([row.error for row in mine])
-        out |= {f"strain_{name}{band}": value for name, value in _errors(mine).items()}
-        out[f"strain_error_p90{band}"] = float(np.quantile(largest, 0.9))
-        out[f"strain_within_5{band}"] = float(np.mean(largest <= 0.05))
+    for part, mine in parts.items():
+        largest, places = np.abs([row.error for row in mine]), np.abs(np.concatenate([row.places for row in mine]))
+        found = {
+            "error_median": np.median(largest),
+            "error_p90": np.quantile(largest, 0.9),
+            "error_max": largest.max(),
+            "within_5": np.mean(largest <= 0.05),
+            "places_error_median": np.median(places),
+            "places_error_p90": np.quantile(places, 0.9),
+        }
+        out |= {f"strain_{name}{part}": float(value) for name, value in found.items()}
     return out
 
 
-SPREAD_AT = np.geomspace(1, 35, 40)
-HEIGHTS = np.linspace(0.2, 0.8, 7)
-FIRM = Pads(width=0.01, stiffness=1e9, turning=1e6, stiffness_spread=0, turning_spread=0)
-
-
-def strain_per_acceleration(plant: SimPlant, piece: float) -> Array:
-    """Return (Q, G, D) the largest pedicel strain per acceleration of the grip [s2/m], beyond 10 Hz as at 10 Hz.
-
-    At `SPREAD_AT`, for seven heights and eight directions; the pads hold 10 mm of the stem, in every direction.
-    """
-    model = true_rods(divided(plant, piece)[0]).model
-    rows = np.searchsorted(model.arc_length, HEIGHTS * model.arc_length[-1])
-    pads = pad_nodes(model, grip_rows(model, model.rods.nodes[model.stem_nodes[rows]]), FIRM.width)
-    angle = np.arange(8) * np.pi / 8
-    ways = np.tile(np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1), (len(pads), 1, 1))
-    omega = 2 * np.pi * SPREAD_AT[:, None, None]
-    strain = gains([Version(model, FIRM)], pads, ways, SPREAD_AT).joint_strain[0]
-    return strain / (omega * np.minimum(omega, 20 * np.pi))
+def strain_table(found: dict[str, float]) -> Table:
+    """Return the errors by kind and frequency, from `strain_metrics`."""
+    parts = {f"{kind.replace(' ', '_')}_{hz:g}hz": f"{kind}, {hz:g} Hz" for kind, hz in product(KINDS, FREQUENCIES)}
+    numbers = {
+        "largest: median": "strain_error_median_*:.1%",
+        "worst": "strain_error_max_*:.1%",
+        "places: median": "strain_places_error_median_*:.1%",
+        "places: 90 %": "strain_places_error_p90_*:.1%",
+    }
+    return by_part(found, "strain of", parts, numbers)

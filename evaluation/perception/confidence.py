@@ -43,7 +43,7 @@ from evaluation.perception.degraded_views import DEGRADATIONS
 from evaluation.perception.simulated import BOX, take
 from evaluation.perception.skeleton_truth import AXIS, NEAR, polyline, true_samples
 from evaluation.statistics import auc, logistic, reliability
-from evaluation.tables import markdown
+from evaluation.tables import by_part, markdown
 
 DEVELOPMENT, EVALUATION = range(10, 18), range(520, 528)
 VIEWS, EACH = 12, 4
@@ -53,10 +53,6 @@ RIGHT_SHARE = 0.95
 KINDS = {"node": "nodes of skeletons", "stem": "main stems", "grasp": "ranked grasps"}
 
 
-HEADS = (
-    *("", "number", "right", "Brier score", "of always saying the share that is right", "AUC", "calibration error"),
-    *(f"wrong of those below {DOUBTFUL}", "wrong of the others"),
-)
 PLACES = 0.01
 """Distance along the stem of the places that a grasp's confidence is fitted on [m]."""
 
@@ -214,12 +210,16 @@ def draw(found: list[Sample], path: Path) -> None:
 
 def report(numbers: dict[str, float], seen: list[Sample]) -> list[RenderableType]:
     """Return the scores of the three confidences, and what was right by what was said."""
-    lines = []
-    for kind, words in KINDS.items():
-        scores = (f"{numbers[f'{kind}_{key}']:.3f}" for key in ("brier", "base_brier", "auc", "calibration_error"))
-        wrong = (numbers[f"{kind}_{key}"] for key in ("wrong_doubted", "wrong_trusted"))
-        shares = ("none" if np.isnan(share) else f"{share:.0%}" for share in wrong)
-        lines.append((words, numbers[f"{kind}_count"], f"{numbers[f'{kind}_right']:.1%}", *scores, *shares))
+    scores = {
+        "number": "*_count:,.0f",
+        "right": "*_right:.1%",
+        "Brier score": "*_brier:.3f",
+        "of always saying the share that is right": "*_base_brier:.3f",
+        "AUC": "*_auc:.3f",
+        "calibration error": "*_calibration_error:.3f",
+        f"wrong of those below {DOUBTFUL}": "*_wrong_doubted:.0%",
+        "wrong of the others": "*_wrong_trusted:.0%",
+    }
     tenths = {kind: reliability(*claim) for kind, claim in claims(seen).items()}
     cells = {(kind, min(int(10 * p), 9)): f"{right:.0%} of {n:.0f}" for kind in KINDS for p, right, n in tenths[kind]}
     by_tenth = [
@@ -227,7 +227,7 @@ def report(numbers: dict[str, float], seen: list[Sample]) -> list[RenderableType
     ]
     wrong_stems = sum(not s.stem_right for s in seen)
     return [
-        markdown(HEADS, lines),
+        by_part(numbers, "", KINDS, scores),
         "Share that is right by what is said, with the number of cases:",
         markdown(("confidence", *KINDS.values()), by_tenth),
         f"{numbers['captures']} captures, {numbers['refused']} refused. Of {wrong_stems} wrong stems "

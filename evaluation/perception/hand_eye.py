@@ -23,7 +23,7 @@ from anther.robot.calibration._hand_eye import METHODS, closed_form
 from anther.robot.calibration._refinement import Noise, Problem, refine
 from anther.show.pictures.estimates import draw_calibration
 from evaluation.harness import finish, options, progress, save
-from evaluation.tables import markdown
+from evaluation.tables import by_part
 
 CAMERA = Intrinsics(1280, 720, 640.0, 640.0, 639.5, 359.5)
 CORNERS = 0.03 * np.array([[column, row, 0] for row in range(1, 5) for column in range(1, 7)])
@@ -150,16 +150,17 @@ def tables(metrics: dict[str, float]) -> tuple[Table, Table]:
     """Return the errors of each method, and what became of the views."""
     shown = {"refined": "refined", "tsai": "Tsai-Lenz", "park": "Park", "daniilidis": "Daniilidis"}
     shown |= {"pixels_only": "arm taken for exact"}
-    errors = markdown(["case", *(f"{words} (°, mm)" for words in shown.values())])
-    views = markdown(["case", "wrong views found", "good views kept", "error over what is stated, RMS"])
-    for name, case in CASES.items():
-        found = [[metrics.get(f"{name}_{method}_{what}") for what in OF_ERRORS] for method in shown]
-        cells = ["" if None in row else "{:.3f} ({:.3f}), {:.2f} ({:.2f})".format(*row) for row in found]
-        errors.add_row(case.words, *cells)
-        shares = [f"{metrics[f'{name}_{what}']:.1%}" for what in ("outliers_found", "good_views_kept")]
-        shares[0] = shares[0] if case.wrong else ""
-        views.add_row(case.words, *shares, f"{metrics[f'{name}_error_over_stated_rms']:.2f}")
-    return errors, views
+    of_method = "*_{0}_deg:.3f (*_{0}_deg_p95:.3f), *_{0}_mm:.2f (*_{0}_mm_p95:.2f)"
+    errors = {f"{words} (°, mm)": of_method.format(method) for method, words in shown.items()}
+    views = {
+        "wrong views found": "*_outliers_found:.1%",
+        "good views kept": "*_good_views_kept:.1%",
+        "error over what is stated, RMS": "*_error_over_stated_rms:.2f",
+    }
+    cases = {name: case.words for name, case in CASES.items()}
+    there = {key: value for key, value in metrics.items() if not key.endswith("outliers_found")}
+    there |= {key: metrics[key] for name, case in CASES.items() if case.wrong and (key := f"{name}_outliers_found")}
+    return by_part(metrics, "case", cases, errors), by_part(there, "case", cases, views)
 
 
 def _case_metrics(name: str, errors: dict[str, list], judged: dict[str, list]) -> dict[str, float]:

@@ -38,7 +38,7 @@ from anther.sim.greenhouse import Setting
 from anther.sim.simulated_cell import USUAL_DISTANCE
 from evaluation.harness import CROPS, DATA, finish, options, progress
 from evaluation.perception.colour_images import segment_images
-from evaluation.tables import markdown
+from evaluation.tables import by_part, written
 
 CHECK = Path(__file__).with_name("romi_arabidopsis_check.json")
 WHITE_FILM = (236, 238, 238)
@@ -188,26 +188,30 @@ def light_sheet(path: Path, shown: dict[Any, NDArray[Any]]) -> None:
 
 def report(rows: dict[tuple[Crop, str], dict[str, float]], values: dict[str, float]) -> Iterator[RenderableType]:
     """Yield the masks by light, those that bleed, and the real views."""
-    lines = []
-    for (species, name), row in rows.items():
-        quality = (f"{row[key]:.3f}" for key in ("iou", "iou_with_depth"))
-        shares = (f"{row[key]:.0%}" for key in ("flower_recall", "flower_precision", "flowers_found"))
-        points = (f"{row[key]:.2%}" for key in ("pot_soil_in_cloud", "other_in_cloud"))
-        lines.append((species, name.replace("_", " "), *quality, *shares, *points, f"{row['cpu_s']:.1f}"))
-    heads = ("IoU", "IoU where depth is read", "petal pixels: recall", "precision", "flowers found")
-    yield markdown(("plant", "light", *heads, "pot or soil in the cloud", "other things in it", "s, CPU"), lines)
-    lines = []
-    for kind, words in (("pot", "over all of pot and soil"), ("wide", "12 pixels too wide everywhere")):
-        for species in dict.fromkeys(species for species, _ in rows):
-            share, soil, foot = (values[f"bleed_{kind}_{species}_{key}"] for key in BLEEDING)
-            lines.append((words, species, f"{share:.1%}", f"{soil:.2%}", f"{foot:.0f}"))
+    quality = {
+        "IoU": "*_iou:.3f",
+        "IoU where depth is read": "*_iou_with_depth:.3f",
+        "petal pixels: recall": "*_flower_recall:.0%",
+        "precision": "*_flower_precision:.0%",
+        "flowers found": "*_flowers_found:.0%",
+        "pot or soil in the cloud": "*_pot_soil_in_cloud:.2%",
+        "other things in it": "*_other_in_cloud:.2%",
+        "s, CPU": "*_cpu_s:.1f",
+    }
+    lights = {f"{species}_{name}": f"{species}, {name.replace('_', ' ')}" for species, name in rows}
+    yield by_part(values, "plant, light", lights, quality)
+    bled = {"pot": "over all of pot and soil", "wide": "12 pixels too wide everywhere"}
+    masked = {f"bleed_{kind}_{crop}": f"{crop}, {words}" for kind, words in bled.items() for crop in CROPS}
+    freed = {
+        "plant kept": "*_plant_kept:.1%",
+        "pot or soil in the cloud": "*_pot_soil_in_cloud:.2%",
+        "stem begins above soil, mm": "*_foot_mm:.0f",
+    }
     yield "Masks that bleed as networks' do, freed of the ground:"
-    heads = ("bleeding", "plant", "plant kept", "pot or soil in the cloud", "stem begins above soil, mm")
-    yield markdown(heads, lines)
+    yield by_part(values, "plant, mask", masked, freed)
     if "romi_views" in values:
-        words = {"stem": "stem_covered", "leaves": "leaves_covered", "background": "background_masked"}
-        said = ", ".join(f"{word} {values[f'romi_{key}']:.0%}" for word, key in words.items())
-        yield f"Real Arabidopsis, colour alone, {values['romi_views']} views: {said}."
+        said = "stem romi_stem_covered:.0%, leaves romi_leaves_covered:.0%, background romi_background_masked:.0%."
+        yield f"Real Arabidopsis, colour alone, {values['romi_views']} views: {written(said, values)}"
 
 
 def main() -> None:

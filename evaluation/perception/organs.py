@@ -40,17 +40,13 @@ from evaluation.perception.skeleton_truth import (
     true_samples,
     visible_flowers,
 )
-from evaluation.tables import markdown
+from evaluation.tables import by_part, measured
 
 LEAN, BEND = 25.0, 0.6
 """Degrees, and how far aside a plant is at height z: BEND z^2 [1/m], 0.15 m at half a metre."""
 POSED = ("stem_error_p95_mm", "stem_covered", "recall_5mm", "precision_5mm", "junction_f1")
 
 
-HEADS = (
-    *("plants", "main stem's error, 95th percentile, mm", "true stem found", "recall at 5 mm", "precision at 5 mm"),
-    "junctions at 10 mm, F1",
-)
 VERDICTS = {
     "flowers_one_to_one": "visible flowers with a found one of their own within 15 mm",
     "attached_to_organ": "of these, those on the organ that bears them",
@@ -158,15 +154,17 @@ def main() -> None:
     each = 1 if args.quick else args.each
     plants = [plant for crop in CROPS for plant in [p for p in DEVELOPMENT if p[0] == crop][:each]]
     found = metrics(in_processes(one_plant, plants, args.jobs, "plants"))
-    verdicts = markdown(
-        (f"of {len(plants)} plants", "share"), [(words, f"{found[key]:.0%}") for key, words in VERDICTS.items()]
-    )
-    lines = []
-    for name in ("upright", "leaning", "bent"):
-        error, *shares, score_f1 = (found[f"{name}_{key}"] for key in POSED)
-        lines.append((name, f"{error:.1f}", *(f"{share:.1%}" for share in shares), f"{score_f1:.2f}"))
+    posed = {
+        "main stem's error, 95th percentile, mm": "*_stem_error_p95_mm:.1f",
+        "true stem found": "*_stem_covered:.1%",
+        "recall at 5 mm": "*_recall_5mm:.1%",
+        "precision at 5 mm": "*_precision_5mm:.1%",
+        "junctions at 10 mm, F1": "*_junction_f1:.2f",
+    }
+    poses = {name: name for name in ("upright", "leaning", "bent")}
     words = f"The same plants, leaning by {LEAN:.0f}°, and bent by {100 * BEND / 4:.0f} cm at half a metre:"
-    finish(args, found, verdicts, words, markdown(HEADS, lines))
+    said = f"Shares over {len(plants)} plants:"
+    finish(args, found, said, measured(found, VERDICTS), words, by_part(found, "plants", poses, posed))
 
 
 if __name__ == "__main__":

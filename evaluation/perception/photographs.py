@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -45,7 +45,7 @@ from anther.perception.masks.by_words import NETWORKS
 from evaluation.harness import finish, options, progress
 from evaluation.perception.photographs_looks import Look, by_colour, by_words
 from evaluation.statistics import interval
-from evaluation.tables import markdown
+from evaluation.tables import by_part
 
 LABELS = Path(__file__).parent / "real" / "photographs.json"
 FOLDER = os.environ.get("ANTHER_PHOTOS")
@@ -208,31 +208,25 @@ def images(folder: Path) -> list[tuple[dict[str, Any], Path]]:
     return have
 
 
-SHOWN = {
-    "images": "number",
-    "flowers": "flowers",
-    "flower_recall": "flowers' recall",
-    "flower_precision": "flowers' precision",
-    "stems": "stems",
-    "stem_recall": "stems found",
-    "stem_length_covered": "stems' length masked",
-    "stem_length_told": "their length told",
-    "stem_precision": "precision of what is told",
-    "other_masked_share": "no plant, but masked",
-}
-
-
-def table(values: dict[str, dict[str, float]]) -> Table:
+def table(found: dict[str, float], names: Iterable[str]) -> Table:
     """Return the numbers of each group, a row a group."""
 
-    def cell(row: dict[str, float], name: str) -> str:
-        if name in ("images", "flowers", "stems"):
-            return f"{row[name]:.0f}"
-        between = f" ({row[f'{name}_low']:.2f}–{row[f'{name}_high']:.2f})" if f"{name}_low" in row else ""
-        return f"{row[name]:.2f}{between}" if name in row else "–"
+    def share(key: str) -> str:
+        return f"*_{key}:.2f (*_{key}_low:.2f–*_{key}_high:.2f)"
 
-    lines = [(name.replace("_", " "), *(cell(row, key) for key in SHOWN)) for name, row in values.items()]
-    return markdown(("images of", *SHOWN.values()), lines)
+    numbers = {
+        "number": "*_images:.0f",
+        "flowers": "*_flowers:.0f",
+        "flowers' recall": share("flower_recall"),
+        "flowers' precision": share("flower_precision"),
+        "stems": "*_stems:.0f",
+        "stems found": share("stem_recall"),
+        "stems' length masked": "*_stem_length_covered:.2f",
+        "their length told": "*_stem_length_told:.2f",
+        "precision of what is told": share("stem_precision"),
+        "no plant, but masked": share("other_masked_share"),
+    }
+    return by_part(found, "images of", {name: name.replace("_", " ") for name in names}, numbers)
 
 
 FOUND, MISSED, WRONG, MASK, STEM = (60, 220, 60), (255, 40, 40), (255, 0, 255), (0, 110, 255), (255, 255, 0)
@@ -269,7 +263,7 @@ class Judged:
     other_masked: list[bool]
 
 
-def contact_sheet(path: Path, found: Sequence[Judged], height: int = 700) -> None:
+def contact_sheet(path: Path, found: Sequence[Judged], height: int = 380) -> None:
     """Write all images side by side, each `height` px high.
 
     The mask's outline is blue, that of what is told to be a stem yellow; flowers are green (found) or red (missed),
@@ -310,10 +304,9 @@ def _tile(one: Judged, height: int) -> NDArray[Any]:
 
 
 def main() -> None:
-    """Run, print the table, write --json, --sheet and --pictures."""
+    """Run, print the table, write --json and --pictures."""
     own = {
         "--folder": {"type": Path, "default": FOLDER, "help": "of the images; default: $ANTHER_PHOTOS"},
-        "--sheet": (Path, "write a picture of what fails here; not to be published"),
         "--pictures": (Path, "write photographs.jpg into this folder, of CC BY 4.0 images"),
         "--models": (Path, "look by words, with the networks in this folder"),
         "--method": ("grounded-sam2", "which networks", sorted(NETWORKS)),
@@ -328,12 +321,11 @@ def main() -> None:
         rgb = photograph(path)
         found.append(judged(row, rgb, *seen(rgb, row.get("crop"), look)))
     values = {name: metrics(group) for name, group in groups(found).items()}
-    finish(args, {f"{group}_{key}": v for group, row in values.items() for key, v in row.items()}, table(values))
-    if args.sheet:
-        contact_sheet(args.sheet, found)
+    flat = {f"{group}_{key}": value for group, row in values.items() for key, value in row.items()}
+    finish(args, flat, table(flat, values))
     if args.pictures:
         shown = [one for one in found if one.row["file"].startswith(PICTURED)]
-        contact_sheet(args.pictures / "photographs.jpg", shown, height=380)
+        contact_sheet(args.pictures / "photographs.jpg", shown)
 
 
 if __name__ == "__main__":

@@ -23,7 +23,6 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rich.console import RenderableType
 
@@ -36,9 +35,9 @@ from anther.robot.arm import sawyer
 from anther.sim import CaptureTruth, Organ, layout
 from anther.sim.capture import perturbed_hand_eye
 from anther.sim.simulated_cell import USUAL_DISTANCE
-from evaluation.harness import finish, options, progress, save
+from evaluation.harness import finish, options, progress
 from evaluation.perception.simulated import DEVELOPMENT, TEN, take
-from evaluation.tables import markdown
+from evaluation.tables import by_part, written
 
 METHODS = {"kinematics": None, "joint": Params()}
 
@@ -167,46 +166,25 @@ def metrics(
     return {name: float(value) for name, value in table.items()}
 
 
-def draw(outcomes: list[dict[tuple[str, str], Outcome]]) -> Figure:
-    """Draw every plant's displacement, method beside method."""
-    figure = Figure(figsize=(9, 3.4), layout="constrained")
-    for plot, error in zip(figure.subplots(1, len(ERRORS), sharey=True), ERRORS, strict=True):
-        for column, method in enumerate(METHODS):
-            values = [o[method, error].rms for o in outcomes if (method, error) in o]
-            plot.plot(column + np.linspace(-0.25, 0.25, len(values)), values, "o", markersize=4, alpha=0.8)
-        plot.axhline(1.2, color="0.5", linestyle=":")
-        plot.set_xticks(range(len(METHODS)), [m.replace("_", " ") for m in METHODS], rotation=35, ha="right")
-        plot.set_title(WORDS[error])
-        plot.set_yscale("log")
-        plot.set_yticks([0.5, 1, 2, 5, 10], ["0.5", "1", "2", "5", "10"])
-        plot.grid(axis="y", alpha=0.3)
-    figure.axes[0].set_ylabel("RMS displacement [mm]")
-    return figure
-
-
 def report(table: dict[str, float], plants: int, noisier: int) -> list[RenderableType]:
     """Return the displacements, what filters do, and how registration went."""
-    heads = ("displacement, RMS, mm", "worst plant, mm", "shape, mm", "rigid, mm", "time, median, s")
-    keys, poses = ("rms_mm", "worst_mm", "shape_mm", "rigid_mm", "s"), ("the arm's own", "registered")
-    rows = [
-        (
-            *(words, plants if error == "usual" else min(noisier, plants), whose),
-            *(f"{table[f'{method}_{error}_{key}']:.2f}" for key in keys),
-        )
-        for error, words in WORDS.items()
-        for method, whose in zip(METHODS, poses, strict=True)
-        if f"{method}_{error}_rms_mm" in table  # without --noisier plants
-    ]
-    filters = [
-        (words, *(f"{table[f'{name}_{key}']:.1%}" for key in ("flying_removed", "petioles_kept")))
-        for name, words in FILTERS.items()
-    ]
-    reach, accepted = table["reach_px"], table["accepted"]
+    poses = {"kinematics": "the arm's own poses", "joint": "registered"}
+    parts = {f"{method}_{error}": f"{words}: {poses[method]}" for error, words in WORDS.items() for method in METHODS}
+    displaced = {
+        "displacement, RMS, mm": "*_rms_mm:.2f",
+        "worst plant, mm": "*_worst_mm:.2f",
+        "shape, mm": "*_shape_mm:.2f",
+        "rigid, mm": "*_rigid_mm:.2f",
+        "time, median, s": "*_s:.2f",
+    }
+    kept = {"flying pixels removed": "*_flying_removed:.1%", "petioles' pixels kept": "*_petioles_kept:.1%"}
+    said = "Registrations accepted: accepted:.0%. Reach of the matching window: reach_px:.1f pixels."
     return [
-        markdown(("the robot's errors", "plants", "poses", *heads), rows),
+        f"{plants} plants; {min(noisier, plants)} of them also with larger errors.",
+        by_part(table, "the robot's errors", parts, displaced),
         "What filters of pixels do, on the same views:",
-        markdown(("filter", "flying pixels removed", "petioles' pixels kept"), filters),
-        f"Registrations accepted: {accepted:.0%}. Reach of the matching window: {reach:.1f} pixels.",
+        by_part(table, "filter", FILTERS, kept),
+        written(said, table),
     ]
 
 
@@ -218,7 +196,7 @@ def main() -> None:
         "--plants": (10, "only the first so many"),
         "--noisier": (2, "how many of them are also tried with doubled errors"),
     }
-    args = options(__doc__, quick=quick, seed=(0, "of the robot's errors"), figures="registration.png", own=own)
+    args = options(__doc__, quick=quick, seed=(0, "of the robot's errors"), own=own)
     plants = (DEVELOPMENT if args.development else TEN)[: 1 if args.quick else args.plants]
     outcomes, filters = [], []
     for number, which in enumerate(progress(plants, "plants")):
@@ -230,8 +208,6 @@ def main() -> None:
         filters.append(filter_pixels(capture, truth, labels))
     table = metrics(outcomes, filters)
     finish(args, table, *report(table, len(plants), args.noisier))
-    if args.figures:
-        save(draw(outcomes), args.figures / "registration.png", 130)
 
 
 if __name__ == "__main__":

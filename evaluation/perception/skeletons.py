@@ -29,31 +29,31 @@ from anther.sim.simulated_cell import USUAL_DISTANCE
 from evaluation.harness import FOLDER, by_turns, finish, options, run_cases, save
 from evaluation.perception.simulated import TEN, perceive, take
 from evaluation.perception.skeleton_truth import AXIS, Score, pooled, score, visible_flowers
-from evaluation.tables import markdown
+from evaluation.tables import by_number
 
 HUNDRED = by_turns(100, 1000)
 
 SHOWN = {
-    "plants": ("plants", "", ".0f"),
-    "failed": ("without a result", "0", ".0%"),
-    "stem_error_median_mm": ("main stem's error, median, mm", "≤ 1.5", ".2f"),
-    "stem_error_p95_mm": ("the same, 95th percentile, mm", "≤ 5", ".1f"),
-    "stem_covered": ("share of the true stem that is found", "", ".1%"),
-    "radius_error": ("stem radius, median absolute error", "≤ 15 %", ".1%"),
-    "radius_bias": ("stem radius, bias", "", "+.1%"),
-    "radius_within_15_percent": ("plants whose median radius is within 15 %", "", ".0%"),
-    "recall_5mm": ("recall of stem, branches, petioles at 5 mm", "≥ 90 %", ".1%"),
-    "precision_5mm": ("precision of stem and branches at 5 mm", "≥ 95 %", ".1%"),
-    "junction_f1": ("junctions at 10 mm, F1", "≥ 0.8", ".2f"),
-    "junction_recall": ("junctions, recall", "", ".1%"),
-    "junction_precision": ("junctions, precision", "", ".1%"),
-    "flower_recall": ("visible flowers that are found, within 15 mm", "≥ 85 %", ".1%"),
-    "flower_precision": ("found flowers that are real", "", ".1%"),
-    "tree_share": ("skeletons that are one rooted tree", "100 %", ".0%"),
-    "root_error_median_mm": ("root's error, median, mm", "", ".1f"),
-    "root_error_max_mm": ("root's error, greatest, mm", "", ".1f"),
+    "plants": "*plants:.0f",
+    "without a result (0)": "*failed:.0%",
+    "main stem's error, median, mm (≤ 1.5)": "*stem_error_median_mm:.2f",
+    "the same, 95th percentile, mm (≤ 5)": "*stem_error_p95_mm:.1f",
+    "share of the true stem that is found": "*stem_covered:.1%",
+    "stem radius, median absolute error (≤ 15 %)": "*radius_error:.1%",
+    "stem radius, bias": "*radius_bias:+.1%",
+    "plants whose median radius is within 15 %": "*radius_within_15_percent:.0%",
+    "recall of stem, branches, petioles at 5 mm (≥ 90 %)": "*recall_5mm:.1%",
+    "precision of stem and branches at 5 mm (≥ 95 %)": "*precision_5mm:.1%",
+    "junctions at 10 mm, F1 (≥ 0.8)": "*junction_f1:.2f",
+    "junctions, recall": "*junction_recall:.1%",
+    "junctions, precision": "*junction_precision:.1%",
+    "visible flowers that are found, within 15 mm (≥ 85 %)": "*flower_recall:.1%",
+    "found flowers that are real": "*flower_precision:.1%",
+    "skeletons that are one rooted tree (100 %)": "*tree_share:.0%",
+    "root's error, median, mm": "*root_error_median_mm:.1f",
+    "root's error, greatest, mm": "*root_error_max_mm:.1f",
 }
-"""What the table shows: its words, the target where there is one, and how it is written."""
+"""What the table shows: its words, the target where there is one, and the number."""
 
 
 def one_plant(row: dict[str, Any], folder: Path) -> dict[str, Any]:
@@ -139,18 +139,14 @@ def draw_ten(plants: list[tuple[Crop, int, Path]]) -> Figure:
 
 def report(table: dict[str, float], rows: dict[tuple[Crop, int], dict[str, Any]]) -> Iterator[RenderableType]:
     """Yield the parts side by side, and the plants that are poor."""
-    prefixes = {
+    parts = {
         "": "all",
         "tomato_": "tomato",
         "pepper_": "pepper",
         "ten_": "the paper's ten",
         "hundred_": "further plants",
     }
-    lines = [
-        (words, target, *("" if (v := table.get(prefix + name)) is None else f"{v:{form}}" for prefix in prefixes))
-        for name, (words, target, form) in SHOWN.items()
-    ]
-    yield markdown(("", "target", *prefixes.values()), lines)
+    yield by_number(table, "(target)", parts, SHOWN)
     yield f"Perception of one plant takes {table['seconds_median']:.1f} s (median, beside other plants)."
     if worst := [which for which, row in rows.items() if is_poor(row)]:
         yield "Plants without a result, with a 95th percentile beyond 5 mm, or less than 80 % of the true stem:"

@@ -27,7 +27,7 @@ from anther.perception.formats.clouds import axis_notes
 from anther.sim import grow_pepper, grow_tomato
 from evaluation.harness import finish, options, progress
 from evaluation.perception.real.plants import TRACKPLANT
-from evaluation.tables import markdown
+from evaluation.tables import by_part
 
 POINTS, NOISE = 30_000, 5e-4
 """Of a simulated plant, and their spread about its surface [m]."""
@@ -80,12 +80,14 @@ def metrics(rows: list[dict[str, object]]) -> dict[str, float]:
     }
 
 
-HEADS = {
-    "false_alarms": "right files called wrong",
-    "right_in_doubt": "right files said to be uncertain",
-    "noticed": "wrong files noticed",
-    "named": "wrong files whose axis is named",
-    "misnamed": "wrong files of which another is named",
+SHOWN = {
+    "number": "*plants:.0f",
+    "right files called wrong": "*false_alarms:.0%",
+    "right files said to be uncertain": "*right_in_doubt:.0%",
+    "wrong files noticed": "*noticed:.0%",
+    "wrong files whose axis is named": "*named:.0%",
+    "wrong files of which another is named": "*misnamed:.0%",
+    "processor time, median, s": "*seconds_median:.2f",
 }
 
 
@@ -103,17 +105,13 @@ def main() -> None:
             rows.append({"kind": kind, "axis": axis, "said": said, "seconds": seconds})
             if bool(re.search("--up [xyz]$", said)) != (axis != "z") or (axis != "z" and f"--up {axis}" not in said):
                 missed.append(f"{name}, {axis} up: {said or 'nothing said'}")
-    found, lines = metrics(rows), []
+    found = metrics(rows)
     for kind in ("real", "simulated"):
         of_kind = [row for row in rows if row["kind"] == kind]
         found |= {f"{kind}_{key}": value for key, value in (metrics(of_kind) if of_kind else {}).items()}
-    for words, prefix in (("real", "real_"), ("simulated", "simulated_"), ("all", "")):
-        if f"{prefix}plants" in found:
-            shares = (f"{found[prefix + key]:.0%}" for key in HEADS)
-            lines.append((words, found[f"{prefix}plants"], *shares, f"{found[f'{prefix}seconds_median']:.2f}"))
-    heads = ("plants", "number", *HEADS.values(), "processor time, median, s")
+    table = by_part(found, "plants", {"real_": "real", "simulated_": "simulated", "": "all"}, SHOWN)
     wrong = ["Wrong files whose axis is not named, and right files called wrong:", *missed] if missed else []
-    finish(args, found, markdown(heads, lines), *wrong)
+    finish(args, found, table, *wrong)
 
 
 if __name__ == "__main__":

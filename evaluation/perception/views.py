@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rich.console import RenderableType
 
@@ -28,30 +27,27 @@ from anther.robot import Viewpoints
 from anther.robot.arm.views import capture_time, reachable_views
 from anther.sim import SimPlant, grow, layout, photograph
 from anther.sim.simulated_cell import PRESETS, USUAL_DISTANCE
-from evaluation.harness import CROPS, finish, lost, options, run_cases, save
+from evaluation.harness import CROPS, finish, lost, options, run_cases
 from evaluation.perception.simulated import perceive
 from evaluation.perception.skeleton_truth import pooled, score, visible_flowers
-from evaluation.tables import markdown
+from evaluation.tables import by_part
 
 POOL = 60
 COUNTS = {"fixed": (5, 8, 12, 20, 30), "narrow": (8, 10, 12)}
 METRICS = {
-    "stem_error_median_mm": "stem error, median [mm]",
-    "stem_error_p95_mm": "stem error, p95 [mm]",
+    "stem_error_median_mm": "stem error, median, mm",
+    "stem_error_p95_mm": "stem error, p95, mm",
     "stem_covered": "true stem found",
     "radius_error": "radius error",
     "recall_5mm": "recall at 5 mm",
     "precision_5mm": "precision at 5 mm",
     "junction_f1": "junction F1",
     "flower_recall": "flower recall",
-    "capture_s": "capture [s]",
-    "perception_s": "perception [s]",
+    "capture_s": "capture, s",
+    "perception_s": "perception, s",
 }
 
 
-SHOWN = ("stem_error_median_mm", "stem_error_p95_mm", "recall_5mm", "flower_recall")
-CHOICES = {"fixed": ("evenly spread", "C0", "o-"), "narrow": ("evenly spread within 75°", "C2", "^-")}
-Rows = list[dict[str, dict[str, Any]]]
 PLACE = layout(USUAL_DISTANCE)
 
 
@@ -118,51 +114,20 @@ def metrics(plants: list[dict[str, dict[str, Any]]]) -> dict[str, float]:
     return {**table, "plants": len(plants)}
 
 
-def draw(rows: Rows) -> Figure:
-    """Return a column per metric: means over the plants, and bars of one standard error."""
-    figure = Figure(figsize=(14, 6.5), layout="constrained")
-    plots = figure.subplots(2, len(SHOWN), sharey="col")
-    for metric, column in zip(SHOWN, plots.T, strict=True):
-        for choice, (label, colour, style) in CHOICES.items():
-            names = [name for name in rows[0] if name.rsplit("_", 1)[0] == choice]
-            values = [[row[name][metric] for row in rows if metric in row[name]] for name in names]
-            error = [np.std(v) / np.sqrt(len(v)) for v in values]
-            counts = [int(name.rsplit("_", 1)[1]) for name in names]
-            seconds = [np.mean([row[name]["capture_s"] for row in rows]) for name in names]
-            looks = {"fmt": style, "color": colour, "label": label, "capsize": 2, "markersize": 5}
-            for plot, along in zip(column, (counts, seconds), strict=True):
-                plot.errorbar(along, [np.mean(v) for v in values], error, **looks)
-        column[0].set(title=METRICS[metric], xlabel="views")
-        column[1].set(title=METRICS[metric], xlabel="capture: motion and stops [s]")
-    for plot in plots.flat:
-        plot.grid(alpha=0.3)
-        plot.set_xlim(left=0)
-        plot.set_ylim(0, 1.05 if "recall" in plot.get_title() else None)
-    plots[0, 2].legend(loc="lower right")
-    return figure
-
-
 def report(table: dict[str, float], choices: list[str]) -> list[RenderableType]:
     """Return one row a choice: the means over the plants, and their spread."""
-
-    def cell(key: str) -> str:
-        spread = "" if key.endswith("capture_s") else f" ± {table[f'{key}_sd']:.2f}"
-        return f"{table[key]:.2f}{spread}"
-
-    lines = [
-        (choice.replace("_", " "), *(cell(key) if (key := f"{choice}_{name}") in table else "–" for name in METRICS))
-        for choice in choices
-    ]
-    heads = ("views", *(title.replace(" [", ", ").replace("]", "") for title in METRICS.values()))
-    return [f"Means over {table['plants']} plants ± standard deviation between them.", markdown(heads, lines)]
+    numbers = {head: f"*_{name}:.2f ± *_{name}_sd:.2f" for name, head in METRICS.items()}
+    numbers[METRICS["capture_s"]] = "*_capture_s:.2f"
+    names = {choice: choice.replace("_", " ") for choice in choices}
+    said = f"Means over {table['plants']} plants ± standard deviation between them."
+    return [said, by_part(table, "views", names, numbers)]
 
 
 def main() -> None:
-    """Run the plants that are not there yet, print the table, write --json and --figure."""
-    figure = "quality against views and seconds"
+    """Run the plants that are not there yet, print the table, write --json."""
     quick, seed = "one plant of each species, 8 views", (0, "added to the seeds of all plants")
     own = {"--each": (4, "plants of each species")}
-    args = options(__doc__, quick=quick, seed=seed, jobs="plants", out="runs/views", figure=figure, own=own)
+    args = options(__doc__, quick=quick, seed=seed, jobs="plants", out="runs/views", own=own)
     counts = dict.fromkeys(COUNTS, (8,)) if args.quick else COUNTS
     cases = [
         {"species": species, "seed": k + args.seed, "counts": counts}
@@ -180,8 +145,6 @@ def main() -> None:
             row[name]["capture_s"] = seconds
     table = metrics(rows)
     finish(args, table, *without, *report(table, list(rows[0])))
-    if args.figure:
-        save(draw(rows), args.figure, 90)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Which feature of the plant model matters how much for the predicted amplitude of the flowers?
 
-    python -m evaluation.prediction.ablation --plants 3 --scanned 0 --jobs 2 --figure docs/pictures/ablation.png
+    python -m evaluation.prediction.ablation --plants 3 --scanned 0 --jobs 2
 
 Plants of the simulated greenhouse as rods: with their own geometry, masses, stiffness and damping ("true"), and, of
 the first `--scanned` of each crop, as the pipeline reconstructs them from 30 noisy views with the crop's prior
@@ -22,28 +22,26 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from rich.table import Table
 
 from anther.core import Array
 from anther.pollination.shake.observables import semi_major
 from anther.sim import grow
 from anther.sim.simulated_cell import USUAL_DISTANCE
-from evaluation.harness import CROPS, finish, options, run_cases, save
+from evaluation.harness import CROPS, finish, options, run_cases
 from evaluation.prediction.ablated import CHANGES
 from evaluation.prediction.known_plant import known, stem_points
 from evaluation.prediction.shaken_plant import ShakenPlant
 from evaluation.prediction.vibration_models import Model, anther_model, true_model
 from evaluation.prediction.vibration_plant import DIRECTION, FAST_FREQUENCIES, PAPER_FREQUENCIES, TWIST
-from evaluation.tables import markdown
+from evaluation.tables import by_part
 
+KINDS = ("true", "scanned")
 HEIGHTS = (0.35, 0.6, 0.85)
 """Grips, in shares of the main stem's length."""
 FREQUENCIES = np.array(PAPER_FREQUENCIES + FAST_FREQUENCIES)
 BANDS = {"slow": FREQUENCIES < 2} | {f"{f:g}hz": f == FREQUENCIES for f in FAST_FREQUENCIES}
 BAND_WORDS = {"slow": "0.7–1.9 Hz"} | {f"{f:g}hz": f"{f:g} Hz" for f in FAST_FREQUENCIES}
-COLOURS = {"true": "#2f7d4f", "scanned": "#c2389a"}
 
 
 def one_plant(row: dict[str, Any], folder: Path) -> dict[str, Any]:
@@ -76,7 +74,7 @@ def _stiffer(without: Model, model: Model) -> bool:
 def metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
     """Return what the module's docstring names."""
     out: dict[str, float] = {}
-    for name in COLOURS:
+    for name in KINDS:
         mine = [row[name] for row in rows if name in row and np.size(row[name]["full"])]
         if not mine:
             continue
@@ -106,68 +104,35 @@ def _pooled(rows: list[dict[str, Any]], key: str, among: Any) -> Array:
 
 def tables(found: dict[str, float]) -> list[str | Table]:
     """Return a table of changes and one of errors for each kind of model, each after a line that says what it shows."""
+    change = {
+        words: f"*_{band}_change_median:.0% (*_{band}_change_p90:.0%) *_{band}_change_signed:+.0%"
+        for band, words in BAND_WORDS.items()
+    }
+    error = {words: f"*_{band}_error_median:.0% (*_{band}_error_p90:.0%)" for band, words in BAND_WORDS.items()}
     out: list[str | Table] = []
-    for name in COLOURS:
+    for name in KINDS:
         if f"{name}_plants" not in found:
             continue
         count = f"{found[f'{name}_plants']:.0f} {name} plants, {found[f'{name}_flowers']:.0f} flowers"
-        change = markdown(["taken away", *BAND_WORDS.values(), "stiffened"])
-        error = markdown(["taken away", *BAND_WORDS.values()])
-        for feature, words in [("full", "nothing"), *((key, words) for key, (words, _) in CHANGES.items())]:
-            keys = [f"{name}_{feature}_{band}" for band in BANDS]
-            error.add_row(words, *(f"{found[f'{k}_error_median']:.0%} ({found[f'{k}_error_p90']:.0%})" for k in keys))
-            if feature != "full":
-                cells = [
-                    f"{found[f'{k}_change_median']:.0%} ({found[f'{k}_change_p90']:.0%}) "
-                    f"{found[f'{k}_change_signed']:+.0%}"
-                    for k in keys
-                ]
-                change.add_row(words, *cells, f"{found[f'{name}_{feature}_stiffened']:.0%}")
+        features = {f"{name}_{feature}": words for feature, (words, _) in CHANGES.items()}
         if name == "true":
-            out += [
-                f"{count}: change of a flower's amplitude, median (90th percentile) and median with its sign:",
-                change,
-            ]
-        out += [f"{count}: error against MuJoCo, median (90th percentile):", error]
+            said = "change of a flower's amplitude, median (90th percentile) and median with its sign:"
+            changed = change | {"stiffened": "*_stiffened:.0%"}
+            out += [f"{count}: {said}", by_part(found, "taken away", features, changed)]
+        out.append(f"{count}: error against MuJoCo, median (90th percentile):")
+        out.append(by_part(found, "taken away", {f"{name}_full": "nothing"} | features, error))
     return out
 
 
-def draw(found: dict[str, float]) -> Figure:
-    """Return a picture of the changes: a dot for the median, a line to the 90th percentile."""
-    figure = Figure(figsize=(13, 4.6), layout="constrained")
-    FigureCanvasAgg(figure)
-    features = list(CHANGES)
-    for axes, (band, words) in zip(figure.subplots(1, len(BANDS), sharey=True), BAND_WORDS.items(), strict=True):
-        for k, (name, colour) in enumerate(COLOURS.items()):
-            if f"{name}_plants" not in found:
-                continue
-            height = np.arange(len(features)) + 0.28 * k - 0.14
-            low, high = (
-                np.array([found[f"{name}_{f}_{band}_change_{end}"] for f in features]).clip(5e-3)
-                for end in ("median", "p90")
-            )
-            axes.hlines(height, low, high, colour, alpha=0.4, linewidth=2)
-            axes.plot(low, height, "o", color=colour, markersize=6, label=f"{name} plants")
-        axes.set(xscale="log", xlim=(5e-3, 12), title=words, xlabel="change of amplitude")
-        axes.set_xticks([1e-2, 1e-1, 1], ["1 %", "10 %", "100 %"])
-        axes.grid(axis="x", alpha=0.3)
-    figure.axes[0].set_yticks(range(len(features)), [words for words, _ in CHANGES.values()])
-    figure.axes[0].invert_yaxis()
-    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, fontsize=9)
-    return figure
-
-
 def main() -> None:
-    """Run, print the tables, write metrics and the picture."""
+    """Run, print the tables, write --json."""
     quick, seed = "one plant of each crop, not scanned", (1000, "of the first plant of each crop")
     own = {"--plants": (5, "of each crop"), "--scanned": (2, "of each crop that are reconstructed too")}
-    args = options(__doc__, quick=quick, seed=seed, jobs="plants", out="runs/ablation", figure="the changes", own=own)
+    args = options(__doc__, quick=quick, seed=seed, jobs="plants", out="runs/ablation", own=own)
     plants, scans = (1, 0) if args.quick else (args.plants, args.scanned)
     cases = [{"species": s, "seed": args.seed + k, "scan": k < scans} for s in CROPS for k in range(plants)]
     found = metrics(run_cases(one_plant, cases, args.out, args.jobs, lambda _: {}))
     finish(args, found, *tables(found))
-    if args.figure:
-        save(draw(found), args.figure, 100)
 
 
 if __name__ == "__main__":

@@ -55,7 +55,7 @@ from evaluation.prediction import known_plant
 from evaluation.prediction.known_plant import stem_points
 from evaluation.prediction.shaken_plant import ShakenPlant
 from evaluation.prediction.wide_plant import looks
-from evaluation.tables import markdown
+from evaluation.tables import by_part, markdown
 from evaluation.trials.grasping_trial import truth_of
 
 TONES = np.array([2.0, 2.7, 3.6, 4.8, 6.4, 8.5, 11.3, 14.0, 16.9, 20.0, 24.0, 34.0, 50.0, 80.0, 110.0])
@@ -285,27 +285,17 @@ def metrics(of_plants: list[list[Value]]) -> dict[str, float]:
 
 def report(table: dict[str, float]) -> Table:
     """Return the table by kind and band, before and after an observation."""
-    what = "furthest from uniform (by chance) / above the 95 % quantile"
-    text = markdown(["what", "Hz", *(f"{what}: {when}" for when in WHEN)])
-    for kind, band in product(WORDS, BANDS):
-        keys = [f"{kind}_{when}_{band}" for when in WHEN]
-        cells = [
-            f"{table[f'pit_error_{key}']:.2f} ({table[f'pit_chance_{key}']:.2f}) / {table[f'passed_95_{key}']:.0%}"
-            if f"pit_error_{key}" in table
-            else "–"
-            for key in keys
-        ]
-        text.add_row(WORDS[kind], band.replace("_", "–"), *cells)
-    return text
+    cell = "pit_error_*_{0}:.2f (pit_chance_*_{0}:.2f) / passed_95_*_{0}:.0%"
+    numbers = {
+        f"{when}, {band.replace('_', '–')} Hz": cell.format(f"{when}_{band}") for when, band in product(WHEN, BANDS)
+    }
+    return by_part(table, "furthest from uniform (by chance) / above the 95 % quantile", WORDS, numbers)
 
 
 def by_motor(table: dict[str, float]) -> Table:
     """Return what the median flower feels when a motor moves the grip as far as it can, by frequency."""
-    tones = TONES[VIBRATING_GRIPPER.lowest <= TONES]
-    text = markdown(["a motor at its limit: median flower (m/s2)", *(f"{tone:.0f} Hz" for tone in tones)])
-    for species in CROPS:
-        text.add_row(species, *(f"{table.get(f'motor_{species}_{tone:.0f}_ms2', np.nan):.0f}" for tone in tones))
-    return text
+    tones = {f"{tone:.0f} Hz": f"motor_*_{tone:.0f}_ms2:.0f" for tone in TONES[VIBRATING_GRIPPER.lowest <= TONES]}
+    return by_part(table, "a motor at its limit: median flower (m/s2)", {crop: crop for crop in CROPS}, tones)
 
 
 def fitted(values: list[Value]) -> Table:

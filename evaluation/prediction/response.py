@@ -1,6 +1,6 @@
 """How well the side camera measures the flowers' motion, on rendered shakes whose truth is known.
 
-    python -m evaluation.prediction.response --plants 1 --blind 1 --jobs 2 --figure docs/pictures/response.png
+    python -m evaluation.prediction.response --plants 1 --blind 1 --jobs 2
 
 Simulated plants are held at the middle of their stem and shaken (`shaken_plant`) so that the median flower moves by
 1 to 12 mm; the trial's side camera (480 x 480 px, noisy D455) renders 60 frames at the rate `oscillation.choose_rate`
@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from rich.table import Table
 
 from anther.core import Array, InputError, inverse, transform_points
@@ -34,11 +33,11 @@ from anther.robot import Frame
 from anther.sim import Scene, SimPlant, grow, layout
 from anther.sim.robot import SIDE, SimCamera
 from anther.sim.simulated_cell import USUAL_DISTANCE
-from evaluation.harness import CROPS, finish, options, run_cases, save
+from evaluation.harness import CROPS, finish, options, run_cases
 from evaluation.prediction.known_plant import filmed
 from evaluation.prediction.shaken_plant import Params as ShakenParams
 from evaluation.prediction.shaken_plant import Shaken, ShakenPlant
-from evaluation.tables import markdown, percent
+from evaluation.tables import by_part
 
 SHAKES = ((0.001, 10.0), (0.002, 6.0), (0.004, 3.0), (0.008, 6.0), (0.012, 1.5), (0.001, 30.0))
 """(median amplitude of the flowers [m], frequency [Hz])."""
@@ -177,52 +176,27 @@ GROUPS = {
 
 
 def _table(found: dict[str, float]) -> Table:
-    heads = {
-        "measured": "measured",
-        "within": "amplitude within 10 % or 0.3 mm",
-        "sideways_within": "sideways part",
-        "frequency_within": "frequency within 1 %",
-        "honest": "within 2 stated deviations",
+    names = [key.removesuffix("in_sight") for key in found if key.endswith("in_sight")]
+    groups = {name: GROUPS.get(name, name.replace("hz_", " Hz")) for name in names}
+    shares = {
+        "in sight": "*in_sight:.0f",
+        "measured": "*measured:.0%",
+        "amplitude within 10 % or 0.3 mm": "*within:.0%",
+        "sideways part": "*sideways_within:.0%",
+        "frequency within 1 %": "*frequency_within:.0%",
+        "within 2 stated deviations": "*honest:.0%",
     }
-    names = ["", *(key.removesuffix("in_sight") for key in found if key.endswith("_in_sight"))]
-    lines = [
-        (
-            *(GROUPS.get(name, name.replace("hz_", " Hz")), f"{found[f'{name}in_sight']:.0f}"),
-            *(percent(found[name + key]) for key in heads),
-        )
-        for name in names
-    ]
-    return markdown(("flowers", "in sight", *heads.values()), lines)
-
-
-def draw(rows: Sequence[Measured]) -> Figure:
-    """Return measured over true amplitude, with the band asked for."""
-    figure = Figure(figsize=(5.6, 5.2), layout="constrained")
-    axes = figure.subplots()
-    line = np.geomspace(0.1, 40, 200)
-    room = np.maximum(0.1 * line, 0.3)
-    axes.fill_between(line, np.maximum(line - room, 0.01), line + room, color="#dfe9e2", lw=0, label="10 % or 0.3 mm")
-    for alone, colour, label in ((True, "#2f7d4f", "alone"), (False, "#d9772b", "overlapping others")):
-        mine = [r for r in rows if r.alone == alone and r.amplitude is not None]
-        values = [(r.true, r.amplitude or 0, r.deviation or 0) for r in mine]
-        axes.errorbar(*(1e3 * np.array(values).reshape(-1, 3).T), fmt="o", ms=3.5, lw=0.7, color=colour, label=label)
-    ticks = [0.1, 0.3, 1, 3, 10, 30]
-    for which, words in (("x", "true amplitude [mm]"), ("y", "measured amplitude ± deviation [mm]")):
-        axes.set(**{f"{which}scale": "log", f"{which}lim": (0.1, 40), f"{which}label": words})
-        getattr(axes, f"set_{which}ticks")(ticks, [f"{t:g}" for t in ticks])
-    axes.legend(frameon=False)
-    axes.spines[["top", "right"]].set_visible(False)
-    return figure
+    return by_part(found, "flowers", groups, shares)
 
 
 def main() -> None:
-    """Render, measure, print a table, draw the figure, write --json."""
-    quick, seed, figure = "one plant, two shakes", (2100, "of the first plant"), "measured over true amplitude"
+    """Render, measure, print a table, write --json."""
     own = {
         "--plants": (3, "of each crop"),
         "--blind": (len(BLIND), "recordings whose frame rate hides the shake"),
     }
-    args = options(__doc__, quick=quick, seed=seed, jobs="cases", out="runs/response", figure=figure, own=own)
+    quick, seed = "one plant, two shakes", (2100, "of the first plant")
+    args = options(__doc__, quick=quick, seed=seed, jobs="cases", out="runs/response", own=own)
     plants = [(crop, args.seed + k) for k in range(1 if args.quick else args.plants) for crop in CROPS]
     plants, shakes = (plants[:1], SHAKES[:2]) if args.quick else (plants, SHAKES)
     jobs = [(*p, a, f, choose_rate(f, SimCamera.rates)) for p in plants for a, f in shakes]
@@ -240,8 +214,6 @@ def main() -> None:
         f"flowers. Flowers that are not in sight but were measured: {found['hidden_but_measured']:.0f}."
     )
     finish(args, {name: value for name, value in found.items() if np.isfinite(value)}, _table(found), words)
-    if args.figure:
-        save(draw(rows), args.figure)
 
 
 if __name__ == "__main__":

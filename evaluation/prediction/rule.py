@@ -35,7 +35,7 @@ from anther.sim.truth import TOLERANCE
 from evaluation.harness import by_turns, finish, options, run_cases
 from evaluation.prediction.belief import DEVELOPMENT, TONES, Grip, grips_of
 from evaluation.statistics import bootstrap
-from evaluation.tables import markdown
+from evaluation.tables import by_part
 from evaluation.trials.oracle import ACTUATORS, reach
 
 FIRST = 9700
@@ -195,22 +195,17 @@ def metrics(plants: list[list[dict[str, dict[str, Any]]]]) -> dict[str, float]:
 
 def report(table: dict[str, float]) -> Iterator[Table]:
     """Yield a table for each machine."""
+    numbers = {
+        "net fruit": "net_*:.3f",
+        "beside the whole rule (95 %)": "less_*:+.3f (net_*_low:+.3f to net_*_high:+.3f)",
+        "median flower [m/s2]": "flower_*:.1f",
+        "flowers lost": "lost_*:.1%",
+        "at the price": "priced_*:.3f",
+    }
     for machine in MACHINES:
-        heads = ["net fruit", "beside the whole rule (95 %)", "median flower [m/s2]", "flowers lost", "at the price"]
-        text = markdown([machine, *heads])
-        for name, words in WORDS.items():
-            key = f"{machine}_{name}"
-            less = table[f"net_{key}"] - table[f"net_{machine}_whole"]
-            between = f"{less:+.3f} ({table[f'net_{key}_low']:+.3f} to {table[f'net_{key}_high']:+.3f})"
-            numbers = (
-                f"{table[f'net_{key}']:.3f}",
-                between,
-                f"{table[f'flower_{key}']:.1f}",
-                f"{table[f'lost_{key}']:.1%}",
-                f"{table[f'priced_{key}']:.3f}",
-            )
-            text.add_row(words, *numbers)
-        yield text
+        rules = {f"{machine}_{name}": words for name, words in WORDS.items()}
+        less = {f"less_{key}": table[f"net_{key}"] - table[f"net_{machine}_whole"] for key in rules}
+        yield by_part(table | less, machine, rules, numbers)
 
 
 def main() -> None:

@@ -10,11 +10,11 @@ from rich.console import RenderableType
 from rich.table import Table
 
 from anther.core import Array
+from evaluation.harness import CROPS, Row
 from evaluation.prediction.wide_plant import HELD, KINDS, SLOW, TONES
 from evaluation.statistics import mean
-from evaluation.tables import markdown
+from evaluation.tables import by_part
 
-Row = dict[str, Any]
 BAND = {"": slice(None, len(SLOW)), "_fast": slice(len(SLOW), None)}
 """Frequencies of the paper (0.7-1.9 Hz), and those at which an arm moves flowers (3-8 Hz)."""
 
@@ -71,12 +71,12 @@ def metrics(rows: Sequence[Row]) -> dict[str, float]:
 
 
 WHERE = {
-    "error_held_seen": "held grip, flowers that the camera measured, 1.5 times the measured shake",
-    "error_held_hidden": "held grip, flowers that it did not measure",
-    "error_other_{}": "two other grips, 0.7 to 1.9 Hz",
-    "error_other_{}_fast": "two other grips, 4 and 7 Hz",
-    "error_before_{}": "all grips, nothing measured, 0.7 to 1.9 Hz",
-    "error_before_{}_fast": "all grips, nothing measured, 4 and 7 Hz",
+    "held_seen": "held grip, flowers that the camera measured, 1.5 times the measured shake",
+    "held_hidden": "held grip, flowers that it did not measure",
+    "other_{}": "two other grips, 0.7 to 1.9 Hz",
+    "other_{}_fast": "two other grips, 4 and 7 Hz",
+    "before_{}": "all grips, nothing measured, 0.7 to 1.9 Hz",
+    "before_{}_fast": "all grips, nothing measured, 4 and 7 Hz",
 }
 QUANTITIES = {
     "held": "flowers at the held grip",
@@ -89,36 +89,42 @@ QUANTITIES = {
 
 def told(table: dict[str, float]) -> list[RenderableType]:
     """Return errors and intervals of predictions with everything drawn."""
-    lines = []
-    for key, words in WHERE.items():
-        found = [table.get(key.format(crop), np.nan) for crop in ("tomato", "pepper")]
-        both = "{}" not in key
-        cells = ["" if both or np.isnan(value) else f"{value:.1%}" for value in found]
-        lines.append((words, *cells, f"{found[0]:.1%}" if both and np.isfinite(found[0]) else ""))
-    errors = markdown(("which flowers", "tomatoes", "peppers", "both"), lines)
-    lines = []
-    for key, words in QUANTITIES.items():
-        share, bias, spread = (table.get(f"{name}_{key}", np.nan) for name in ("coverage", "bias", "spread"))
-        ratio = ["" if np.isnan(value) else f"{value:.2f}" for value in (np.exp(bias), spread)]
-        lines.append((words, f"{share:.1%}", *ratio))
-    heads = ("what is predicted", "truths inside their 90 % interval", "true over expected, median", "spread of its ln")
+    errors = {
+        where.format(crop): words + (f", {crop}" if "{}" in where else "")
+        for where, words in WHERE.items()
+        for crop in (CROPS if "{}" in where else CROPS[:1])
+    }
+    over = {f"over_{key}": float(np.exp(table[f"bias_{key}"])) for key in QUANTITIES if f"bias_{key}" in table}
+    intervals = {
+        "truths inside their 90 % interval": "coverage_*:.1%",
+        "true over expected, median": "over_*:.2f",
+        "spread of its ln": "spread_*:.2f",
+    }
     plants, lost = table["plants"], table["plants_lost"]
     said = f"Plants predicted: {plants:.0f}, without an answer: {lost:.0f}; probed at {tones()}."
     if not plants:
         return [said]
-    return [f"{said} Median error of a flower's amplitude.", errors, "The intervals.", markdown(heads, lines)]
+    return [
+        f"{said} Median error of a flower's amplitude.",
+        by_part(table, "which flowers", errors, {"error": "error_*:.1%"}),
+        "The intervals.",
+        by_part(table | over, "what is predicted", QUANTITIES, intervals),
+    ]
 
 
 def ranking(by_truth: dict[str, dict[str, float]], names: Mapping[str, str]) -> Table:
     """Return some metrics by truth: nominal, everything drawn, then each group alone, the worst first."""
-    lines = []
     first = [name for name in ("nominal", "wide") if name in by_truth]
     worst = next(iter(names))
     rest = sorted(set(by_truth) - set(first), key=lambda name: -by_truth[name].get(worst, 0.0))
-    for name in (*first, *rest):
-        title = {"nominal": "nothing", "wide": "**everything**"}.get(name, name)
-        lines.append((title, *(f"{by_truth[name].get(key, np.nan):.3g}" for key in names)))
-    return markdown(("only this is not nominal", *names.values()), lines)
+    flat = {
+        f"{key}__{truth.replace(' ', '_')}": value
+        for truth, metrics in by_truth.items()
+        for key, value in metrics.items()
+    }
+    titles = {"nominal": "nothing", "wide": "**everything**"}
+    truths = {name.replace(" ", "_"): titles.get(name, name) for name in (*first, *rest)}
+    return by_part(flat, "only this is not nominal", truths, {words: f"{key}__*:.3g" for key, words in names.items()})
 
 
 def tones() -> str:

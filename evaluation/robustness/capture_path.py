@@ -25,31 +25,31 @@ from anther.sim.robot import SimArm
 from anther.sim.simulated_cell import PRESETS, USUAL_DISTANCE
 from evaluation.harness import CROPS, finish, options, progress
 from evaluation.robustness.path_judge import SIGHT, Surroundings, judge_path
-from evaluation.tables import markdown
+from evaluation.tables import by_number
 
 LOOK = 0.2  # s to either side of a view
 SHOWN = {
-    "views": "views",
-    "capture_s": "capture, motion and standing, s",
-    "motion_s": "motion alone, s",
-    "samples": "samples that are judged, one a millisecond",
-    "joint_room_rad": "smallest room to a joint's range, rad",
-    "velocity_share": "largest share of a joint's speed",
-    "acceleration_share": "largest share of a joint's acceleration",
-    "effort_share": "largest share of a motor's torque, of what is planned",
-    "clearance_bench_mm": "nearest to the bench, mm",
-    "clearance_pot_mm": "nearest to the pot, mm",
-    "clearance_plant_mm": "nearest to the cylinder that is kept for the plant, mm",
-    "clearance_side_camera_mm": "nearest to the side camera, mm",
-    "clearance_itself_mm": "nearest to itself, mm",
-    "tracking_mrad": "driven: a joint's largest lag, mrad",
-    "sharp_span_needed_ms": "driven: span of sharp pictures that a view needs, ms",
-    "shortest_sharp_span_ms": "driven: the shortest there is, ms",
-    "farthest_from_view_mm": "driven: farthest from its view that such a picture is taken, mm",
-    "driven_effort_share": "driven: largest share of a motor's torque",
-    "contacts": "driven: contacts",
+    "views": "*_views:.0f",
+    "capture, motion and standing, s": "*_capture_s:.3g",
+    "motion alone, s": "*_motion_s:.3g",
+    "samples that are judged, one a millisecond": "*_samples:.0f",
+    "smallest room to a joint's range, rad": "*_joint_room_rad:.3g",
+    "largest share of a joint's speed": "*_velocity_share:.3g",
+    "largest share of a joint's acceleration": "*_acceleration_share:.3g",
+    "largest share of a motor's torque, of what is planned": "*_effort_share:.3g",
+    "nearest to the bench, mm": "*_clearance_bench_mm:.0f",
+    "nearest to the pot, mm": "*_clearance_pot_mm:.0f",
+    "nearest to the cylinder that is kept for the plant, mm": "*_clearance_plant_mm:.0f",
+    "nearest to the side camera, mm": "*_clearance_side_camera_mm:.0f",
+    "nearest to itself, mm": "*_clearance_itself_mm:.0f",
+    "driven: a joint's largest lag, mrad": "*_tracking_mrad:.3g",
+    "driven: span of sharp pictures that a view needs, ms": "*_sharp_span_needed_ms:.3g",
+    "driven: the shortest there is, ms": "*_shortest_sharp_span_ms:.3g",
+    "driven: farthest from its view that such a picture is taken, mm": "*_farthest_from_view_mm:.3g",
+    "driven: largest share of a motor's torque": "*_driven_effort_share:.3g",
+    "driven: contacts": "*_contacts:.0f",
 }
-"""What the table shows of a preset, and what it is called."""
+"""What the table shows of a preset."""
 
 
 def judged(views: Views, pot: Box) -> dict[str, float]:
@@ -133,11 +133,6 @@ def fails(row: dict[str, float]) -> list[str]:
     return shares + near + [name for name, bad in other.items() if bad]
 
 
-def _cell(value: float, most: float) -> str:
-    """Return a number as the table shows it; what lies farther than is looked is not known better."""
-    return f"> {most:.0f}" if value >= most else f"{value:.3g}" if value < 1000 else f"{value:.0f}"
-
-
 def main() -> None:
     """Plan, judge, drive, print a table, write --json."""
     args = options(__doc__, quick="the fast preset only", seed=(10, "of the plant that stands there"))
@@ -149,12 +144,11 @@ def main() -> None:
         width = np.array([pot.radius, pot.radius, 0])
         body = Box(pot.centre - width - [0, 0, pot.height], pot.centre + width)
         rows[name] = judged(views, body) | driven(views, species, args.seed)
-    far = {what: SIGHT * 1000 if what.startswith("clearance") else np.inf for what in SHOWN}
-    lines = [(words, *(_cell(row[what], far[what]) for row in rows.values())) for what, words in SHOWN.items()]
     metrics = {f"{name}_{what}": value for name, row in rows.items() for what, value in row.items()}
     metrics["limits_broken"] = sum(len(fails(row)) for row in rows.values())
-    words = f"Limits that are broken: {metrics['limits_broken']}."
-    finish(args, metrics, markdown(("", *(f"preset `{name}`" for name in rows)), lines), words)
+    words = f"Nothing is looked for beyond {1e3 * SIGHT:.0f} mm. Limits that are broken: {metrics['limits_broken']}."
+    presets = {name: f"preset `{name}`" for name in rows}
+    finish(args, metrics, by_number(metrics, "", presets, SHOWN), words)
 
 
 if __name__ == "__main__":

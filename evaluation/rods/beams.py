@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from anther.rods import Clamp, Rods
 from evaluation.rods.table import Array
+from evaluation.speed.networks import reference_network
 
 NO_GRAVITY = (0.0, 0.0, 0.0)
 X_AXIS = np.array([1.0, 0.0, 0.0])
@@ -72,12 +73,5 @@ CLAMPED = Clamp(np.array([0, 1]))
 
 
 def network(**material: Any) -> Rods:
-    """Return the 3-D network of the peers: a 51-node stem and five branches of seven edges, 10 mm an edge."""
-    nodes, parent = [np.array([0, 0, 0.01 * k]) for k in range(51)], list(range(-1, 50))
-    for k, base in enumerate((15, 20, 28, 35, 42)):
-        turn = np.radians(137.5) * k
-        way = np.array([np.cos(turn), np.sin(turn), 1]) / np.sqrt(2)
-        for step in range(7):
-            parent.append(len(nodes) - 1 if step else base)
-            nodes.append(nodes[base] + 0.01 * (step + 1) * way)
-    return Rods(np.array(nodes), np.array(parent), 3e-3, 2e8, 1000.0, **material)
+    """Return the 3-D network of the peers."""
+    return replace(reference_network(), **material)

@@ -11,7 +11,7 @@ from anther.core import StageFailure
 from anther.rods import Clamp, Rods, equilibrium, natural_frequencies, simulate, with_gravity_equilibrium
 from evaluation.rods.beam_theory import rayleigh_roots, small_sag, uniform_roots
 from evaluation.rods.beams import NO_GRAVITY, Beam
-from evaluation.rods.table import Array, Convergence, Findings, Row
+from evaluation.rods.table import Array, Row, order_row
 
 BEAM = Beam(radius=3e-4)
 """So thin that stretch and rotary inertia, which Euler-Bernoulli leaves out, change 1e-5 only."""
@@ -25,11 +25,11 @@ def planted(edges: int, **changes: object) -> Rods:
     return Rods(nodes, np.arange(edges + 1) - 1, **material)  # pyright: ignore[reportArgumentType]
 
 
-def end_cases(quick: bool) -> Findings:
+def end_cases(quick: bool) -> list[Row]:
     """Return the rows of the ends, and of energy and length where nothing drives or shortens them."""
     meshes = (16, 32, 64, 128)
     steps = 1 / np.array(meshes)
-    curves, rows = [], []
+    rows = []
     for case, what, errors_of in (
         ("planted_static", "planted cantilever, small sag under its own weight (analytic, full length)", _sag_error),
         ("planted_frequencies", "planted cantilever, first three frequencies (analytic, full length)", _mode_error),
@@ -37,10 +37,9 @@ def end_cases(quick: bool) -> Findings:
         ("root_fork", "three arms with one held at its end: rooted where they fork, against rooted there", _fork_error),
         ("planted_fork", "two arms that fork from a planted root (analytic)", _arms_error),
     ):
-        curve = Convergence(what, steps, np.array([errors_of(edges) for edges in meshes]), 2)
-        rows.append(curve.row(f"{case}_order", f"{what}: order in the node distance"))
-        curves.append(curve)
-    return Findings([*rows, _free_motion(), _long_chain(2_000 if quick else 20_000)], in_space=curves)
+        errors = np.array([errors_of(edges) for edges in meshes])
+        rows.append(order_row(f"{case}_order", f"{what}: order in the node distance", steps, errors))
+    return [*rows, _free_motion(), _long_chain(2_000 if quick else 20_000)]
 
 
 def _sag_error(edges: int) -> float:

@@ -14,13 +14,13 @@ from anther.rods._assembly import assemble, elastic_energy, move_frames, new_blo
 from anther.rods._linear import dense
 from anther.rods._model import Frames, Model, build_model
 from evaluation.rods.beams import NO_GRAVITY, X_AXIS
-from evaluation.rods.table import Array, Findings, Row
+from evaluation.rods.table import Array, Row
 
 SCALE = np.array([1e-5, 1e-5, 1e-5, 1e-3])
 """Differences of positions [m] and spins [rad] for which truncation and rounding errors of the energy are alike."""
 
 
-def objectivity_cases(quick: bool) -> Findings:
+def objectivity_cases(quick: bool) -> list[Row]:
     """Return the rows of rotation, renumbering, force and Hessian: each the worst of some random trees."""
     seeds = range(3 if quick else 10)
     force, symmetry, hessian = np.array([derivative_errors(seed) for seed in seeds]).max(axis=0)
@@ -35,7 +35,7 @@ def objectivity_cases(quick: bool) -> Findings:
         "hessian": ("Hessian against differences of the force, over its largest entry", hessian, 1e-6),
     }
     trees = f"{len(seeds)} random trees, worst"
-    return Findings([Row(case, f"{what}, {trees}", *values, "") for case, (what, *values) in found.items()])
+    return [Row(case, f"{what}, {trees}", *values, "") for case, (what, *values) in found.items()]
 
 
 def random_tree(seed: int, n: int = 12) -> Rods:

@@ -22,18 +22,17 @@ from anther.rods import (
 from evaluation.rods.beam_theory import uniform_roots
 from evaluation.rods.beams import NO_GRAVITY, Beam
 from evaluation.rods.ends import planted
-from evaluation.rods.table import Array, Convergence, Findings, Row
+from evaluation.rods.table import Array, Row, order_row
 
 BEAM = Beam()
 EDGES, LIMIT = 50, 3e-3
 PULL = 1e-3
 
 
-def own_cases(quick: bool) -> Findings:
+def own_cases(quick: bool) -> list[Row]:
     """Return the rows of what users bring to the rods."""
-    rows = [*_loads(), *_sections(), _pluck(6 if quick else 12), _tension(), _support()]
-    grip = _grip((16, 32, 64) if quick else (16, 32, 64, 128))
-    return Findings([*rows, grip.row("grip_order", f"{grip.name}: order in the node distance")], in_space=[grip])
+    meshes = (16, 32, 64) if quick else (16, 32, 64, 128)
+    return [*_loads(), *_sections(), _pluck(6 if quick else 12), _tension(), _support(), _grip(meshes)]
 
 
 def _beam(**changes: object) -> Rods:
@@ -118,7 +117,7 @@ def _support() -> Row:
     )
 
 
-def _grip(meshes: tuple[int, ...]) -> Convergence:
+def _grip(meshes: tuple[int, ...]) -> Row:
     """A quarter of the beam held rigidly in its middle and shaken, against the finest mesh's Richardson limit."""
 
     def tip(edges: int) -> complex:
@@ -130,6 +129,5 @@ def _grip(meshes: tuple[int, ...]) -> Convergence:
     fine, finer = tip(2 * meshes[-1]), tip(4 * meshes[-1])
     exact = finer + (finer - fine) / 3
     errors = np.array([abs(tip(edges) / exact - 1) for edges in meshes])
-    return Convergence(
-        "tip of a beam shaken by rigid pads a quarter of its length wide", 1 / np.array(meshes), errors, 2
-    )
+    what = "tip of a beam shaken by rigid pads a quarter of its length wide: order in the node distance"
+    return order_row("grip_order", what, 1 / np.array(meshes), errors)

@@ -10,7 +10,7 @@ import numpy as np
 
 from anther.rods import Clamp, Drive, Rods, equilibrium, simulate
 from evaluation.rods.beams import X_AXIS
-from evaluation.rods.table import Array, Findings, Row
+from evaluation.rods.table import Array, Row
 
 LIMIT = 1e-6
 STATIC = ("cantilever_static_small", "cantilever_static_large")
@@ -46,7 +46,7 @@ def reference_rods(arrays: dict[str, Any], setup: dict[str, Any], discretisation
     )
 
 
-def reference_cases(folder: Path, quick: bool) -> Findings:
+def reference_cases(folder: Path, quick: bool) -> list[Row]:
     """Return one row per stored file: the largest distance of any node at any time."""
     rows = []
     for name in STATIC:
@@ -62,7 +62,7 @@ def reference_cases(folder: Path, quick: bool) -> Findings:
         error = float(np.abs(mine - arrays["traj"][: len(mine)]).max())
         what = f"peer, {name} (implicit Euler, dt {setup['dt']:g} s, {steps} steps), all nodes and times"
         rows.append(Row(f"peer_{name}", what, error, LIMIT, "m"))
-    return Findings(rows)
+    return rows
 
 
 def replay(arrays: dict[str, Any], setup: dict[str, Any], frames: int) -> tuple[Array, int]:
@@ -86,7 +86,7 @@ def replay(arrays: dict[str, Any], setup: dict[str, Any], frames: int) -> tuple[
     return run.positions, steps
 
 
-def planar_cases(folder: Path, quick: bool) -> Findings:
+def planar_cases(folder: Path, quick: bool) -> list[Row]:
     """Return the rows of the planar network at 10 Hz as the time step goes to zero."""
     steps = np.array([1e-3, 5e-4, 2.5e-4] if quick else [1e-3, 5e-4, 2.5e-4, 1.25e-4])
     arrays, setup = reference(folder, "branched_planar_x_10Hz")
@@ -103,7 +103,7 @@ def planar_cases(folder: Path, quick: bool) -> Findings:
         "branched planar, 10 Hz, dt to 0, P19: stem top's half peak-to-peak x over "
         f"{WINDOW[0]:g}–{WINDOW[1]:g} s lies between the peer's 15.6 mm and PyElastica's 16.2 mm (how far outside)"
     )
-    return Findings([Row("planar_10Hz_converged", what, outside, 0.02, "%", detail)])
+    return [Row("planar_10Hz_converged", what, outside, 0.02, "%", detail)]
 
 
 def stem_top(rods: Rods, setup: dict[str, Any], dt: float, integrator: Any) -> float:

@@ -1,4 +1,4 @@
-"""The rod engine against theory, peers and itself: three tables, and figures.
+"""The rod engine against theory, peers and itself: three tables.
 
     python -m evaluation.record docs/reports/rod_validation.md
 
@@ -11,12 +11,9 @@ rows, rows_failed.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
-import matplotlib.pyplot as plt
-from matplotlib.axes import Axes
-from matplotlib.ticker import NullFormatter
 from rich.console import RenderableType
 
 from evaluation.harness import DATA, finish, options, progress
@@ -27,7 +24,7 @@ from evaluation.rods.own import own_cases
 from evaluation.rods.peer_references import planar_cases, reference_cases
 from evaluation.rods.statics import static_cases
 from evaluation.rods.supports import support_cases
-from evaluation.rods.table import Case, Convergence, Findings, Row, metrics
+from evaluation.rods.table import Case, Row, metrics
 from evaluation.rods.vibrations import decay_cases, frequency_cases, response_cases
 from evaluation.tables import markdown
 
@@ -64,55 +61,15 @@ def report(rows: list[tuple[str, Row]]) -> Iterator[RenderableType]:
     yield f"{sum(row.failed for row in limited)} of {len(limited)} rows with a limit failed."
 
 
-def draw_convergence(found: Sequence[Findings], path: Path) -> None:
-    """Draw errors over the node distance, and over the time step."""
-    figure, (space, time) = plt.subplots(1, 2, figsize=(11, 6.4), layout="constrained")
-    _draw_curves(space, [curve for findings in found for curve in findings.in_space])
-    space.set(xlabel="node distance / free length", ylabel="relative error", title="in space, second order")
-    _draw_curves(time, [curve for findings in found for curve in findings.in_time])
-    time.xaxis.set_minor_formatter(NullFormatter())
-    time.set(xlabel="time step [s]", ylabel="largest position error [m]", title="in time")
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
-
-
-def _draw_curves(axes: Axes, curves: Sequence[Convergence]) -> None:
-    for curve in curves:
-        axes.loglog(curve.steps, curve.errors, "o-", label=f"{curve.name}: slope {curve.slope:.2f}")
-    first = min(curves, key=lambda curve: curve.errors[0])
-    guide = 0.3 * first.errors[0] * (first.steps / first.steps[0]) ** 2
-    axes.loglog(first.steps, guide, "k:", label="slope 2")
-    axes.grid(True, which="both", alpha=0.2)
-    axes.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.12))
-
-
-def draw_energy(found: Sequence[Findings], path: Path) -> None:
-    """Draw the energy error of the undamped runs over periods."""
-    traces = {name: trace for findings in found for name, trace in findings.energy.items()}
-    figure, panels = plt.subplots(1, len(traces), figsize=(11, 3.4), layout="constrained", squeeze=False)
-    for axes, (name, (periods, change)) in zip(panels[0], traces.items(), strict=True):
-        axes.plot(periods, 100 * change, lw=0.6)
-        axes.axhline(0, color="k", lw=0.5)
-        axes.set(xlabel="periods", ylabel="energy error [%]", title=name)
-        axes.grid(True, alpha=0.2)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
-
-
 def main() -> None:
-    """Run, print the tables, write the figures and --json."""
+    """Run, print the tables, write --json."""
     own = {"--data": (DATA, "folder of rod_reference/")}
-    args = options(__doc__, quick="shorter runs and coarser steps", figures="errors and energies", own=own)
+    args = options(__doc__, quick="shorter runs and coarser steps", own=own)
     missing = not (args.data / "rod_reference").is_dir()
-    found = [(group, case(args.quick)) for group, case in progress(list(cases(args.data)), "rod validation")]
-    rows = [(ORDERS if row.is_order else group, row) for group, findings in found for row in findings.rows]
+    asked = progress(list(cases(args.data)), "rod validation")
+    rows = [(ORDERS if row.is_order else group, row) for group, case in asked for row in case(args.quick)]
     parts = [f"No rod_reference in {args.data}: the rows of the peer are left out."] if missing else []
     finish(args, metrics([row for _, row in rows]), *parts, *report(rows))
-    findings = [findings for _, findings in found]
-    if args.figures:
-        args.figures.mkdir(parents=True, exist_ok=True)
-        draw_convergence(findings, args.figures / "rod_validation_convergence.png")
-        draw_energy(findings, args.figures / "rod_validation_energy.png")
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ import numpy as np
 from anther.rods import equilibrium
 from evaluation.rods.beam_theory import elastica, small_sag
 from evaluation.rods.beams import CLAMPED, Beam
-from evaluation.rods.table import Array, Convergence, Findings, Row
+from evaluation.rods.table import Array, Row, order_row
 
 NODES = 50
 LIMIT = 1e-3
@@ -15,7 +15,7 @@ SLENDER = Beam(radius=3e-4)
 """So thin that stretching, which the elastica leaves out, changes the tip by 2e-6 only."""
 
 
-def static_cases(quick: bool) -> Findings:
+def static_cases(quick: bool) -> list[Row]:
     """Return the static rows."""
     meshes = (7, 13, 25, NODES) if quick else (7, 13, 25, NODES, 100)
     cases = [
@@ -24,7 +24,7 @@ def static_cases(quick: bool) -> Findings:
         ("static_elastica", "large deflection under its own weight, elastica", 6.0, 0.0, False),
         ("static_elastica_tip_mass", "large deflection with a tip mass, elastica", 2.0, 5.0, False),
     ]
-    rows, curves = [], []
+    rows, steps = [], np.array([SLENDER.spacing(n) for n in meshes])
     for case, what, own_weight, tip_load, small in cases:
         exact = np.array([np.nan, small_sag(own_weight, tip_load)] if small else elastica(own_weight, tip_load))
         tips = [tip_of(nodes, own_weight, tip_load) for nodes in meshes]
@@ -32,10 +32,8 @@ def static_cases(quick: bool) -> Findings:
         at = meshes.index(NODES)
         detail = f"tip drop {tips[at][1]:.6f} L, exact {exact[1]:.6f} L" + ("" if small else f"; x {tips[at][0]:.6f} L")
         rows.append(Row(case, f"{what}, {NODES} nodes", float(errors[at]), LIMIT, "%", detail))
-        curve = Convergence(what, np.array([SLENDER.spacing(n) for n in meshes]), errors, 2)
-        rows.append(curve.row(f"{case}_order", f"{what}: order in the node distance"))
-        curves.append(curve)
-    return Findings(rows, in_space=curves)
+        rows.append(order_row(f"{case}_order", f"{what}: order in the node distance", steps, errors))
+    return rows
 
 
 def tip_of(nodes: int, own_weight: float, tip_load: float) -> Array:

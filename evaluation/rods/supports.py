@@ -26,7 +26,7 @@ from anther.rods import (
 )
 from evaluation.rods.beams import NO_GRAVITY, Beam
 from evaluation.rods.ends import planted
-from evaluation.rods.table import Array, Convergence, Findings, Row
+from evaluation.rods.table import Array, Row, order_row
 
 BEAM = Beam(radius=3e-4)
 EDGES, LIMIT = 200, 1e-3
@@ -37,15 +37,14 @@ Spring = tuple[float, float, float]
 """Place over L, stiffness in translation over EI / L^3, in rotation over EI / L."""
 
 
-def support_cases(quick: bool) -> Findings:
+def support_cases(quick: bool) -> list[Row]:
     """Return the rows of supports and tension."""
     del quick  # it takes ten seconds
-    meshes = (32, 64, 128)
-    errors = np.array([max(_static_error(n, s) for s in _sweep()) for n in meshes])
-    static = Convergence("tip force on a beam on springs, worst of a sweep", 1 / np.array(meshes), errors, 2)
-    errors = np.array([max(_mode_error(n, s, True) for s in _sweep()) for n in meshes])
-    modes = Convergence("three frequencies of a beam on springs, worst of a sweep", 1 / np.array(meshes), errors, 2)
-    rows = [
+    meshes = np.array([32, 64, 128])
+    static = np.array([max(_static_error(n, s) for s in _sweep()) for n in meshes])
+    modes = np.array([max(_mode_error(n, s, True) for s in _sweep()) for n in meshes])
+    of_springs = "of a beam on springs, worst of a sweep: order in the node distance"
+    return [
         *_beam_rows(),
         _chain(),
         _held_chain(),
@@ -54,10 +53,9 @@ def support_cases(quick: bool) -> Findings:
         _response(),
         _lifted(),
         mujoco_row(),
-        static.row("support_static_order", f"{static.name}: order in the node distance"),
-        modes.row("support_modes_order", f"{modes.name}: order in the node distance"),
+        order_row("support_static_order", f"tip force {of_springs}", 1 / meshes, static),
+        order_row("support_modes_order", f"three frequencies {of_springs}", 1 / meshes, modes),
     ]
-    return Findings(rows, in_space=[static, modes])
 
 
 def _sweep() -> list[list[Spring]]:

@@ -1,10 +1,10 @@
-"""Rows of the validation table, and what the figures show."""
+"""Rows of the validation table."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +39,7 @@ class Row:
 
     @property
     def is_order(self) -> bool:
-        """Whether it is about the order of a scheme (`Convergence.row`)."""
+        """Whether it is about the order of a scheme (`order_row`)."""
         return "order" in self.case.split("_")
 
     def printed(self, value: float | None) -> str:
@@ -49,44 +49,23 @@ class Row:
         return f"{100 * value:.2g} %" if self.unit == "%" else f"{value:.2g} {self.unit}".strip()
 
 
-@dataclass(frozen=True)
-class Convergence:
-    """Errors against step sizes.
+def order_row(case: str, what: str, steps: Array, errors: Array, order: int = 2) -> Row:
+    """Return the row that holds a scheme to its order within 0.1.
 
-    Attributes:
-        name: for the legend.
+    Args:
+        case: of the row.
+        what: shrinks with the step.
         steps: (K,) node distance over length [-], or time step [s].
         errors: (K,) relative [-] or absolute [m].
-        order: the order that theory promises.
+        order: what theory promises for the slope of log error over log step (least squares).
     """
-
-    name: str
-    steps: Array
-    errors: Array
-    order: int
-
-    @property
-    def slope(self) -> float:
-        """Slope of log error over log step (least squares)."""
-        return float(np.polyfit(np.log(self.steps), np.log(self.errors), 1)[0])
-
-    def row(self, case: str, what: str) -> Row:
-        """Return the row that holds the slope to its order within 0.1."""
-        pairs = ", ".join(f"{error:.2g}" for error in self.errors)
-        return Row(case, what, abs(self.slope - self.order), 0.1, "", f"slope {self.slope:.3f}; errors {pairs}")
+    slope = float(np.polyfit(np.log(steps), np.log(errors), 1)[0])
+    listed = ", ".join(f"{error:.2g}" for error in errors)
+    return Row(case, what, abs(slope - order), 0.1, "", f"slope {slope:.3f}; errors {listed}")
 
 
-@dataclass(frozen=True)
-class Findings:
-    """What a group of cases found: rows of the table, and curves for the figures."""
-
-    rows: Sequence[Row]
-    in_space: Sequence[Convergence] = ()
-    in_time: Sequence[Convergence] = ()
-    energy: dict[str, tuple[Array, Array]] = field(default_factory=dict)
-
-
-Case = Callable[[bool], Findings]
+Case = Callable[[bool], list[Row]]
+"""Whether it is to be quick -> the rows of a group."""
 
 
 def metrics(rows: Sequence[Row]) -> dict[str, float]:

@@ -12,7 +12,7 @@ from anther.plant import fit_free_vibration
 from anther.rods import Clamp, Drive, Rods, frequency_response, natural_frequencies, simulate
 from evaluation.rods.beam_theory import cone_frequencies, rayleigh_roots, uniform_roots
 from evaluation.rods.beams import CLAMPED, NO_GRAVITY, X_AXIS, Beam, network
-from evaluation.rods.table import Array, Convergence, Findings, Row
+from evaluation.rods.table import Array, Row, order_row
 
 NODES = 50
 BEAM = Beam()
@@ -22,7 +22,7 @@ THICK = Beam(radius=7.5e-3)
 """Radius over length 1/40: rotary inertia lowers the third frequency by 0.6 %; the first mode of stretch is higher."""
 
 
-def frequency_cases(quick: bool) -> Findings:
+def frequency_cases(quick: bool) -> list[Row]:
     """Return the rows of the first three natural frequencies, each held to its worst mode."""
     del quick  # it takes a second
     rows, three = [], "first three natural frequencies"
@@ -34,10 +34,10 @@ def frequency_cases(quick: bool) -> Findings:
     rows.append(_rotary_inertia())
     _, what, exact, material = _spectra()[1]
     meshes = (13, 25, 50, 100)
-    errors = [np.abs(first_modes(SLENDER.rods(n, **material)) / exact - 1).max() for n in meshes]
-    curve = Convergence(f"frequencies, {what}", np.array([SLENDER.spacing(n) for n in meshes]), np.array(errors), 2)
-    rows.append(curve.row("frequencies_order", f"{three}, {what}: order in the node distance"))
-    return Findings(rows, in_space=[curve])
+    errors = np.array([np.abs(first_modes(SLENDER.rods(n, **material)) / exact - 1).max() for n in meshes])
+    steps = np.array([SLENDER.spacing(n) for n in meshes])
+    rows.append(order_row("frequencies_order", f"{three}, {what}: order in the node distance", steps, errors))
+    return rows
 
 
 def _spectra() -> list[tuple[str, str, Array, dict[str, Any]]]:
@@ -71,7 +71,7 @@ def first_modes(rods: Rods) -> Array:
     return 2 * np.pi * natural_frequencies(rods, CLAMPED, 6, gravity=NO_GRAVITY).frequencies[::2]
 
 
-def decay_cases(quick: bool) -> Findings:
+def decay_cases(quick: bool) -> list[Row]:
     """Return the rows of free decay: the damping ratio fitted to the tip against the one that was asked for."""
     cases = [
         (f"decay_{round(100 * ratio)}", ratio, "viscous_time", f"Kelvin–Voigt damping of {100 * ratio:g} %")
@@ -84,7 +84,7 @@ def decay_cases(quick: bool) -> Findings:
         detail = f"fitted {fitted:.5f}, stated by natural_frequencies {stated:.5f}"
         error = max(abs(fitted / ratio - 1), abs(stated / ratio - 1))
         rows.append(Row(case, f"free decay, {what} in the first mode", error, 0.02, "%", detail))
-    return Findings(rows)
+    return rows
 
 
 def decay_of(ratio: float, kind: str, *, periods: float) -> tuple[float, float]:
@@ -104,7 +104,7 @@ def decay_of(ratio: float, kind: str, *, periods: float) -> tuple[float, float]:
     return fit_free_vibration(run.times[late], run.positions[late, -1, 2]).damping_ratio, float(stated)
 
 
-def response_cases(quick: bool) -> Findings:
+def response_cases(quick: bool) -> list[Row]:
     """Return the rows of the frequency response against a simulation of small amplitude, on the 3-D network."""
     rods, clamp, grip = network(viscous_time=4e-3, mass_damping=2.0), Clamp(np.array([0, 1])), 20
     sizes, phases = {}, {}
@@ -116,7 +116,7 @@ def response_cases(quick: bool) -> Findings:
     what = "frequency response against simulation (0.01 mm at node 20, 3-D network), worst node and direction"
     size, phase = max(sizes.values()), max(phases.values())
     amplitude = Row("response_amplitude", f"{what}: amplitude", size, 0.01, "%", _each(sizes, 100, "%"))
-    return Findings([amplitude, Row("response_phase", f"{what}: phase", phase, 2.0, "deg", _each(phases, 1, "°"))])
+    return [amplitude, Row("response_phase", f"{what}: phase", phase, 2.0, "deg", _each(phases, 1, "°"))]
 
 
 def _each(errors: dict[float, float], scale: float, unit: str) -> str:

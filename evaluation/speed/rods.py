@@ -5,16 +5,15 @@
 The reference case is the peers' 86-node 3-D network (51-node stem, five branches of 7 edges, E 200 MPa, r 3 mm,
 undamped, at rest and unstressed, gravity on at t = 0), node 20 shaken 2 mm at 30 Hz along x, dt 1 ms, force tolerance
 1e-9 N; PyDiSMech runs it with implicit Euler, P19 to the letter and lumped masses ("paper"). Times are processor times
-of one core after compilation, the best of the repeats, all set-up of `simulate` included; only the response map, many
-scenarios and the second start are wall times.
+of one core after compilation, the best of the repeats, all set-up of `simulate` included; only the response map and
+the second start are wall times.
 
 Keys of the --json file: us_per_newton_86, s_per_sim_s_86 (no twist), us_per_newton_86_twist, s_per_sim_s_86_twist: as
 PyDiSMech runs it; with _euler (consistent discretisation), _damped (midpoint, viscous time 0.1 ms), _midpoint
 (undamped) appended; newton_per_step_86 of each; scaling_slope and memory_slope (exponent of time per Newton iteration
 and of memory over nodes, 86 to 20 000), memory_bytes_per_node; response_map_s (200 nodes, 50 grips x 200 frequencies x
-3 directions x 10 flowers), response_map_cpu_s; many_ms_per_scenario, many_scenarios_per_s, many_newton_per_s,
-many_speedup (threads, wall); second_start_s (a new process, compiled code on disk, from its start to 10 steps
-done), second_start_cpu_s, second_start_import_share.
+3 directions x 10 flowers), response_map_cpu_s; second_start_s (a new process, compiled code on disk, from its start to
+10 steps done), second_start_cpu_s, second_start_import_share.
 Each time has also _median, _max and _floor. With peers: dismech_* and pyelastica_*; a *_ratio is the peer's time over
 ours, both of one round.
 
@@ -31,7 +30,6 @@ import tempfile
 import time
 import tracemalloc
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -41,7 +39,7 @@ import numpy as np
 
 from anther.core import AntherError
 from anther.core.files import read_json
-from anther.rods import Clamp, Drive, Rods, natural_frequencies, response_map, simulate, with_gravity_equilibrium
+from anther.rods import Clamp, Drive, Rods, response_map, simulate, with_gravity_equilibrium
 from evaluation.harness import ONE_THREAD, finish, options, progress
 from evaluation.speed.networks import bush, reference_network, tall_plant, tips
 from evaluation.speed.peers import Case, run_dismech, run_pyelastica
@@ -202,43 +200,6 @@ def map_flops(plant: Rods, grips: Any, seen: Any) -> float:
     return len(above) * (48 * 4 + 313 * 6 + 260 * 2) + 3 * row * float(depth[grips].sum() + len(grips) * wanted.sum())
 
 
-def mode_rows(repeats: int) -> list[Row]:
-    """The six lowest modes of 20,000 nodes in line, hanging sideways under gravity; compilation not included."""
-    rods, times = Rods(np.linspace(0, [0.3, 0, 0], 20_000), np.arange(20_000) - 1, 3e-3, 2e8, 1100.0), []
-    for _ in progress(range(repeats + 1), "modes"):
-        begin = time.process_time()
-        natural_frequencies(rods, Clamp.root(rods), 6)
-        times.append(time.process_time() - begin)
-    return [Row("modes_20000_s", "equilibrium, six modes of 20,000 nodes in line", "s", tuple(times[1:]), limit=5.0)]
-
-
-def many_rows(quick: bool, repeats: int) -> list[Row]:
-    """Many short shakes of the 86-node network, viscous time 0.1 ms, 0.1 s each: all cores against one."""
-    rods = replace(reference_network(), viscous_time=1e-4)
-    shakes = [Drive(grip, np.array([1.0, 0, 0]), 1e-3, hertz) for grip in (10, 18, 25, 40) for hertz in range(3, 33, 3)]
-    clamp = Clamp(np.array([0, 1]))
-    scenarios = [
-        partial(simulate, rods, clamp, shake, 0.1, 1e-3, start="scanned", record_every=100) for shake in shakes
-    ]
-    scenarios = scenarios[::4] if quick else 4 * scenarios
-    count, cores, all_cores, alone, iterations = len(scenarios), os.cpu_count() or 1, [], [], 0
-    for _ in progress(range(repeats), "many scenarios"):
-        for workers, times in ((cores, all_cores), (1, alone)):
-            begin = time.perf_counter()
-            with ThreadPoolExecutor(workers) as pool:
-                runs = [future.result() for future in [pool.submit(shaken) for shaken in scenarios]]
-            times.append(time.perf_counter() - begin)
-        iterations = sum(run.newton_iterations for run in runs)
-    more = {
-        "many_scenarios_per_s": count / min(all_cores),
-        "many_newton_per_s": iterations / min(all_cores),
-        "many_speedup": min(alone) / min(all_cores),
-        "cores": cores,
-    }
-    words = f"{count} scenarios of 0.1 s, 86 nodes, {cores} cores ({more['many_speedup']:.2f} x one core): each"
-    return [Row("many_ms_per_scenario", words, "ms wall", tuple(1e3 * t / count for t in all_cores), more=more)]
-
-
 START = """
 import time; begin = time.time()
 import numpy as np; from evaluation.speed.networks import reference_network
@@ -339,8 +300,7 @@ def measure(args: argparse.Namespace) -> tuple[list[Row], Roofline]:
     for rods in (replace(network, bend_over_twist=0.0), network):
         case = Case(rods, steps=steps, twist=bool(rods is network))
         rows += reference_rows(case, operations, ceilings, repeats)
-    rows += map_rows(ceilings, 20 if args.quick else 200, repeats) + mode_rows(3)
-    rows += start_rows(repeats) + many_rows(args.quick, repeats)
+    rows += map_rows(ceilings, 20 if args.quick else 200, repeats) + start_rows(repeats)
     return rows + all_peer_rows(args, network, 1 if args.quick else 3), ceilings
 
 

@@ -16,29 +16,24 @@ import numpy as np
 from rich.console import RenderableType
 
 from anther.robot.arm import ArmName
-from evaluation.harness import CROPS, finish, options, run_cases
+from evaluation.harness import finish, options, run_cases
 from evaluation.perception.skeletons import TEN
 from evaluation.statistics import interval
-from evaluation.tables import markdown
+from evaluation.tables import by_part
 from evaluation.trials.grasping import VIEWPOINTS
-from evaluation.trials.grasping_table import EFFECTS, Row, effect_cells, effects, failures
+from evaluation.trials.grasping_table import Row, effects, failures, told_effects
 from evaluation.trials.grasping_trial import Case, asked, crashed, one_trial
 
 CALLED = {"fr3": "panda"}
 """What the keys of --json call an arm: Franka's is Panda there, though the one that is simulated is Research 3."""
-MEDIANS = {
-    "shake_amplitude_m": ("amplitude of the shake [mm]", 1e3, "{:.2f}"),
-    "shake_frequency_hz": ("its frequency [Hz]", 1.0, "{:.1f}"),
-    "capture_s": ("taking the views [s]", 1.0, "{:.0f}"),
-    "reach_s": ("reaching the grasp [s]", 1.0, "{:.0f}"),
-}
-"""Of a trial: the head of its column, the column's scale, how it is written."""
+MEDIANS = ("shake_amplitude_m", "shake_frequency_hz", "capture_s", "reach_s")
+"""Numbers of a trial."""
 
 
 def metrics(arm: str, rows: Sequence[Row]) -> dict[str, float]:
     """Return the flat table of one arm's trials."""
     ours = [row["ours"] for row in rows]
-    won, _ = wins(rows, arm, "")
+    won = sum(bool(one["success"]) for one in ours)
     found = dict(zip(("success_low", "success_high"), interval(won, len(ours)), strict=True))
     found |= {"trials": len(ours), "success": won, **effects(ours)}
     for key in MEDIANS:
@@ -49,27 +44,19 @@ def metrics(arm: str, rows: Sequence[Row]) -> dict[str, float]:
 
 def report(arms: Sequence[str], rows: Sequence[Row], table: dict[str, float]) -> list[RenderableType]:
     """Return a line an arm, and every failure."""
-    lines = []
-    for arm in arms:
-        end = f"_{CALLED.get(arm, arm)}"
-        own = {key.removesuffix(end): value for key, value in table.items() if key.endswith(end)}
-        held = [f"{won}/{trials}" for won, trials in (wins(rows, arm, species) for species in ("", *CROPS))]
-        between = f"{own['success_low']:.0%} to {own['success_high']:.0%}"
-        medians = [how.format(scale * own[key]) if key in own else "" for key, (_, scale, how) in MEDIANS.items()]
-        lines.append((f"`{arm}`", held[0], between, *held[1:], *effect_cells(own, list(EFFECTS)[:3]), *medians))
-    heads = ["arm", "held and unharmed", "95 % interval", *CROPS, *(words for words, _ in list(EFFECTS.values())[:3])]
-    heads += [head for head, *_ in MEDIANS.values()]
-    return [
-        "The same trials with each arm; from the median flower on medians over trials.",
-        markdown(heads, lines),
-        *failures(rows),
-    ]
-
-
-def wins(rows: Sequence[Row], arm: str, species: str) -> tuple[int, int]:
-    """Return how many trials of an arm succeeded, and how many there were; of every species with ""."""
-    some = [row for row in rows if row["arm"] == arm and row["species"].startswith(species)]
-    return sum(bool(row["ours"]["success"]) for row in some), len(some)
+    effects_told = list(told_effects("{}_*").items())[:3]
+    numbers = {
+        "held and unharmed": "success_*:.0f/trials_*:.0f",
+        "95 % interval": "success_low_*:.0% to success_high_*:.0%",
+        **dict(effects_told),
+        "amplitude of the shake [m]": "shake_amplitude_m_*:.2g",
+        "its frequency [Hz]": "shake_frequency_hz_*:.1f",
+        "taking the views [s]": "capture_s_*:.0f",
+        "reaching the grasp [s]": "reach_s_*:.0f",
+    }
+    called = {CALLED.get(arm, arm): f"`{arm}`" for arm in arms}
+    said = "The same trials with each arm; from the median flower on medians over trials."
+    return [said, by_part(table, "arm", called, numbers), *failures(rows)]
 
 
 def main() -> None:

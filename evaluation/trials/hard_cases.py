@@ -15,8 +15,8 @@
 | view lost | one of the 30 views is missing |
 
 Plants are of seeds that no other experiment uses. Finished trials are kept in --out and not run again. Keys of the
---json file: trials_CASE, success_CASE (held and unharmed), what `grasping_table.effects` says of harm and flowers, with
-_CASE behind it, sway_mm (the widest of the wind), and CASE_KIND, how many failed of which kind.
+--json file: trials_CASE, success_CASE (held and unharmed), stem_held_CASE, what `grasping_table.effects` says of harm
+and flowers, with _CASE behind it, sway_mm (the widest of the wind), and CASE_KIND, how many failed of which kind.
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ from anther.sim import cell as world
 from anther.sim.capture import perturbed_hand_eye
 from anther.sim.simulated_cell import PRESETS, USUAL_DISTANCE
 from evaluation.harness import CROPS, failed, finish, options, run_cases
-from evaluation.tables import markdown
-from evaluation.trials.grasping_table import EFFECTS, effect_cells, effects
+from evaluation.tables import by_part, markdown
+from evaluation.trials.grasping_table import effects, told_effects
 from evaluation.trials.grasping_trial import Memory, notes, performed, watched
 from evaluation.trials.hard_plants import denser, leaning, sway, swaying, two_stems
 
@@ -168,29 +168,29 @@ def metrics(rows: list[dict[str, Any]]) -> dict[str, float]:
         if some:
             name = kind.replace(" ", "_")
             out |= {f"trials_{name}": len(some), f"success_{name}": sum(row["success"] for row in some) / len(some)}
+            out[f"stem_held_{name}"] = sum(row.get("stem_held", False) for row in some) / len(some)
             out |= {f"{key}_{name}": value for key, value in effects(some).items()}
             failures = Counter(row["failure"] for row in some if not row["success"])
             out |= {f"{name}_{failure}": count for failure, count in failures.items()}
     return out
 
 
-def report(rows: list[dict[str, Any]]) -> list[RenderableType]:
+def report(rows: list[dict[str, Any]], found: dict[str, float]) -> list[RenderableType]:
     """Return how each case went, and every failure."""
-    table = [
-        (
-            *(kind, sum(row["success"] for row in some), len(some), sum(row.get("stem_held", False) for row in some)),
-            *effect_cells(effects(some)),
-        )
-        for kind in CASES
-        if (some := [row for row in rows if row["kind"] == kind])
-    ]
+    numbers = {
+        "trials": "trials_*:.0f",
+        "held and unharmed": "success_*:.0%",
+        "main stem held": "stem_held_*:.0%",
+        **told_effects("{}_*"),
+    }
+    kinds = {kind.replace(" ", "_"): kind for kind in CASES}
     failed = [
         (f"{row['kind']}, {row['species']} {row['seed']}", row["failure"], f"{row['message']}{_aim(row)}")
         for row in rows
         if not row["success"]
     ]
-    heads = ("case", "held and unharmed", "trials", "main stem held", *(words for words, _ in EFFECTS.values()))
-    parts = ["What became of the trials; of flowers and pollen the medians over trials.", markdown(heads, table)]
+    said = "What became of the trials; of flowers and pollen the medians over trials."
+    parts = [said, by_part(found, "case", kinds, numbers)]
     if not failed:
         return [*parts, "No trial failed."]
     return [*parts, "Trials that failed.", markdown(("trial", "kind", "what happened"), failed)]
@@ -209,7 +209,8 @@ def main() -> None:
     seeds = range(args.seed, args.seed + (1 if args.quick else args.plants))
     cases = [asdict(Case(kind, crop, seed)) for kind in args.cases for crop in CROPS for seed in seeds]
     rows = run_cases(one_trial, cases, args.out, args.jobs, failed)
-    finish(args, metrics(rows), *report(rows))
+    found = metrics(rows)
+    finish(args, found, *report(rows, found))
 
 
 if __name__ == "__main__":

@@ -22,7 +22,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rich.console import RenderableType
@@ -34,19 +33,17 @@ from anther.pollination import visit_row_stem
 from anther.sim import build_row, grow_row, mapped_hook
 from anther.sim.cell import BENCH, NEIGHBOUR, POT, CellLog
 from anther.sim.judge import LETS_GO, string_pull
-from evaluation.harness import CROPS, by_turns, failed, finish, options, run_cases
+from evaluation.harness import CROPS, Row, by_turns, failed, finish, options, run_cases
 from evaluation.statistics import bootstrap, interval, median
-from evaluation.tables import markdown, percent
+from evaluation.tables import by_number, by_part, markdown
 from evaluation.trials.grasping_pictures import portrait
-from evaluation.trials.grasping_trial import COMPUTE, PICTURE, overlap, performed, truth_of
+from evaluation.trials.grasping_trial import COMPUTE, PICTURE, notes, overlap, performed, truth_of
 from evaluation.trials.shaking import Brief
 
 FIRST, DEVELOPMENT = 6100, 3
 """Rows from the first seed on are in no other table; on those from the second on the visit was made."""
 PARTS = ("views_s", "thought_s", "approach_s", "shake_s", "retreat_s")
 ACCELERATION = "true_flower_acceleration_median_ms2"
-
-Row = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +71,7 @@ def one(row: Row, folder: Path) -> Row:
     found, done = performed(cell, lambda: visit_row_stem(cell.robot_side, case.species, hook, run))
     log = cell.world.log()
     found |= touched(log) | {"string_pull": string_pull(cell.world, log), "plants": len(grown.plants)}
-    found |= {"views_s": cell.capture_seconds, "first": len(_begun) == 1, "notes": notes_of(run)}
+    found |= {"views_s": cell.capture_seconds, "first": len(_begun) == 1, "notes": notes(run)}
     if done is not None:
         found |= asked_times(found, run)
         found["flowers_seen"], found["flowers_there"] = (
@@ -84,11 +81,6 @@ def one(row: Row, folder: Path) -> Row:
     if "capture" in run.results:
         portrait(run.results["capture"], done.shake.grasp if done else None, folder / PICTURE)
     return asdict(case) | found
-
-
-def notes_of(run: Brief) -> list[str]:
-    """Return what the stages warned of."""
-    return [note for name in ("cloud", "skeleton", "stem") for note in getattr(run.results.get(name), "notes", ())]
 
 
 def asked_times(row: Row, run: Brief) -> dict[str, float]:
@@ -161,11 +153,9 @@ def report(rows: Sequence[Row], found: dict[str, float]) -> list[RenderableType]
     """Return tables of what was held, what the cycle took, and what became of each row."""
     words = {"held_row": "stem held, nothing else", "moved_row": "of these median flower ≥ 5 m/s²",
              "neighbour_harm": "something else touched, or string off"}  # fmt: skip
-    lines = [
-        (text, *(_share(found, key + end) for end in ("", *(f"_{crop}" for crop in CROPS))))
-        for key, text in words.items()
-    ]  # fmt: skip
-    parts = [(part[:-2], f"{found[part]:.1f}") for part in (*PARTS, "cycle_s")]
+    crops = {"": f"{len(rows)} rows (95 % interval)"} | {f"_{crop}": crop for crop in CROPS}
+    shares = {text: f"{key}*:.0% ({key}*_low:.0% to {key}*_high:.0%)" for key, text in words.items()}
+    parts = {part: part[:-2] for part in (*PARTS, "cycle_s")}
     each = [
         (f"{row['species']} {row['seed']}", "yes" if held(row) else "no", f"{row.get(ACCELERATION) or 0:.1f}",
          f"{row.get('neighbour_force') or 0:.1f}", f"{row.get('part_force') or 0:.1f}",
@@ -173,8 +163,8 @@ def report(rows: Sequence[Row], found: dict[str, float]) -> list[RenderableType]
         for row in rows
     ]  # fmt: skip
     return [
-        markdown(("", f"{len(rows)} rows (95 % interval)", *CROPS), lines),
-        markdown(("part of a visit", "median [s]"), parts),
+        by_number(found, "", crops, shares),
+        by_part(found, "part of a visit", parts, {"median [s]": "*:.1f"}),
         markdown(
             (
                 "row",
@@ -188,12 +178,6 @@ def report(rows: Sequence[Row], found: dict[str, float]) -> list[RenderableType]
             each,
         ),
     ]
-
-
-def _share(found: dict[str, float], key: str) -> str:
-    """Return a share with its interval."""
-    share, low, high = (percent(found[f"{key}{end}"]) for end in ("", "_low", "_high"))
-    return f"{share} ({low} to {high})"
 
 
 def main() -> None:

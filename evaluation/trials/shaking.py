@@ -184,7 +184,8 @@ def main() -> None:
         if k < fewer.get(way, len(plants))
     ]
     rows = rows_of(cases, args.out, args.jobs, args.done)
-    finish(args, shaking_table.metrics(rows), *shaking_table.report(rows))
+    found = shaking_table.metrics(rows)
+    finish(args, found, *shaking_table.report(rows, found))
 
 
 if __name__ == "__main__":

@@ -13,7 +13,6 @@ how often it is outside of what is then believed of nine in ten.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from rich.console import RenderableType
@@ -22,17 +21,27 @@ from anther.core import Array
 from anther.plant.limits import MOVED
 from anther.sim.judge import net_fruit
 from anther.sim.truth import TOLERANCE
+from evaluation.harness import Row
 from evaluation.statistics import bootstrap, interval, median
-from evaluation.tables import markdown
+from evaluation.tables import by_part, markdown
 from evaluation.trials.oracle import ACCELERATIONS, ACTUATORS, MEASURES
-
-Row = dict[str, Any]
 
 ACCELERATION = "true_flower_acceleration_median_ms2"
 ROBOT_SECONDS = ("simulated_capture_seconds", "simulated_execution_seconds")
 """Of a visit, without the thought between [s]."""
 STALKS = {"pedicel": "true_pedicel_strains", "base": "true_peduncle_strains"}
 """Kind of stalk that a flower hangs on -> the key of each flower's bending strain."""
+NAMES = {"escalated": "arm"}
+"""What the keys call a way."""
+MEDIANS = {
+    "flowers_above_5": "share_above_5_ms2",
+    "stem_strain": "true_stem_strain",
+    "pedicel_strain": "true_pedicel_strain",
+    "base_strain": "true_base_strain",
+    "leaf_ms2": "true_leaf_acceleration_ms2",
+}
+POLLEN = {"": "pollen_freed_median", "_low": "pollen_freed_low", "_high": "pollen_freed_high"}
+"""Beginning or end of a key -> what of a row it is the median of."""
 MAIN = "acceleration"
 """The measure of motion by which worth is told, where no other is named."""
 
@@ -137,20 +146,27 @@ def worth(rows: Sequence[Row], way: str, name: str) -> dict[str, float]:
 
 
 def metrics(rows: Sequence[Row]) -> dict[str, float]:
-    """Return the table's numbers; `past_limit_<way>`: plants past a true limit."""
+    """Return the table's numbers; `past_limit_<way>`: plants past a true limit; medians over plants."""
     table: dict[str, float] = {"plants": float(len({(row["species"], row["seed"]) for row in rows}))}
     for way in dict.fromkeys(row["way"] for row in rows):
-        name = {"escalated": "arm"}.get(way, way)
+        name = NAMES.get(way, way)
         mine = of(rows, way)
         for species in ("tomato", "pepper"):
             values = felt(of(rows, way, species))
             low, high = bootstrap(values)
             table |= {f"{name}_{species}_ms2": float(np.median(values)) if len(values) else float("nan")}
             table |= {f"{name}_{species}_low": low, f"{name}_{species}_high": high}
-        values = felt(mine)
-        table[f"{name}_ms2"] = float(np.median(values))
+        values, past = felt(mine), sum(map(harmed, mine))
+        table[f"{name}_ms2"], (table[f"{name}_low"], table[f"{name}_high"]) = (
+            float(np.median(values)),
+            bootstrap(values),
+        )
         table[f"share_above_5_{name}"] = float(np.mean(values >= MOVED))
-        table[f"past_limit_{name}"] = float(sum(map(harmed, mine)))
+        table |= {f"plants_{name}": float(len(mine)), f"past_limit_{name}": float(past)}
+        table[f"past_share_{name}_low"], table[f"past_share_{name}_high"] = interval(past, len(mine))
+        table |= {f"{key}_{name}": median(row.get(what) for row in mine) for key, what in MEDIANS.items()}
+        table[f"slip_mm_{name}"] = 1000 * median(row.get("true_slip_m") for row in mine)
+        table |= {f"pollen_freed_{name}{end}": median(row.get(what) for row in mine) for end, what in POLLEN.items()}
         table[f"flowers_lost_{name}"] = flowers_lost(mine)
         table[f"flowers_probably_lost_{name}"] = probably_lost(mine)
         table |= worth(rows, way, name)
@@ -181,39 +197,54 @@ def over_paper(rows: Sequence[Row]) -> float:
     return float(np.median(ratios)) if ratios else float("nan")
 
 
-def report(rows: Sequence[Row]) -> list[RenderableType]:
+def report(rows: Sequence[Row], found: dict[str, float]) -> list[RenderableType]:
     """Return what the ways did to flowers and to plants, and what went wrong."""
-    ways = {way: of(rows, way) for way in dict.fromkeys(row["way"] for row in rows)}
-    heads = (
-        "way", "plants", "median flower [m/s²] (95 % interval)", "tomatoes", "peppers", "plants at 5 m/s²",
-        "flowers at 5 m/s²", "pollen freed (5 to 95 %)", "shaking [s]",
-    )  # fmt: skip
-    flowers = markdown(heads, [(way, str(len(mine)), *map(_known, _flowers(mine))) for way, mine in ways.items()])
-    heads = (
-        "way", "stem held", "stem, branches [%]", "pedicels [%]", "other stalks [%]", "leaf bases [g]", "slip [mm]",
-        "flowers lost", "plants harmed (95 % interval)", "probability of harm",
-    )  # fmt: skip
-    plants = markdown(heads, [(way, *map(_known, _plants(mine))) for way, mine in ways.items()])
-    heads = (
-        "way", "net fruit (95 % interval)", *(f"by {name}" for name in MEASURES if name != MAIN),
-        "of the oracle's (95 % interval)", f"short of the oracle's by {', '.join(MEASURES)}",
-        "plants with stem, fork or base bent",
-    )  # fmt: skip
-    fruit = markdown(heads, [(way, *map(_known, _worth(rows, way))) for way in ways])
+    ways = {NAMES.get(way, way): way for way in dict.fromkeys(row["way"] for row in rows)}
     lost = [row for row in rows if "best" not in row and (not row.get("held") or harmed(row))]
     lines = [(r["way"], f"{r['species']} {r['seed']}", r.get("message")) for r in lost]
     wrong = markdown(("way", "plant", "what happened"), lines) if lines else "No trial failed."
     parts = [
         "What the flowers felt, by MuJoCo.",
-        flowers,
+        by_part(found, "way", ways, FLOWERS),
         "What the plants bore: the largest bending strains, and the acceleration at leaf bases below 5 Hz.",
-        plants,
+        by_part(found, "way", ways, PLANTS),
         "What the shakes were worth, by the judge: pollen freed less flowers lost and organs bent, as a share of all "
         "flowers of a plant. An oracle knows the plant; it has a best shake for each measure of motion that may free "
         "pollen.",
-        fruit,
+        by_part(found, "way", ways, FRUIT),
     ]
     return [*parts, *_compared(rows), "Trials that did not hold the stem or went past what the plant bears.", wrong]
+
+
+FLOWERS = {
+    "plants": "plants_*:.0f",
+    "median flower [m/s²] (95 % interval)": "*_ms2:.1f (*_low:.1f to *_high:.1f)",
+    "tomatoes": "*_tomato_ms2:.1f",
+    "peppers": "*_pepper_ms2:.1f",
+    "plants at 5 m/s²": "share_above_5_*:.0%",
+    "flowers at 5 m/s²": "flowers_above_5_*:.0%",
+    "pollen freed (5 to 95 %)": "pollen_freed_*:.0% (pollen_freed_*_low:.0% to pollen_freed_*_high:.0%)",
+    "shaking [s]": "shaking_s_*:.1f",
+}
+PLANTS = {
+    "stem held": "held_*:.0%",
+    "stem, branches": "stem_strain_*:.2%",
+    "pedicels": "pedicel_strain_*:.2%",
+    "other stalks": "base_strain_*:.2%",
+    "leaf bases [m/s²]": "leaf_ms2_*:.1f",
+    "slip [mm]": "slip_mm_*:.2f",
+    "flowers lost": "flowers_lost_*:.1%",
+    "plants harmed (95 % interval)": "past_limit_*:.0f (past_share_*_low:.0% to past_share_*_high:.0%)",
+    "probability of harm": "harm_probability_*:.1%",
+}
+FRUIT = {
+    "net fruit (95 % interval)": "net_fruit_*:.2f (net_fruit_*_low:.2f to net_fruit_*_high:.2f)",
+    **{f"by {name}": f"net_fruit_*_{name}:.2f" for name in MEASURES if name != MAIN},
+    "of the oracle's (95 % interval)": "oracle_share_*:.0% (oracle_share_*_low:.0% to oracle_share_*_high:.0%)",
+    f"short of the oracle's by {', '.join(MEASURES)}": ", ".join(f"regret_*_{name}:.2f" for name in MEASURES),
+    "plants with stem, fork or base bent": "bent_*:.0f",
+}
+"""What is told of each way: heads, and numbers of `metrics`."""
 
 
 def _compared(rows: Sequence[Row]) -> list[str]:
@@ -226,54 +257,3 @@ def _compared(rows: Sequence[Row]) -> list[str]:
     if np.isfinite(right):
         said.append(f"The camera's last measurement is within 15 % of the true peak for {right:.0%} of the flowers.")
     return said
-
-
-def _known(cell: str) -> str:
-    """Return a cell, or a dash where no plant was shaken."""
-    return "–" if "nan" in cell else cell
-
-
-def _middle(rows: Sequence[Row], key: str, factor: float = 1.0) -> float:
-    return factor * median(row.get(key) for row in rows)
-
-
-def _flowers(rows: Sequence[Row]) -> list[str]:
-    values, (low, high) = felt(rows), bootstrap(felt(rows))
-    crops = [felt([row for row in rows if row["species"] == species]) for species in ("tomato", "pepper")]
-    pollen = [_middle(rows, f"pollen_freed_{which}", 100) for which in ("median", "low", "high")]
-    return [
-        f"{np.median(values):.1f} ({low:.1f} to {high:.1f})",
-        *(f"{np.median(some):.1f}" if len(some) else "" for some in crops),
-        str(int(np.sum(values >= MOVED))),
-        f"{_middle(rows, 'share_above_5_ms2', 100):.0f} %",
-        f"{pollen[0]:.0f} % ({pollen[1]:.0f} to {pollen[2]:.0f})",
-        f"{_middle(rows, 'shaking_s'):.1f}",
-    ]
-
-
-def _worth(rows: Sequence[Row], way: str) -> list[str]:
-    table = worth(rows, way, "x")
-    others = [f"{table[f'net_fruit_x_{name}']:.2f}" for name in MEASURES if name != MAIN]
-    regrets = ", ".join(f"{table.get(f'regret_x_{name}', np.nan):.2f}" for name in MEASURES)
-    shares = [table.get(f"oracle_share_x{end}", np.nan) for end in ("", "_low", "_high")]
-    return [
-        "{:.2f} ({:.2f} to {:.2f})".format(*(table[f"net_fruit_x{end}"] for end in ("", "_low", "_high"))),
-        *others,
-        f"{shares[0]:.0%} ({100 * shares[1]:.0f} to {100 * shares[2]:.0f})",
-        regrets,
-        f"{table['bent_x']:.0f}",
-    ]
-
-
-def _plants(rows: Sequence[Row]) -> list[str]:
-    past = sum(map(harmed, rows))
-    few, many = interval(past, len(rows))
-    return [
-        str(sum(bool(row.get("held")) for row in rows)),
-        *(f"{_middle(rows, f'true_{kind}_strain', 100):.2f}" for kind in ("stem", "pedicel", "base")),
-        f"{_middle(rows, 'true_leaf_acceleration_ms2', 1 / 9.81):.2f}",
-        f"{_middle(rows, 'true_slip_m', 1000):.2f}",
-        f"{flowers_lost(rows):.1%}",
-        f"{past} ({100 * few:.0f} to {100 * many:.0f} %)",
-        f"{100 * float(np.mean([row.get('harm_probability') or 0.0 for row in rows])):.1f} %",
-    ]

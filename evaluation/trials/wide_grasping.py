@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from rich.console import RenderableType
 
-from evaluation.harness import by_turns
+from evaluation.harness import Row, by_turns
 from evaluation.statistics import interval
-from evaluation.tables import markdown
+from evaluation.tables import by_part
 from evaluation.trials.grasping import VIEWPOINTS
-from evaluation.trials.grasping_table import EFFECTS, effect_cells, effects
+from evaluation.trials.grasping_table import effects, told_effects
 from evaluation.trials.grasping_trial import Case
 
 FIRST = 8000
 """Plants from this seed on are in no other table."""
 GROUPS = ("stiffness", "wind", "pads", "arm", "camera poses", "leaf mass", "pot", "drag")
 """What can matter to a grasp; tried one at a time."""
-
-Row = dict[str, Any]
 
 
 def cases(trials: int, seed: int, preset: str, truth: str) -> list[Case]:
@@ -40,9 +37,10 @@ def metrics(rows: Sequence[Row]) -> dict[str, float]:
 
 def told(metrics: dict[str, float], rows: Sequence[Row]) -> list[RenderableType]:
     """Return the table of the trials with everything drawn."""
-    won = sum(bool(row["ours"]["success"]) for row in rows)
-    between = f"{metrics['success_low']:.1%} to {metrics['success_high']:.1%}"
-    line = (len(rows), f"{won}/{len(rows)} = {metrics['success']:.1%}", between, f"{metrics['held']:.1%}")
-    heads = ("trials", "held and unharmed", "95 % interval", "held", *(words for words, _ in EFFECTS.values()))
+    numbers = {
+        "held and unharmed": "success:.1%",
+        "95 % interval": "success_low:.1% to success_high:.1%",
+        "held": "held:.1%",
+    }
     said = "Whole trials with everything drawn; of flowers and pollen the medians over trials."
-    return [said, markdown(heads, [(*line, *effect_cells(metrics))])]
+    return [said, by_part(metrics, "trials", {"": str(len(rows))}, numbers | told_effects("{}"))]

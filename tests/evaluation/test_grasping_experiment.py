@@ -85,7 +85,7 @@ def test_success_stays_held_and_unharmed_and_what_the_flowers_felt_stands_beside
     rows = [one | {"ours": one["ours"] | ours} for one, ours in zip(rows, (hardly, moved), strict=True)]
     table = metrics(rows)
     assert (table["success_40"], table["moved_share_40"], table["pepper_all_three_share_40"]) == (1.0, 0.5, 0.5)
-    assert "| 100.0% | 6.0% | 50.0% | 4.0 | | 10.0% |" in told(capsys, rows)
+    assert "| 100.0% | 6.0% | 50.0% | 4.0 | – | 10.0% |" in told(capsys, rows)
 
 
 def test_what_is_printed_has_shares_pairs_units_and_every_failure(capsys, monkeypatch):
@@ -99,7 +99,8 @@ def test_what_is_printed_has_shares_pairs_units_and_every_failure(capsys, monkey
         for who in ("ours", "paper"):
             one[who] = one[who] and {**one[who], "message": "6 mm"}
     text = told(capsys, rows)
-    assert "| ten plants, 30 views | pepper | 31/32 = 96.9% | 1/2 = 50.0% |" in text
+    assert "| ten plants, 30 views | held and unharmed |" in text
+    assert "| pepper (the paper held 31/32 = 96.9 %) | 1/2 = 50.0% |" in text
     assert "| pepper 2 from 0°, sawyer, full | slipped | 6 mm |" in text
     assert "slipped 1" in text
     assert "median flower [m/s²] |" in text

@@ -12,7 +12,7 @@ import pytest
 
 from evaluation.harness import by_turns, finish, in_processes, options, plants_named
 from evaluation.statistics import auc, bootstrap, logistic, mean, median, reliability
-from evaluation.tables import markdown, measured, number, percent
+from evaluation.tables import by_number, by_part, markdown, measured, number, percent, written
 
 OWN = {
     "--plants": (24, "of both crops"),
@@ -75,6 +75,23 @@ def test_cells_of_tables() -> None:
     )
     table = measured({"a": 1, "c": 2.5}, {"a": "first", "b": "not there", "c": "third"})
     assert [list(column.cells) for column in table.columns] == [["first", "third"], ["1", "2.5"]]
+
+
+def test_metrics_of_parts_are_told_by_part_or_by_number() -> None:
+    found = {"tomato_error": 0.25, "tomato_n": 3, "pepper_error": np.nan, "bean_n": 2, "error": 1.0}
+    parts = {"tomato_": "tomatoes", "pepper_": "peppers", "bean_": "beans", "": "all"}
+    numbers = {"error": "*error:.0%", "of": "*n:.0f (*error:+.1f)"}
+    lines = [
+        ("crop", "error", "of"),
+        ("tomatoes", "25%", "3 (+0.2)"),
+        ("beans", "–", "2 (–)"),
+        ("all", "100%", "– (+1.0)"),
+    ]
+    rows, columns = by_part(found, "crop", parts, numbers), by_number(found, "crop", parts, numbers)
+    assert [(column.header, *column.cells) for column in rows.columns] == list(zip(*lines, strict=True))
+    assert [(column.header, *column.cells) for column in columns.columns] == lines
+    assert written("b:.1f of a-1:d m", {"a-1": 4}) == "– of 4 m"
+    assert written("b:.1f of c:d m", {"a-1": 4}) == "–"
 
 
 @pytest.mark.slow

@@ -174,8 +174,9 @@ def test_without_an_oracle_there_is_no_share() -> None:
 
 def test_the_report_tells_the_worth_of_every_way(capsys: pytest.CaptureFixture[str], monkeypatch: Any) -> None:
     monkeypatch.setenv("COLUMNS", "1000")
-    say(report([row("escalated"), best(1, 0.8)]))
+    rows = [row("escalated"), best(1, 0.8)]
+    say(report(rows, metrics(rows)))
     told = capsys.readouterr().out
     share = net(row("escalated")) / 0.8
-    assert f"{share:.0%} ({100 * share:.0f} to {100 * share:.0f})" in told
+    assert f"{share:.0%} ({share:.0%} to {share:.0%})" in told
     assert "crashed" not in told

@@ -68,11 +68,11 @@ def test_a_model_that_turns_the_trend_over_location_round_is_caught() -> None:
 def test_a_model_without_a_prediction_has_no_score_and_no_row_in_the_report() -> None:
     rows = [row(lambda true: true, seed=k) for k in range(3)]
     assert score(rows[0], "prior", "paper") is None
-    table = report(rows)[1]
+    table = report(metrics(rows))[1]
     assert isinstance(table, Table)
     lines = list(zip(*(column.cells for column in table.columns), strict=True))
     assert not any(str(line[0]).startswith("(b)") for line in lines)
-    assert ("(c) Anther, one probe shake", "0.7–1.9", "1.00 (1.00)") in [line[:3] for line in lines]
+    assert ("(c) Anther, one probe shake, 0.7–1.9 Hz", "1.00 (1.00)") in [line[:2] for line in lines]
 
 
 def test_every_shake_is_within_the_arm_and_every_height_has_the_same_amplitude() -> None:

@@ -101,7 +101,7 @@ def test_the_ranking_begins_with_nothing_and_everything_and_then_has_the_worst_f
     names, error, other = ([str(cell) for cell in column.cells] for column in table.columns)
     assert names == ["nothing", "**everything**", "pads", "wind", "drag"]
     assert error == ["0.05", "0.3", "0.5", "0.2", "0.1"]
-    assert other == ["2", *["nan"] * 4]
+    assert other == ["2", *["–"] * 4]
 
 
 def test_what_is_told_of_predictions_has_errors_by_crop_and_every_interval() -> None:
@@ -110,8 +110,10 @@ def test_what_is_told_of_predictions_has_errors_by_crop_and_every_interval() -> 
     )
     assert isinstance(errors, Table)
     assert isinstance(intervals, Table)
-    tomatoes, peppers, both = ([str(cell) for cell in column.cells] for column in errors.columns[1:])
-    assert (tomatoes[2], peppers[4], both[0]) == ("10.0%", "100.0%", "2.5%")
+    told = dict(zip(*([str(cell) for cell in column.cells] for column in errors.columns), strict=True))
+    assert told["two other grips, 0.7 to 1.9 Hz, tomato"] == "10.0%"
+    assert told["all grips, nothing measured, 0.7 to 1.9 Hz, pepper"] == "100.0%"
+    assert told["held grip, flowers that the camera measured, 1.5 times the measured shake"] == "2.5%"
     assert [str(cell) for cell in intervals.columns[1].cells] == ["100.0%"] * len(wide_table.QUANTITIES)
 
 

@@ -1,4 +1,4 @@
-"""Other rod solvers, run beside ours on the same case, each in a process of its own.
+"""Other rod solvers, and our own of another commit, run beside ours on the same case, each in a process of its own.
 
 The case travels as a file: nodes (N, 3), edges (M, 2), fixed (C,) and the settings as JSON. Every driver prints
 processor seconds without start-up and without compilation, and where the observed node ended.
@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from anther.rods import Rods
 from evaluation.harness import ONE_THREAD
@@ -60,14 +61,31 @@ def run_pyelastica(python: Path, case: Case) -> dict[str, Any]:
     return _run([python, HERE / "run_pyelastica.py"], case)
 
 
+def run_batch(source: Path, room: str, rods: Rods, seen: NDArray[np.int64], plants: int) -> float:
+    """Return the processor seconds that the engine in a source folder takes for a batch (see run_batch.py).
+
+    Raises:
+        SystemExit: it fails.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "batch.npz"
+        np.savez(path, nodes=rods.nodes, parent=rods.parent, seen=seen, plants=plants)
+        done = _in_new_process([sys.executable, HERE / "run_batch.py", room, path], {"PYTHONPATH": str(source)})
+    if done.returncode != 0:
+        raise SystemExit(done.stderr)
+    return float(done.stdout)
+
+
 def _run(command: list[Any], case: Case) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "case.npz"
         case.write(path)
-        environment = os.environ | ONE_THREAD | {"PYTHONWARNINGS": "ignore"}
-        done = subprocess.run(
-            [str(part) for part in [*command, path]], env=environment, capture_output=True, text=True, check=False
-        )
+        done = _in_new_process([*command, path], {"PYTHONWARNINGS": "ignore"})
     if done.returncode != 0:
         return {"failed": (done.stderr.strip().splitlines() or ["no output"])[-1]}
     return json.loads(done.stdout.strip().splitlines()[-1])
+
+
+def _in_new_process(command: list[Any], more: dict[str, str]) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | ONE_THREAD | more
+    return subprocess.run(list(map(str, command)), env=environment, capture_output=True, text=True, check=False)
