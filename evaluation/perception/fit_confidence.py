@@ -5,7 +5,7 @@
 Prints the constants of skeleton/support.py and grasp/_candidates.py. Development plants: 48 grown (`real/grown.py`),
 five of the ten seedlings of trackplant3d_tomato1a (every third scan), gavriel_maize_28.2.23_8; each disturbed once in
 every way (`real/strict.py`), and for the grasp some development captures of confidence.py as well. None of them is
-among the plants that real_plants.py reports. The root: a conditional logit among low tips, nested in whether the
+among the plants that disturbed_plants.py reports. The root: a conditional logit among low tips, nested in whether the
 base is in the cloud. The grasp: right when the strict rule says so, in a capture when the true main stem is within
 5 mm.
 """

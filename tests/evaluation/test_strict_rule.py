@@ -1,4 +1,4 @@
-"""What real_plants.py judges disturbed plants with: what is right, what is doubted, and how plants are disturbed."""
+"""What disturbed_plants.py judges with: what is right, what is doubted, and how plants are disturbed."""
 
 from __future__ import annotations
 
