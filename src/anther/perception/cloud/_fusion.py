@@ -164,62 +164,71 @@ def voxel_groups(points: Array, voxel: float) -> tuple[NDArray[np.int64], NDArra
 
     Points (N, 3) [m] are less than 2^20 voxels from the origin.
     """
-    return _groups(_voxel_keys(points, voxel))
+    slots = np.full(1 << (2 * len(points)).bit_length(), -1, dtype=np.int32)
+    group, count, held = np.empty((3, len(points)), dtype=np.int64)
+    found = _number_voxels(read_only(points), 1 / voxel, slots, group, count, held)
+    return group, count[:found]
 
 
-def _voxel_keys(points: Array, voxel: float) -> NDArray[np.int64]:
-    """Return (N,) a number for the voxel of each point; arguments as in `voxel_groups`."""
-    key = np.zeros(len(points), dtype=np.int64)
-    for column in points.T:
-        key = key << 21 | np.floor(column * (1 / voxel)).astype(np.int64) & 0x1FFFFF
-    return key
+@compiled
+def _number_voxels(points, scale, slots, group, count, held):
+    """Fill what `voxel_groups` returns, and return the number of voxels.
 
-
-def _groups(key: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return what `voxel_groups` does, of keys (N,)."""
-    order = np.argsort(key, kind="stable")  # quick where, as in an image, neighbours share a voxel
-    key, first = key[order], np.ones(len(key), dtype=bool)
-    np.not_equal(key[1:], key[:-1], out=first[1:])
-    start = np.flatnonzero(first)
-    count, first[:] = np.diff(start, append=len(key)), False
-    first[order[start]] = True
-    number = (np.cumsum(first) - 1)[order[start]]
-    group, counts = np.empty_like(order), np.empty_like(count)
-    group[order], counts[number] = np.repeat(number, count), count
-    return group, counts
+    `slots`, all -1, is a hash table of their numbers, of a power of two; `held` the key of each.
+    """
+    voxels = 0
+    for n in range(len(points)):
+        key = 0
+        for a in range(3):
+            key = key << 21 | (np.int64(np.floor(points[n, a] * scale)) & 0x1FFFFF)
+        slot = ((key ^ key >> 29) * 0x5851F42D4C957F2D >> 31) & (len(slots) - 1)  # Knuth's multiplier (MMIX)
+        while slots[slot] >= 0 and held[slots[slot]] != key:
+            slot = (slot + 1) & (len(slots) - 1)
+        if slots[slot] < 0:
+            slots[slot], held[voxels], count[voxels] = voxels, key, 0
+            voxels += 1
+        group[n] = slots[slot]
+        count[group[n]] += 1
+    return voxels
 
 
 def voxel_means(points: Array, voxel: float) -> Array:
     """Return the mean point (M, 3) of each voxel; arguments as in `voxel_groups`."""
-    return _means(points.T, *voxel_groups(points, voxel))
+    return _means([points], *voxel_groups(points, voxel))
 
 
-def _means(columns: Iterable[Array], group: NDArray[np.int64], count: NDArray[np.int64]) -> Array:
-    """Return (M, K) the means of K columns (N,) over groups (N,) that hold `count` (M,) of them."""
-    return np.stack([np.bincount(group, column, len(count)) for column in columns], axis=1) / count[:, None]
+def _means(parts: Sequence[Array], group: NDArray[np.int64], count: NDArray[np.int64]) -> Array:
+    """Return (M, K) the means of values (N, K), in parts, over groups (N,) that hold `count` (M,) of them."""
+    sums, start = np.zeros((len(count), parts[0].shape[1])), 0
+    for values in parts:
+        _add(read_only(values), group[start : start + len(values)], sums)
+        start += len(values)
+    return sums / count[:, None]
+
+
+@compiled
+def _add(values, group, sums):
+    for n in range(len(values)):
+        for k in range(values.shape[1]):
+            sums[group[n], k] += values[n, k]
 
 
 def fuse_voxels(pixels: list[SurfacePoints], poses: Array, box: Box, voxel: float) -> SurfacePoints:
     """Return the mean point, normal, label and colour of every occupied voxel within the box."""
 
-    def placed(view: int) -> tuple[SurfacePoints, NDArray[np.int64]]:
+    def placed(view: int) -> tuple[Array, Array]:
         seen, T = pixels[view], poses[view]
-        world = SurfacePoints(transform_points(T, seen.points), seen.normals, seen.labels, seen.colors)
-        world = world.only(box.contains(world.points))
-        return world, _voxel_keys(world.points, voxel)
+        points = transform_points(T, seen.points)
+        rest = np.column_stack([seen.normals @ T[:3, :3].T, seen.labels == FLOWER, seen.colors])
+        inside = np.flatnonzero(box.contains(points))
+        return points[inside], rest[inside]
 
-    views, keys = zip(*in_threads(placed, range(len(poses))), strict=True)
-    groups = _groups(np.concatenate(keys))
-    columns = [
-        *((lambda view, T, a=axis: view.points[:, a]) for axis in range(3)),
-        *((lambda view, T, a=axis: (view.normals @ T[:3, :3].T)[:, a]) for axis in range(3)),
-        lambda view, T: view.labels == FLOWER,
-        *((lambda view, T, c=channel: view.colors[:, c]) for channel in range(3)),
-    ]  # one after the other: all at once would double the memory
-    means = _means((np.concatenate([of(*seen) for seen in zip(views, poses, strict=True)]) for of in columns), *groups)
-    facing = means[:, 3:6] / np.maximum(np.linalg.norm(means[:, 3:6], axis=1, keepdims=True), 1e-9)
-    majority = np.where(means[:, 6] >= 0.5, FLOWER, PLANT).astype(np.uint8)
-    return SurfacePoints(means[:, :3].copy(), facing, majority, np.round(means[:, 7:]).astype(np.uint8))
+    points, rest = zip(*in_threads(placed, range(len(poses))), strict=True)
+    groups = voxel_groups(np.concatenate(points), voxel)
+    means = _means(rest, *groups)
+    facing = means[:, :3] / np.maximum(np.linalg.norm(means[:, :3], axis=1, keepdims=True), 1e-9)
+    majority = np.where(means[:, 3] >= 0.5, FLOWER, PLANT).astype(np.uint8)
+    return SurfacePoints(_means(points, *groups), facing, majority, np.round(means[:, 4:]).astype(np.uint8))
 
 
 def agreeing_points(points: Array, depth: Sequence[NDArray[Any]], intrinsics: Intrinsics, poses: Array) -> NDArray[Any]:

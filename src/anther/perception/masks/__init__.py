@@ -86,7 +86,7 @@ def segment(capture: Capture, workspace: Box | None = None, params: Params | Non
         labels[view] = _add_pixels_without_depth(found, classes)
 
     in_threads(label_view, range(capture.views))
-    found = int((labels > 0).sum())
+    found = int(np.count_nonzero(labels))
     if found < LEAST_PIXELS:
         lower, size = seen.grid.lower, np.multiply(seen.grid.shape, seen.grid.voxel)
         raise StageFailure(

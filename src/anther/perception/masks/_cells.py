@@ -111,7 +111,7 @@ def _numbered(part: NDArray[np.bool_]) -> tuple[tuple[slice, ...], NDArray[np.in
 def _large_parts(part: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
     """Return the connected components of `part` (X, Y, Z) with at least `least` cells."""
     box, number = _numbered(part)
-    return _of_components(part, box, number, np.bincount(number.ravel()) >= least)
+    return _of_components(part, box, number, np.bincount(number[part[box]], minlength=1) >= least)
 
 
 def _parts_near(
@@ -123,11 +123,16 @@ def _parts_near(
     bounds the size, 1 lets through slender parts of any length.
     """
     box, number = _numbered(part)
-    sizes = [sorted(side.stop - side.start for side in sides)[2 - axis] for sides in ndimage.find_objects(number)]
-    kept = np.zeros(len(sizes) + 1, dtype=bool)
-    kept[number[dilated(plant, max(1, round(distance / voxel)))[box]]] = True
-    kept[1:] &= np.multiply(sizes, voxel) <= extent + voxel
-    return _of_components(part, box, number, kept)
+    cells = np.nonzero(part[box])
+    owner = number[cells]
+    lower, upper = np.full((2, owner.max(initial=0) + 1, 3), [[[number.size]], [[-1]]])
+    for along, low, high in zip(cells, lower.T, upper.T, strict=True):  # `ndimage.find_objects` reads the whole grid
+        np.minimum.at(low, owner, along)
+        np.maximum.at(high, owner, along)
+    kept = np.sort(upper - lower + 1, axis=1)[:, 2 - axis] * voxel <= extent + voxel
+    near = np.zeros_like(kept)
+    near[number[dilated(plant, max(1, round(distance / voxel)))[box]]] = True
+    return _of_components(part, box, number, kept & near)
 
 
 def _of_components(
