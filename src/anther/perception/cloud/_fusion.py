@@ -164,19 +164,25 @@ def voxel_groups(points: Array, voxel: float) -> tuple[NDArray[np.int64], NDArra
 
     Points (N, 3) [m] are less than 2^20 voxels from the origin.
     """
-    slots = np.full(1 << (2 * len(points)).bit_length(), -1, dtype=np.int32)
-    group, count, held = np.empty((3, len(points)), dtype=np.int64)
-    found = _number_voxels(read_only(points), 1 / voxel, slots, group, count, held)
-    return group, count[:found]
+    groups, count = _groups([points], voxel)
+    return groups[0], count
+
+
+def _groups(parts: Sequence[Array], voxel: float) -> tuple[list[NDArray[np.int64]], NDArray[np.int64]]:
+    """Return what `voxel_groups` does, of points in parts, a part's numbers apart."""
+    most, groups, found = sum(map(len, parts)), [np.empty(len(points), dtype=np.int64) for points in parts], 0
+    slots, (count, held) = np.full(1 << (2 * most).bit_length(), -1, dtype=np.int32), np.empty((2, most), np.int64)
+    for points, group in zip(parts, groups, strict=True):
+        found = _number_voxels(read_only(points), 1 / voxel, slots, group, count, held, found)
+    return groups, count[:found]
 
 
 @compiled
-def _number_voxels(points, scale, slots, group, count, held):
-    """Fill what `voxel_groups` returns, and return the number of voxels.
+def _number_voxels(points, scale, slots, group, count, held, voxels):
+    """Fill what `voxel_groups` returns, and return the number of voxels; so many were found before.
 
-    `slots`, all -1, is a hash table of their numbers, of a power of two; `held` the key of each.
+    `slots` is a hash table of their numbers, of a power of two, at first all -1; `held` the key of each.
     """
-    voxels = 0
     for n in range(len(points)):
         key = 0
         for a in range(3):
@@ -194,15 +200,15 @@ def _number_voxels(points, scale, slots, group, count, held):
 
 def voxel_means(points: Array, voxel: float) -> Array:
     """Return the mean point (M, 3) of each voxel; arguments as in `voxel_groups`."""
-    return _means([points], *voxel_groups(points, voxel))
+    return _means([points], *_groups([points], voxel))
 
 
-def _means(parts: Sequence[Array], group: NDArray[np.int64], count: NDArray[np.int64]) -> Array:
+def _means(parts: Iterable[Array], groups: list[NDArray[np.int64]], count: NDArray[np.int64]) -> Array:
     """Return (M, K) the means of values (N, K), in parts, over groups (N,) that hold `count` (M,) of them."""
-    sums, start = np.zeros((len(count), parts[0].shape[1])), 0
-    for values in parts:
-        _add(read_only(values), group[start : start + len(values)], sums)
-        start += len(values)
+    sums = np.zeros((len(count), 0))
+    for values, group in zip(parts, groups, strict=True):
+        sums = sums if sums.size else np.zeros((len(count), values.shape[1]))
+        _add(read_only(values), group, sums)
     return sums / count[:, None]
 
 
@@ -216,19 +222,21 @@ def _add(values, group, sums):
 def fuse_voxels(pixels: list[SurfacePoints], poses: Array, box: Box, voxel: float) -> SurfacePoints:
     """Return the mean point, normal, label and colour of every occupied voxel within the box."""
 
-    def placed(view: int) -> tuple[Array, Array]:
-        seen, T = pixels[view], poses[view]
-        points = transform_points(T, seen.points)
-        rest = np.column_stack([seen.normals @ T[:3, :3].T, seen.labels == FLOWER, seen.colors])
+    def placed(view: int) -> tuple[Array, NDArray[np.int64]]:
+        points = transform_points(poses[view], pixels[view].points)
         inside = np.flatnonzero(box.contains(points))
-        return points[inside], rest[inside]
+        return points[inside], inside
 
-    points, rest = zip(*in_threads(placed, range(len(poses))), strict=True)
-    groups = voxel_groups(np.concatenate(points), voxel)
-    means = _means(rest, *groups)
+    def rest(view: int) -> Array:
+        seen = pixels[view].only(within[view])
+        return np.column_stack([seen.normals @ poses[view, :3, :3].T, seen.labels == FLOWER, seen.colors])
+
+    points, within = zip(*in_threads(placed, range(len(poses))), strict=True)
+    groups, count = _groups(points, voxel)
+    means = _means(map(rest, range(len(poses))), groups, count)  # view by view: of all at once takes twice the memory
     facing = means[:, :3] / np.maximum(np.linalg.norm(means[:, :3], axis=1, keepdims=True), 1e-9)
     majority = np.where(means[:, 3] >= 0.5, FLOWER, PLANT).astype(np.uint8)
-    return SurfacePoints(_means(points, *groups), facing, majority, np.round(means[:, 4:]).astype(np.uint8))
+    return SurfacePoints(_means(points, groups, count), facing, majority, np.round(means[:, 4:]).astype(np.uint8))
 
 
 def agreeing_points(points: Array, depth: Sequence[NDArray[Any]], intrinsics: Intrinsics, poses: Array) -> NDArray[Any]:
