@@ -14,7 +14,6 @@ import small_gicp
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from anther.core.compiling import compiled
 from anther.core.geometry import Array
 from anther.perception.capture import in_threads
 from anther.perception.cloud._fusion import slant, voxel_means
@@ -99,22 +98,11 @@ def match(sample: Sample, at: Estimate, use: NDArray[np.bool_], distance: float)
         return np.zeros((0, 2), dtype=np.int64)
     tree = small_gicp.KdTree(np.ascontiguousarray(points), num_threads=THREADS)
     near, squared = tree.batch_knn_search(points[first], NEIGHBOURS, num_threads=THREADS)
-    pairs, alike = np.empty((near.size, 2), dtype=np.int64), np.cos(np.deg2rad(25))  # one side of a stem
-    return pairs[: _matched(first, near, squared, sample.view, normals, distance**2, alike, pairs)]
-
-
-@compiled
-def _matched(first, near, squared, view, normals, most, alike, pairs):
-    count = 0
-    for n in range(len(first)):
-        a = first[n]
-        for k in range(near.shape[1]):
-            b = np.int64(near[n, k])
-            if squared[n, k] < most and view[a] != view[b]:
-                if normals[a, 0] * normals[b, 0] + normals[a, 1] * normals[b, 1] + normals[a, 2] * normals[b, 2] > alike:
-                    pairs[count, 0], pairs[count, 1] = a, b
-                    count += 1
-    return count
+    near, views = near.astype(np.int64), sample.view
+    pair = np.flatnonzero((squared < distance**2) & (views[near] != views[first][:, None]))
+    first, near = first[pair // NEIGHBOURS], near.ravel()[pair]
+    alike = np.einsum("pi,pi->p", normals[first], normals[near]) > np.cos(np.deg2rad(25))  # one side of a stem
+    return np.stack([first[alike], near[alike]], axis=1)
 
 
 def plane_distances(sample: Sample, at: Estimate, pairs: NDArray[Any]) -> Array:

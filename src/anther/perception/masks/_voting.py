@@ -59,11 +59,7 @@ def vote(
         rule: None without colour.
         counts: (LAYERS, X, Y, Z) uint16, added to in place; without colour the first layer is enough.
     """
-    none = np.zeros((0, 0, 0), np.uint8)
-    rgb, table, alike = (none, none, 0.0) if rgb is None or rule is None else (rgb, rule.table, rule.alike)
-    size, classes, at = counts[0].size, np.zeros(depth.shape, dtype=np.uint8), np.full(depth.size, -1, dtype=np.int32)
-    read = read_only(rgb), read_only(depth), read_only(table)
-    _classify(*read, tuple(camera.ravel()), counts.shape[1:], alike, at, classes)
+    size, (classes, at) = counts[0].size, _classes(rgb, depth, camera, rule, counts.shape[1:])
     at = at[at >= 0]
     petal_cells = at[at >= (YELLOW - OTHER) * size] % size
     with _COUNTING:
@@ -80,34 +76,41 @@ def pixels_to_cells(T_world_cam: Array, intrinsics: Intrinsics, grid: Grid) -> A
     return np.column_stack([T[:3, :3] @ rays, T[:3, 3] - grid.lower]) / grid.voxel
 
 
-@inlined
-def _cell(u, v, z, m, shape):
-    """Return the flat number of the cell that a pixel of depth z lies in; -1 beyond the grid or without depth."""
-    x = (m[0] * u + (m[1] * v + m[2])) * z + m[3]
-    y = (m[4] * u + (m[5] * v + m[6])) * z + m[7]
-    w = (m[8] * u + (m[9] * v + m[10])) * z + m[11]
-    if z > 0 and 0 <= x < shape[0] and 0 <= y < shape[1] and 0 <= w < shape[2]:
-        return (np.int64(x) * shape[1] + np.int64(y)) * shape[2] + np.int64(w)
-    return np.int64(-1)
+def _cell_of(depth: NDArray[Any], camera: Array, shape: tuple[int, ...]) -> NDArray[np.int32]:
+    """Return (H, W) the flat number of the cell that each pixel lies in; -1 beyond the grid or without depth."""
+    return _classes(None, depth, camera, None, shape)[1]
+
+
+def _classes(
+    rgb: NDArray[Any] | None, depth: NDArray[Any], camera: Array, rule: ColourRule | None, shape: tuple[int, ...]
+) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
+    """Return (H, W) the colour classes, and where in the layers of votes the pixels count; -1 nowhere. See `vote`."""
+    none = np.zeros((0, 0, 0), np.uint8)
+    rgb, table, alike = (none, none, 0.0) if rgb is None or rule is None else (rgb, rule.table, rule.alike)
+    classes, at = np.zeros(depth.shape, dtype=np.uint8), np.full(depth.shape, -1, dtype=np.int32)
+    read = read_only(rgb), read_only(depth), read_only(table)
+    _classify(*read, tuple(camera.ravel()), shape, alike, at, classes)
+    return classes, at
 
 
 @compiled
 def _classify(rgb, depth, table, m, shape, alike, at, classes):
-    """Fill the class of each pixel (H, W), and where in the layers of votes it counts (H W,): -1 nowhere.
-
-    Compiled, because 30 views hold 28 million pixels; `m` is a tuple to stay in registers.
-    """
-    size, width = shape[0] * shape[1] * shape[2], depth.shape[1]
+    """Compiled, because 30 views hold 28 million pixels; `m` is a tuple to stay in registers."""
+    size = shape[0] * shape[1] * shape[2]
     for v in range(depth.shape[0]):
-        for u in range(width):
-            z, kind = depth[v, u], OTHER
-            cell = _cell(u, v, z, m, shape)
+        for u in range(depth.shape[1]):
+            z, kind, cell = depth[v, u], OTHER, np.int64(-1)
+            x = (m[0] * u + (m[1] * v + m[2])) * z + m[3]
+            y = (m[4] * u + (m[5] * v + m[6])) * z + m[7]
+            w = (m[8] * u + (m[9] * v + m[10])) * z + m[11]
+            if z > 0 and 0 <= x < shape[0] and 0 <= y < shape[1] and 0 <= w < shape[2]:
+                cell = (np.int64(x) * shape[1] + np.int64(y)) * shape[2] + np.int64(w)
             if rgb.size > 0 and (cell >= 0 or z <= 0):
                 kind = table[rgb[v, u, 0] // STEP, rgb[v, u, 1] // STEP, rgb[v, u, 2] // STEP]
                 if cell >= 0 and kind >= YELLOW and _bleeds(rgb, depth, u, v, alike):
                     kind = OTHER
             if cell >= 0:
-                classes[v, u], at[v * width + u] = kind, (kind - OTHER) * size + cell
+                classes[v, u], at[v, u] = kind, (kind - OTHER) * size + cell
             elif kind == GREEN:
                 classes[v, u] = GREEN_NO_DEPTH
 
@@ -144,33 +147,17 @@ def read_back(depth: NDArray[Any], camera: Array, classes: NDArray[Any], cells: 
     label[[[OTHER], [YELLOW], [WHITE]], [BROWN_CELL, FLOWER_CELL]] = 1, 2
     label[YELLOW, GREEN_CELL] = 1
     label[[YELLOW, WHITE], NEAR_FLOWER] = 2
-    return _looked_up(depth, camera, classes, cells, label)
-
-
-def _looked_up(
-    depth: NDArray[Any], camera: Array, classes: NDArray[Any], cells: NDArray[Any], table: NDArray[Any]
-) -> NDArray[np.uint8]:
-    """Return (H, W) what a table (6, 7) says of each pixel, by its colour class and its cell; 0 outside the cells."""
-    found = np.zeros(depth.shape, dtype=np.uint8)
-    read = read_only(depth), read_only(classes), read_only(cells.ravel()), read_only(table)
-    _look_up(*read, tuple(camera.ravel()), cells.shape, found)
-    return found
-
-
-@compiled
-def _look_up(depth, classes, cells, table, m, shape, found):
-    for v in range(depth.shape[0]):
-        for u in range(depth.shape[1]):
-            cell = _cell(u, v, depth[v, u], m, shape)
-            if cell >= 0:
-                found[v, u] = table[classes[v, u], cells[cell]]
+    at = _cell_of(depth, camera, cells.shape).ravel()
+    seen, labels = np.flatnonzero(at >= 0), np.zeros(depth.shape, dtype=np.uint8)
+    labels.ravel()[seen] = label[classes.ravel()[seen], cells.ravel()[at[seen]]]
+    return labels
 
 
 def clear(
     labels: NDArray[Any], depth: NDArray[Any], camera: Array, classes: NDArray[Any], cells: NDArray[Any]
 ) -> NDArray[Any]:
     """Return labels (H, W) of any source freed of GROUND, of a pot's RIM and of what lies outside the cells."""
-    kept = np.ones((6, 7), dtype=np.uint8)  # by the pixel's colour class and by its cell
-    kept[:, GROUND] = kept[OTHER, RIM] = 0
-    gone = _looked_up(depth, camera, classes, cells, kept) == 0
+    at = _cell_of(depth, camera, cells.shape)
+    cell = cells.ravel()[at]
+    gone = (at < 0) | (cell == GROUND) | ((cell == RIM) & (classes == OTHER))
     return np.where((depth > 0) & gone, 0, labels).astype(np.uint8)
