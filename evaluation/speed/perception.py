@@ -1,12 +1,14 @@
 """From 30 views to a grasp-ready skeleton: wall time a stage, and memory.
 
-A simulated plant in 30 views, 1280 x 720, as `anther trial` takes them: masks (colour and geometry, no networks), cloud
-(registration and fusion), skeleton, stem, flowers, ranked grasps without the arm. All in one new process on at most
+A simulated plant in 30 views, 1280 x 720, as `anther trial` takes them: reading of their folder, masks (colour and
+geometry, no networks), cloud (registration and fusion), skeleton, stem, flowers, ranked grasps without the arm. All in one new process on at most
 two threads, after one run that loads the compiled code; the best of the repeats counts. Peak memory is the greatest
 resident set of that process while it works, views and libraries included (read from /proc, so on Linux).
 
-Keys of the --json file, of the slower plant: total_s, <stage>_s, peak_gb, registration_rms_mm (RMS displacement of the
-true plant points, see evaluation/perception/registration.py), first_total_s (with compiled code being loaded), plants.
+Keys of the --json file, of the slower plant: views_to_grasp_s, all of it; total_s, without the reading;
+after_last_view_s, of a live visit, whose views are written as they come: the last view's writing and the rest;
+<stage>_s, peak_gb, registration_rms_mm (RMS displacement of the true plant points, see
+evaluation/perception/registration.py), first_total_s (with compiled code being loaded), plants.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -26,6 +29,7 @@ from rich.table import Table
 
 from anther.core import Array, Box, transform_points
 from anther.perception import Capture, cloud, flowers, masks, skeleton, stem
+from anther.perception.capture import CaptureWriter
 from anther.plant import Crop
 from anther.pollination import grasp
 from anther.sim import Organ
@@ -35,30 +39,52 @@ from evaluation.tables import markdown
 
 VIEWS = 30
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "2"}
-STAGES = ("masks", "cloud", "skeleton", "stem", "flowers", "grasps")
-TARGET_S, STRETCH_S, MEMORY_GB = 5.0, 2.0, 2.0
+STAGES = ("reading", "masks", "cloud", "skeleton", "stem", "flowers", "grasps")
+TARGET_S, AFTER_S, MEMORY_GB = 2.0, 0.7, 0.8
 
 
-def measure(species: Crop, seed: int, repeats: int) -> dict[str, float]:
+def measure(species: Crop, seed: int, views: int, repeats: int) -> dict[str, float]:
     """Return one plant's times and memory; runs in a process of its own."""
-    capture, true_poses, points = seen(species, seed)
-    Path("/proc/self/clear_refs").write_text("5")  # the rendering's memory does not count
-    runs, cloud_poses = [], capture.T_world_cam
-    for _ in range(repeats + 1):
-        seconds, cloud_poses = perceive(capture, BOX)
-        runs.append(seconds)
+    capture, true_poses, points = seen(species, seed, views)
+    runs, after, cloud_poses = [], [], capture.T_world_cam
+    with tempfile.TemporaryDirectory() as name:
+        capture.save(Path(name) / "read")
+        del capture
+        Path("/proc/self/clear_refs").write_text("5")  # the rendering's memory does not count
+        for _ in range(repeats + 1):
+            begin = time.perf_counter()
+            capture = Capture.load(Path(name) / "read")
+            reading = time.perf_counter() - begin
+            seconds, cloud_poses = perceive(capture, BOX)
+            runs.append({"reading": reading} | seconds)
+            after.append(wrote_last(capture, Path(name) / "written") + sum(seconds.values()))
     best = min(runs[1:], key=lambda run: sum(run.values()))
     gaps = [
         transform_points(found, p) - transform_points(true, p)
         for found, true, p in zip(cloud_poses, true_poses, points, strict=True)
     ]
     return {
-        "total_s": sum(best.values()),
+        "views_to_grasp_s": sum(best.values()),
+        "total_s": sum(best.values()) - best["reading"],
+        "after_last_view_s": min(after[1:]),
         **{f"{stage}_s": best[stage] for stage in STAGES},
         "first_total_s": sum(runs[0].values()),
         "registration_rms_mm": 1e3 * float(np.sqrt(3 * np.mean(np.concatenate(gaps) ** 2))),
         "peak_gb": _peak_gb(),
     }
+
+
+def wrote_last(capture: Capture, folder: Path) -> float:
+    """Return the wall time [s] from the last view until the folder is written, the others having come one by one."""
+    assert capture.rgb is not None
+    with CaptureWriter(folder) as writer:
+        for depth, rgb in zip(capture.depth[:-1], capture.rgb[:-1], strict=True):
+            writer.add(depth, rgb)
+        time.sleep(0.1 * capture.views)  # an arm takes longer
+        begin = time.perf_counter()
+        writer.add(capture.depth[-1], capture.rgb[-1])
+        writer.finish(capture)
+        return time.perf_counter() - begin
 
 
 def perceive(capture: Capture, box: Box) -> tuple[dict[str, float], Array]:
@@ -81,9 +107,9 @@ def perceive(capture: Capture, box: Box) -> tuple[dict[str, float], Array]:
     return seconds, points.T_world_cam
 
 
-def seen(species: Crop, seed: int) -> tuple[Capture, Array, list[Array]]:
+def seen(species: Crop, seed: int, views: int) -> tuple[Capture, Array, list[Array]]:
     """Return the capture of a simulated plant, the true poses, and true plant points per view in its camera frame."""
-    _, capture, truth = take(species, seed, VIEWS)
+    _, capture, truth = take(species, seed, views)
     pairs = zip(truth.depth, truth.organ, strict=True)
     points = [capture.intrinsics.back_project(d, o <= Organ.FLOWER)[::7] for d, o in pairs]
     return capture, truth.T_world_cam, points
@@ -102,18 +128,18 @@ def draw(rows: dict[str, dict[str, float]]) -> Figure:
     for stage in STAGES:
         left = [sum(row[f"{s}_s"] for s in STAGES[: STAGES.index(stage)]) for row in rows.values()]
         bars = plot.barh(list(rows), [row[f"{stage}_s"] for row in rows.values()], left=left, label=stage)
-        shares = [row[f"{stage}_s"] / row["total_s"] for row in rows.values()]
+        shares = [row[f"{stage}_s"] / row["views_to_grasp_s"] for row in rows.values()]
         plot.bar_label(bars, [f"{share:.0%}" if share > 0.04 else "" for share in shares], label_type="center")
     plot.axvline(TARGET_S, color="0.4", linestyle=":")
-    plot.axvline(STRETCH_S, color="0.4", linestyle=":")
-    plot.set_xlabel("wall time on two cores [s]; dotted: target and stretch goal")
+    plot.set_xlabel("wall time on two cores [s]; dotted: target")
     plot.legend(ncols=len(STAGES), loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
     return picture
 
 
-def in_new_process(species: str, seed: int, repeats: int) -> dict[str, float]:
+def in_new_process(species: str, seed: int, views: int, repeats: int) -> dict[str, float]:
     """Measure one plant in a process of its own."""
-    words = ["-m", "evaluation.speed.perception", "--one", species, "--seed", str(seed), "--repeats", str(repeats)]
+    words = ["-m", "evaluation.speed.perception", "--one", species]
+    words += ["--seed", str(seed), "--views", str(views), "--repeats", str(repeats)]
     command = [sys.executable, *words]
     done = subprocess.run(command, env={**os.environ, **ONE_THREAD}, capture_output=True, text=True, check=False)
     if done.returncode != 0:
@@ -127,33 +153,38 @@ def report(rows: dict[str, dict[str, float]]) -> Table:
         (
             f"{stage}, s, share",
             "",
-            *(f"{r[f'{stage}_s']:.2f}, {r[f'{stage}_s'] / r['total_s']:.0%}" for r in rows.values()),
+            *(f"{r[f'{stage}_s']:.2f}, {r[f'{stage}_s'] / r['views_to_grasp_s']:.0%}" for r in rows.values()),
         )
         for stage in STAGES
     ]
     lines += [
         (words, target, *(f"{row[key]:.2f}" for row in rows.values()))
         for words, target, key in (
-            ("all, s", f"≤ {TARGET_S:g}", "total_s"),
+            ("all, s", f"≤ {TARGET_S:g}", "views_to_grasp_s"),
+            ("after the last view of a live visit, s", f"≤ {AFTER_S:g}", "after_last_view_s"),
             ("the first run of a process, s", "", "first_total_s"),
             ("peak memory, GB", f"≤ {MEMORY_GB:g}", "peak_gb"),
             ("registration's error, RMS, mm", "", "registration_rms_mm"),
         )
     ]
-    return markdown(("of one plant, 30 views", "target", *rows), lines)
+    return markdown(("of one plant", "target", *rows), lines)
 
 
 def main() -> None:
     """Measure the plants one after another in fresh processes, print the table, write --json."""
-    own = {"--repeats": (3, "of which the best counts"), "--one": (str, HIDDEN, CROPS)}
+    own = {
+        "--views": (VIEWS, "of a plant"),
+        "--repeats": (3, "of which the best counts"),
+        "--one": (str, HIDDEN, CROPS),
+    }
     args = options(__doc__, quick="one plant, one repeat", seed=(10, "of the plants"), figure="the bars", own=own)
     if args.one:
-        print(json.dumps(measure(args.one, args.seed, args.repeats)))
+        print(json.dumps(measure(args.one, args.seed, args.views, args.repeats)))
         return
     repeats = 1 if args.quick else args.repeats
     crops = progress(CROPS[: 1 if args.quick else 2], "plants")
-    rows = {crop: in_new_process(crop, args.seed, repeats) for crop in crops}
-    table = max(rows.values(), key=lambda row: row["total_s"])
+    rows = {crop: in_new_process(crop, args.seed, args.views, repeats) for crop in crops}
+    table = max(rows.values(), key=lambda row: row["views_to_grasp_s"])
     table = table | {key: max(row[key] for row in rows.values()) for key in ("peak_gb", "registration_rms_mm")}
     finish(args, {**table, "plants": len(rows)}, report(rows))
     if args.figure:
