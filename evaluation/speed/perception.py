@@ -1,9 +1,10 @@
 """From 30 views to a grasp-ready skeleton: wall time a stage, and memory.
 
 A simulated plant in 30 views, 1280 x 720, as `anther trial` takes them: reading of their folder, masks (colour and
-geometry, no networks), cloud (registration and fusion), skeleton, stem, flowers, ranked grasps without the arm. All in one new process on at most
-two threads, after one run that loads the compiled code; the best of the repeats counts. Peak memory is the greatest
-resident set of that process while it works, views and libraries included (read from /proc, so on Linux).
+geometry, no networks), cloud (registration and fusion), skeleton, stem, flowers, ranked grasps without the arm. All in
+one new process on at most two threads, after one run that loads the compiled code; the best of the repeats counts. Peak
+memory is the greatest resident set of that process while it works, views and libraries included (read from /proc, so on
+Linux).
 
 Keys of the --json file, of the slower plant: views_to_grasp_s, all of it; total_s, without the reading;
 after_last_view_s, of a live visit, whose views are written as they come: the last view's writing and the rest;
