@@ -29,7 +29,7 @@ from rich.console import RenderableType
 from anther.core import Array, inverse, transform_points
 from anther.core.geometry import small_transform
 from anther.perception import Capture, cloud, masks
-from anther.perception.cloud._fusion import supported_pixels
+from anther.perception.cloud._fusion import surface_pixels
 from anther.perception.cloud._registration import Params, register
 from anther.robot.arm import sawyer
 from anther.sim import CaptureTruth, Organ, layout
@@ -121,7 +121,7 @@ def filter_pixels(capture: Capture, truth: CaptureTruth, labels: NDArray[Any]) -
         keeps = {
             "none": masked,
             "gradient": masked & (_range(depth) <= GRADIENT),
-            "support": supported_pixels(depth, masked),
+            "support": surface_pixels(depth, masked, capture.intrinsics)[0],
         }  # fmt: skip
         for name, keep in keeps.items():
             counts[name] += [(flies & ~keep).sum(), flies.sum(), (petiole & keep).sum(), petiole.sum()]

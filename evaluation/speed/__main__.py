@@ -8,8 +8,8 @@ Keys of the --json file; processes are new where nothing else is said, and a war
 - compile_s, signatures: processor time and number of all kernels, compiled ahead.
 - first_<command>_s (wall), first_<command>_compile_s, first_<command>_signatures: nothing was compiled before.
 - <command>_warm_s (wall) and <command>_warm_cpu_s, from start to end: medians.
-- views_to_grasp_s: from 30 views on disk to ranked grasps; after_last_view_s: the same from views in memory, since no
-  stage begins before the last is taken; plan_s: `plan_shake` of what a trial offers it; prediction_s: `foresee`, before
+- views_to_grasp_s: from 30 views on disk to ranked grasps; after_last_view_s: the same of a live visit, whose views are
+  written while the arm goes on; plan_s: `plan_shake` of what a trial offers it; prediction_s: `foresee`, before
   a shake is raised; peak_gb: of the process until it has its grasps. Wall on two threads, best of three in one process
   after one that loads the kernels, of the slower plant (see perception.py).
 - capture_s: of a trial's views, motions as planned.
@@ -136,11 +136,11 @@ def core_mb() -> float:
 
 def views(plants: int, repeats: int) -> dict[str, float]:
     """Return what a plant's views take, from the disk to the shake's prediction; of several the slowest."""
-    rows = [perception.in_new_process(crop, 10, repeats) for crop in progress(CROPS[:plants], "plants")]
-    table = {key: max(row[key] for row in rows) for key in ("plan_s", "prediction_s", "peak_gb")}
-    table["views_to_grasp_s"] = max(row["read_s"] + row["total_s"] for row in rows)
-    table["after_last_view_s"] = max(row["total_s"] for row in rows)
-    return table
+    rows = [
+        perception.in_new_process(crop, 10, perception.VIEWS, repeats) for crop in progress(CROPS[:plants], "plants")
+    ]
+    keys = ("views_to_grasp_s", "after_last_view_s", "plan_s", "prediction_s", "peak_gb")
+    return {key: max(row[key] for row in rows) for key in keys}
 
 
 def batch_ratio(plants: int, rounds: int) -> float:

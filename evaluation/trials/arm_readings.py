@@ -44,7 +44,7 @@ def holding(species: Crop, seed: int, truth: Truth) -> Array:
     """Return the joints (J,) at the best grasp of a plant [rad]."""
     cell = build(species, seed, 90.0 * (seed % 4), PRESETS["fast"], truth=truth)
     side, run, params = cell.robot_side, Memory(Path()), Params()
-    seen = pipeline.perceive(side.take_views(lambda *_: None), side.workspace, run, params)
+    seen = pipeline.perceive(side.take_views(lambda *_: None, lambda *_: None), side.workspace, run, params)
     best = pipeline.rank_grasps(seen, side.plan_around(seen.cloud).reach, run, params)[0]
     assert best.joints is not None
     return best.joints

@@ -146,7 +146,8 @@ def shaken(case: Case, folder: Path, earlier: EarlierShake | None = None) -> dic
 def by_the_paper(cell: SimulatedCell, run: Memory, material: Material) -> Done:
     """Take the plant by the paper's rule (P12-P14) and shake it as the paper's most vigorous runs."""
     side = cell.robot_side
-    seen: Seen = perceive(run.stage("capture", None, side.take_views), side.workspace, run, Params())
+    capture = run.stage("capture", None, lambda advance: side.take_views(advance, lambda *_: None))
+    seen: Seen = perceive(capture, side.workspace, run, Params())
     planner, plan, material = paper_plan(cell, seen, material)
     press = float(side.limits.pressing.most(plan.grasp.stem_diameter))
     shake: ShakePlan = replace(plan, press=press, **PAPER_SHAKE)

@@ -14,7 +14,7 @@ from anther.cli.args.import_ import Args
 from anther.cli.import_ import run
 from anther.core.errors import InputError
 from anther.core.geometry import Intrinsics, look_at
-from anther.perception.capture import Capture, viewed_box
+from anther.perception.capture import Capture, CaptureWriter, viewed_box
 
 CAMERA = Intrinsics(32, 24, 30.0, 31.0, 15.5, 11.25)
 
@@ -65,6 +65,24 @@ def test_far_depth_is_kept_to_a_millimetre(tmp_path: Path) -> None:
     far = Capture(capture.depth * 10, CAMERA, capture.T_world_cam)
     far.save(tmp_path / "far")
     assert np.abs(Capture.load(tmp_path / "far").depth - far.depth).max() <= 0.51e-3
+
+
+def test_only_the_view_that_sees_far_is_coarse(tmp_path: Path) -> None:
+    depth = small_capture().depth.copy()
+    depth[1, 5, 5] = 20.0
+    near = small_capture()
+    Capture(depth, near.intrinsics, near.T_world_cam, near.rgb).save(tmp_path / "capture")
+    error = np.abs(Capture.load(tmp_path / "capture").depth - depth).max(axis=(1, 2))
+    assert (error[[0, 2]] <= 0.51e-4).all()
+    assert 0.51e-4 < error[1] <= 0.51e-3
+
+
+def test_a_capture_whose_views_do_not_all_come_leaves_nothing(tmp_path: Path) -> None:
+    capture = small_capture()
+    assert capture.rgb is not None
+    with CaptureWriter(tmp_path / "capture") as writer:
+        writer.add(capture.depth[0], capture.rgb[0])
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_poses_are_written_in_nerfstudios_camera_frame(tmp_path: Path) -> None:

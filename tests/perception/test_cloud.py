@@ -21,8 +21,7 @@ from anther.perception.cloud._fusion import (
     attached_points,
     clusters,
     occupied_cells,
-    pixel_normals,
-    supported_pixels,
+    surface_pixels,
     voxel_groups,
 )
 from anther.perception.formats.kinect import read_kinect
@@ -202,7 +201,7 @@ def test_flying_pixels_go_and_thin_lines_stay() -> None:
     mask[:, 20] = True
     depth[10, 10] = 0.4  # a pixel that hangs in the air
     mask[10, 10] = True
-    keep = supported_pixels(depth, mask)
+    keep, _ = surface_pixels(depth, mask, Intrinsics(40, 40, 50.0, 50.0, 19.5, 19.5))
     assert keep[2:-2, 20].all()
     assert not keep[10, 10]
 
@@ -250,7 +249,7 @@ def test_normals_are_those_of_the_surface() -> None:
     root = b**2 - (ray**2).sum(axis=2) * c
     mask = root > 0
     depth = np.where(mask, (b - np.sqrt(np.maximum(root, 0))) / (ray**2).sum(axis=2), 0).astype(np.float32)
-    normals = pixel_normals(depth, mask, camera)
+    _, normals = surface_pixels(depth, mask, camera, least=0)
     points = camera.back_project(depth, mask)
     true = (points - centre) / radius
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-5)
@@ -269,7 +268,7 @@ def test_the_pixel_filter_keeps_petioles_that_an_edge_filter_eats() -> None:
         near = np.stack([np.roll(truth.depth[v], (i, j), (0, 1)) for i in range(-2, 3) for j in range(-2, 3)])
         flies = masked & (np.abs(near - depth).min(axis=0) > 0.01)
         petiole = masked & ~flies & np.isin(truth.organ[v], (Organ.PETIOLE, Organ.RACHIS))
-        keep = supported_pixels(depth, masked)
+        keep, _ = surface_pixels(depth, masked, capture.intrinsics)
         around = np.stack([np.roll(depth, (i, j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1)])
         smooth = np.where(around > 0, np.abs(around - depth), 0).max(axis=0) <= 0.015
         flying += [(flies & ~keep).sum(), flies.sum()]
@@ -322,7 +321,8 @@ def test_normals_at_the_edge_of_an_image_and_of_a_mask_are_those_of_the_whole_im
     depth = (0.5 + 0.002 * np.arange(40) + np.zeros((30, 1))).astype(np.float32)
     every, some = np.ones(depth.shape, dtype=bool), np.zeros(depth.shape, dtype=bool)
     some[:5, 33:] = True
-    whole = pixel_normals(depth, every, camera).reshape(30, 40, 3)
-    np.testing.assert_array_equal(pixel_normals(depth, some, camera), whole[some])
-    np.testing.assert_array_equal(supported_pixels(depth, some), some & supported_pixels(depth, every))
-    assert not supported_pixels(depth, np.zeros_like(some)).any()
+    whole = surface_pixels(depth, every, camera, least=0)[1].reshape(30, 40, 3)
+    np.testing.assert_array_equal(surface_pixels(depth, some, camera, least=0)[1], whole[some])
+    supported = surface_pixels(depth, every, camera)[0]
+    np.testing.assert_array_equal(surface_pixels(depth, some, camera)[0], some & supported)
+    assert not surface_pixels(depth, np.zeros_like(some), camera)[0].any()

@@ -123,7 +123,7 @@ def test_paths_side_by_side_in_one_stem_become_one() -> None:
 def test_sections_find_the_circle_about_a_node_beside_the_axis() -> None:
     angle = np.linspace(0, 2 * np.pi, 200)
     points = np.stack([0.004 * np.cos(angle), 0.004 * np.sin(angle), np.linspace(-0.004, 0.004, 200)], axis=1)
-    at = cross_sections(points, np.array([[0.001, 0, 0]]), np.array([[0, 0, 1.0]]), np.array([-1]))
+    at = cross_sections(points, np.array([[0.001, 0, 0]]), np.array([[0, 0, 1.0]]), np.array([[-1, 0, -1]]))
     np.testing.assert_allclose(at.centre[0], [-0.001, 0, 0], atol=1e-5)
     assert at.circle[0] == pytest.approx(0.004, rel=1e-3)
     assert at.count[0] == 200

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -46,6 +47,9 @@ class NoFiles:
         return make(lambda *_: None)
 
     timed = stage
+
+    def path(self, stage: str) -> Path:
+        return Path(stage)
 
     def told(self, name: str, value: Any) -> None:
         pass
@@ -123,7 +127,7 @@ def _pollinated(
     planner: Any = SmallPlanner()
     planner.reach = None
     workspace = Box(-np.ones(3), np.ones(3))
-    cell = Cell(lambda _: None, lambda _: planner, robot, workspace, LIMITS)  # type: ignore[arg-type,return-value]
+    cell = Cell(lambda *_: None, lambda _: planner, robot, workspace, LIMITS)  # type: ignore[arg-type,return-value]
     return pipeline.pollinate(cell, TOMATO, NoFiles(), pipeline.Params()), robot  # type: ignore[arg-type]
 
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 import json
 import shutil
 import tempfile
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +24,19 @@ from anther.core.files import written
 from anther.core.geometry import Array, Box, Intrinsics
 from anther.perception.transforms import OPENGL_TO_OPENCV, PIXEL_CENTRE, check_views, in_threads, read_transforms
 
-__all__ = ["OPENGL_TO_OPENCV", "PIXEL_CENTRE", "Capture", "check_views", "in_threads", "viewed_box"]
+__all__ = [
+    "OPENGL_TO_OPENCV",
+    "PIXEL_CENTRE",
+    "Capture",
+    "CaptureWriter",
+    "Keep",
+    "check_views",
+    "in_threads",
+    "viewed_box",
+]
+
+Keep = Callable[[NDArray[Any], NDArray[Any] | None], None]
+"""Hears of each view as it is taken: depth (H, W) [m], colour (H, W, 3) uint8. It does not wait."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,24 +85,16 @@ class Capture:
     def save(self, folder: Path | str) -> None:
         """Write the capture folder (docs/capture.md), all of it or nothing.
 
-        An existing capture in `folder` is replaced. Depth is rounded to 0.1 mm, or to 1 mm beyond 6.5 m.
+        See `CaptureWriter`.
 
         Raises:
             InputError: `folder` exists and is something else than a capture, it cannot be written, or depth exceeds
                 65 m.
         """
-        folder = Path(folder)
-        with written(folder, "a folder that can be written"):
-            _check_replaceable(folder)
-            folder.parent.mkdir(parents=True, exist_ok=True)
-            temporary = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-            try:
-                _write_folder(self, temporary / "new")
-                if folder.exists():
-                    folder.replace(temporary / "old")
-                (temporary / "new").replace(folder)
-            finally:
-                shutil.rmtree(temporary, ignore_errors=True)
+        with CaptureWriter(folder) as writer:
+            for view in range(self.views):
+                writer.add(self.depth[view], None if self.rgb is None else self.rgb[view])
+            writer.finish(self)
 
     @classmethod
     def load(cls, folder: Path | str) -> Capture:
@@ -101,6 +107,56 @@ class Capture:
         read = read_transforms(folder)
         _check_apart(read.T_world_cam)
         return cls(read.depth, read.intrinsics, read.T_world_cam, read.rgb, read.joints)
+
+
+class CaptureWriter:
+    """Writes a capture folder view by view, beside what takes the views; all of it or nothing. Use it in a `with`.
+
+    An existing capture there is replaced. Depth is rounded to 0.1 mm, in a view beyond 6.5 m to 1 mm.
+
+    Raises:
+        InputError: `folder` exists and is something else than a capture, it cannot be written, or depth exceeds 65 m.
+    """
+
+    def __init__(self, folder: Path | str) -> None:
+        self._folder = Path(folder)
+        self._temporary: Path | None = None
+        self._pool, self._units = ThreadPoolExecutor(2), list[Future[float]]()
+
+    def __enter__(self) -> CaptureWriter:
+        return self
+
+    def __exit__(self, *reason: object) -> None:
+        self._pool.shutdown(cancel_futures=True)
+        if self._temporary is not None:
+            shutil.rmtree(self._temporary, ignore_errors=True)
+
+    def add(self, depth: NDArray[Any], rgb: NDArray[Any] | None) -> None:
+        """Begin to write the next view, (H, W) [m] and (H, W, 3) uint8, which do not change from now on."""
+        if self._temporary is None:
+            self._temporary = self._prepared()
+        self._units.append(self._pool.submit(_write_view, self._temporary / "new", len(self._units), depth, rgb))
+
+    def finish(self, capture: Capture) -> None:
+        """Write what is known of the views, all of which were added, and put the folder where it belongs."""
+        assert self._temporary is not None, "a capture has views"
+        with written(self._folder, _FOLDER):
+            new = self._temporary / "new"
+            _write_transforms(capture, [unit.result() for unit in self._units], new / "transforms.json")
+            if self._folder.exists():
+                self._folder.replace(self._temporary / "old")
+            new.replace(self._folder)
+
+    def _prepared(self) -> Path:
+        with written(self._folder, _FOLDER):
+            _check_replaceable(self._folder)
+            self._folder.parent.mkdir(parents=True, exist_ok=True)
+            temporary = Path(tempfile.mkdtemp(prefix=f".{self._folder.name}-", dir=self._folder.parent))
+            (temporary / "new" / "depth").mkdir(parents=True)
+            return temporary
+
+
+_FOLDER = "a folder that can be written"
 
 
 def _check_replaceable(folder: Path) -> None:
@@ -164,20 +220,19 @@ def viewed_box(capture: Capture) -> Box:
     return Box(centre - half, centre + half)
 
 
-def _write_folder(capture: Capture, folder: Path) -> None:
-    furthest, steps = float(capture.depth.max()), 2**16 - 1
+def _write_view(folder: Path, view: int, depth: NDArray[Any], rgb: NDArray[Any] | None) -> float:
+    """Write the images of a view, and return the step of its depth [m]: up to 6.5 m tenths of a millimetre."""
+    furthest, steps = float(depth.max()), 2**16 - 1
     check_range("greatest depth", furthest, 0, 1e-3 * steps, "m")
-    unit = 1e-4 if furthest <= 1e-4 * steps else 1e-3  # [m] per step: up to 6.5 m in tenths of a millimetre
-    for name in ("depth", "rgb") if capture.rgb is not None else ("depth",):
-        (folder / name).mkdir(parents=True)
+    unit = 1e-4 if furthest <= 1e-4 * steps else 1e-3
+    _write_png(folder / f"depth/{view:04d}.png", np.round(depth.astype(np.float64) / unit).astype(np.uint16))
+    if rgb is not None:
+        (folder / "rgb").mkdir(exist_ok=True)
+        _write_png(folder / f"rgb/{view:04d}.png", rgb[..., ::-1])
+    return unit
 
-    def write(view: int) -> None:
-        depth = np.round(capture.depth[view].astype(np.float64) / unit).astype(np.uint16)
-        _write_png(folder / f"depth/{view:04d}.png", depth)
-        if capture.rgb is not None:
-            _write_png(folder / f"rgb/{view:04d}.png", capture.rgb[view][..., ::-1])
 
-    in_threads(write, range(capture.views))
+def _write_transforms(capture: Capture, units: list[float], path: Path) -> None:
     camera = capture.intrinsics
     meta = {
         "camera_model": "PINHOLE",
@@ -187,10 +242,10 @@ def _write_folder(capture: Capture, folder: Path) -> None:
         "cy": camera.cy + PIXEL_CENTRE,
         "w": camera.width,
         "h": camera.height,
-        "depth_unit_scale_factor": unit,
-        "frames": [_frame(capture, i) for i in range(capture.views)],
+        "depth_unit_scale_factor": min(units),
+        "frames": [_frame(capture, view, unit, min(units)) for view, unit in enumerate(units)],
     }
-    (folder / "transforms.json").write_text(json.dumps(meta, indent=1) + "\n", encoding="utf-8")
+    path.write_text(json.dumps(meta, indent=1) + "\n", encoding="utf-8")
 
 
 def _write_png(path: Path, image: NDArray[Any]) -> None:
@@ -202,8 +257,10 @@ def _write_png(path: Path, image: NDArray[Any]) -> None:
     path.write_bytes(data.tobytes())
 
 
-def _frame(capture: Capture, view: int) -> dict[str, Any]:
+def _frame(capture: Capture, view: int, unit: float, usual: float) -> dict[str, Any]:
     frame: dict[str, Any] = {"depth_file_path": f"depth/{view:04d}.png"}
+    if unit != usual:
+        frame["depth_unit_scale_factor"] = unit
     if capture.rgb is not None:
         frame["file_path"] = f"rgb/{view:04d}.png"
     if capture.joints is not None:

@@ -16,11 +16,11 @@ from anther.core.libraries import MOST_PIXELS
 
 
 def read_image(path: Path | str, flags: int, size: tuple[int, int] | None = None) -> NDArray[Any]:
-    """Return an image as OpenCV reads it: (H, W) or (H, W, 3) blue, green, red; as the camera took it, not turned.
+    """Return an image as OpenCV reads it: (H, W), or (H, W, 3) as the flags say; as the camera took it, not turned.
 
     Args:
         path: a PNG, a JPEG or what else OpenCV reads, of no more pixels than `libraries.MOST_PIXELS`.
-        flags: `cv2.IMREAD_COLOR` or another.
+        flags: `cv2.IMREAD_COLOR_RGB` or another.
         size: (width, height) that it must have [px].
 
     Raises:

@@ -316,12 +316,11 @@ def _colour(
 
     def read(view: int) -> None:
         path = named_file(folder, str(frames[view]["file_path"]))
-        image = read_image(path, cv2.IMREAD_COLOR)
+        image = read_image(path, cv2.IMREAD_COLOR_RGB)
         own = image.shape[1], image.shape[0]
         if own != size and (own < size or not same_shape(size, own)):
             read_image(path, cv2.IMREAD_COLOR, stated)  # which refuses it
-        image = image if own == size else cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-        cv2.cvtColor(image, cv2.COLOR_BGR2RGB, dst=rgb[view])
+        rgb[view] = image if own == size else cv2.resize(image, size, interpolation=cv2.INTER_AREA)
 
     in_threads(read, range(len(frames)))
     return rgb

@@ -16,7 +16,7 @@ from anther.core.errors import FailureKind, InputError, StageFailure
 from anther.core.geometry import Array, Box
 from anther.core.runs import Advance, Run
 from anther.perception import cloud, flowers, masks, skeleton, stem
-from anther.perception.capture import Capture
+from anther.perception.capture import Capture, CaptureWriter
 from anther.perception.cloud import Cloud, likely_cause
 from anther.perception.flowers import Flowers
 from anther.perception.hanging import find_hanging_stem
@@ -225,7 +225,13 @@ def pollinate(
     Raises:
         StageFailure: a stage before the execution cannot go on; its kind says why.
     """
-    capture = run.stage("capture", Capture.load, cell.take_views)
+    with CaptureWriter(run.path("capture")) as writer:  # the views are written while the arm goes on to the next
+        capture = run.stage(
+            "capture",
+            Capture.load,
+            lambda advance: cell.take_views(advance, writer.add),
+            save=lambda capture, _: writer.finish(capture),
+        )
     seen = perceive(capture, cell.workspace, run, params, find_masks)
     planner = cell.plan_around(seen.cloud)
     grasps = rank_grasps(seen, planner.reach, run, params)

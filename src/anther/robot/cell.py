@@ -8,7 +8,7 @@ from typing import Protocol
 
 from anther.core.geometry import Array, Box, ComplexArray
 from anther.core.runs import Advance
-from anther.perception.capture import Capture
+from anther.perception.capture import Capture, Keep
 from anther.perception.cloud import Cloud
 from anther.robot.devices import JointTrajectory, Robot, SafetyLimits
 from anther.robot.swing import Swing
@@ -67,14 +67,14 @@ class Cell:
     """One robot before one plant, simulated or real.
 
     Attributes:
-        take_views: moves the wrist camera around the plant and returns the views.
+        take_views: moves the wrist camera around the plant and returns the views; tells each as it is taken.
         plan_around: Cloud -> a motion planner that keeps clear of what the cloud shows.
         robot: arm, gripper and cameras.
         workspace: box the plant stands in, world [m].
         limits: what no command may exceed.
     """
 
-    take_views: Callable[[Advance], Capture]
+    take_views: Callable[[Advance, Keep], Capture]
     plan_around: Callable[[Cloud], MotionPlanner]
     robot: Robot
     workspace: Box

@@ -24,7 +24,7 @@ from anther.core.checks import check_array, check_range, check_transform
 from anther.core.compiling import compiled
 from anther.core.geometry import Array, Intrinsics, look_at, small_transform
 from anther.core.records import Range, Record
-from anther.perception.capture import Capture
+from anther.perception.capture import Capture, Keep
 from anther.robot.devices import Frame
 from anther.sim.plant import SimPlant
 from anther.sim.render import Image, Scene, d455
@@ -128,6 +128,7 @@ def capture_views(
     intrinsics: Intrinsics | None = None,
     errors: CameraErrors | None = None,
     progress: Progress | None = None,
+    keep: Keep = lambda depth, rgb: None,
 ) -> tuple[Capture, CaptureTruth]:
     """Return the capture of a camera carried by an arm, and the truth about it.
 
@@ -144,6 +145,7 @@ def capture_views(
         intrinsics: of the camera; None is a D455 at 1280 x 720.
         errors: sizes of the errors.
         progress: called after each view.
+        keep: hears of each view.
     """
     errors = errors or CameraErrors()
     joints = check_array("joints", joints, (None, None))
@@ -151,7 +153,7 @@ def capture_views(
     T_believed = check_transform("T_flange_cam_believed", T_flange_cam_believed)
     flange = np.stack([forward(q) for q in joints])
     true = flange @ _pose_errors(len(joints), errors, rng) @ T_true
-    how: dict[str, Any] = {"rng": rng, "intrinsics": intrinsics, "errors": errors, "progress": progress}
+    how: dict[str, Any] = {"rng": rng, "intrinsics": intrinsics, "errors": errors, "progress": progress, "keep": keep}
     capture, truth = capture_from_poses(plant, flange @ T_believed, T_world_cam_true=true, **how)
     return replace(capture, joints=joints), truth
 
@@ -164,6 +166,7 @@ def capture_from_poses(
     intrinsics: Intrinsics | None = None,
     errors: CameraErrors | None = None,
     progress: Progress | None = None,
+    keep: Keep = lambda depth, rgb: None,
     T_world_cam_true: ArrayLike | None = None,
 ) -> tuple[Capture, CaptureTruth]:
     """Return the capture of a camera believed at T_world_cam (V, 4, 4), and the truth about it; see `capture_views`.
@@ -189,6 +192,7 @@ def capture_from_poses(
 
     with ThreadPoolExecutor(2) as pool:
         for done, _ in enumerate(pool.map(take, range(count)), start=1):
+            keep(depth[done - 1], rgb[done - 1])
             if progress:
                 progress(done, count)
     return Capture(depth, intrinsics, believed, rgb), CaptureTruth(true, exact, organ)

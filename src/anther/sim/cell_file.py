@@ -18,7 +18,7 @@ from anther.core.choices import ActuatorName, Crop
 from anther.core.errors import bad_input
 from anther.core.geometry import Array, Box, Intrinsics, pose7, transform
 from anther.core.runs import Advance
-from anther.perception.capture import Capture
+from anther.perception.capture import Capture, Keep
 from anther.perception.cloud import Cloud
 from anther.robot.arm.model import ArmModel
 from anther.robot.arm.planner import Planner
@@ -126,9 +126,9 @@ def simulate(
         side_lens=None if file.side_camera is None else side_lens(file),
     )
 
-    def take_views(advance: Advance) -> Capture:
+    def take_views(advance: Advance, keep: Keep) -> Capture:
         sight, lens = in_wind(plant, scene, seen, truth), wrist_lens(file)
-        told: dict[str, Any] = {"progress": advance, "truth": truth, "arm": arm, "intrinsics": lens}
+        told: dict[str, Any] = {"progress": advance, "keep": keep, "truth": truth, "arm": arm, "intrinsics": lens}
         return photograph(sight, seen.joints, seed, viewpoint, **told)[0]
 
     robot = guard(tap(robot, limits, file.T_flange_cam, lambda: mujoco.time), limits)

@@ -10,7 +10,7 @@ import numpy as np
 from anther.core.choices import ActuatorName, Crop
 from anther.core.geometry import Array, Box, Intrinsics, look_at
 from anther.core.runs import Advance
-from anther.perception.capture import Capture
+from anther.perception.capture import Capture, Keep
 from anther.perception.cloud import Cloud
 from anther.robot.arm.model import ArmModel, outline
 from anther.robot.arm.planner import Params as MotionParams
@@ -206,9 +206,9 @@ def around(
     seen_from, limits = place.T_world_side_camera, safety_limits(place, arm)
     robot = robot_of(mujoco, errors=camera_errors(truth), T_world_side_camera=seen_from, seed=noise, scene=scene)
 
-    def take_views(advance: Advance) -> Capture:
+    def take_views(advance: Advance, keep: Keep) -> Capture:
         sight = in_wind(plant, scene, planned, truth)
-        return photograph(sight, planned.joints, *seen, progress=advance, truth=truth, arm=arm)[0]
+        return photograph(sight, planned.joints, *seen, progress=advance, keep=keep, truth=truth, arm=arm)[0]
 
     def plan_around(cloud: Cloud) -> Planner:
         # between sawyer_moveit's "medium" and "fast" (facts: sawyer 1), which passes the safety limits in places
@@ -227,6 +227,7 @@ def photograph(
     visit: int = 0,
     *,
     progress: Advance | None = None,
+    keep: Keep = lambda depth, rgb: None,
     truth: Truth = NOMINAL,
     arm: ArmModel = SAWYER,
     intrinsics: Intrinsics | None = None,
@@ -240,4 +241,4 @@ def photograph(
     T_flange_cam_true = perturbed_hand_eye(arm.tool.T_flange_cam, camera, factor=truth.hand_eye_error)
     believed, errors = arm.tool.T_flange_cam, camera_errors(truth)
     poses = (joints, arm.forward, T_flange_cam_true, believed)
-    return capture_views(plant, *poses, rng=sight, errors=errors, progress=progress, intrinsics=intrinsics)
+    return capture_views(plant, *poses, rng=sight, errors=errors, progress=progress, keep=keep, intrinsics=intrinsics)

@@ -28,8 +28,7 @@ from anther.perception.cloud._fusion import (
     attached_points,
     fuse_voxels,
     occupied_cells,
-    pixel_normals,
-    supported_pixels,
+    surface_pixels,
 )
 from anther.perception.cloud._warnings import (
     find_disagreement,
@@ -271,11 +270,10 @@ def plant_pixels(capture: Capture, labels: NDArray[Any], box: Box) -> list[Surfa
 
     def of_view(view: int) -> SurfacePoints:
         depth = capture.depth[view]
-        keep = supported_pixels(depth, labels[view] != BACKGROUND)
+        keep, normals = surface_pixels(depth, labels[view] != BACKGROUND, capture.intrinsics)
         rows = np.flatnonzero(keep)
         colors = np.zeros((len(rows), 3), np.uint8) if capture.rgb is None else capture.rgb[view].reshape(-1, 3)[rows]
         points = capture.intrinsics.back_project(depth, keep)
-        normals = pixel_normals(depth, keep, capture.intrinsics)
         near = wide.contains(transform_points(capture.T_world_cam[view], points))
         return SurfacePoints(points, normals, labels[view].ravel()[rows], colors).only(near)
 

@@ -7,7 +7,7 @@ Dimensions: V views, H x W pixels, N points.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +17,7 @@ from scipy import ndimage, sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from anther.core.compiling import OPTIONS, compiled, numba, read_only
+from anther.core.compiling import OPTIONS, compiled, inlined, numba, read_only
 from anther.core.geometry import Array, Box, Intrinsics, inverse, transform_points
 from anther.perception.capture import in_threads
 from anther.perception.masks import FLOWER, PLANT
@@ -32,28 +32,23 @@ GAP = 0.012
 """Parts closer than this to the rest belong to it [m]."""
 
 
-def supported_pixels(depth: NDArray[Any], mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the pixels (H, W) of `mask` (H, W) whose depth (H, W) [m] is shared by enough of their neighbours.
+def surface_pixels(
+    depth: NDArray[Any], mask: NDArray[np.bool_], intrinsics: Intrinsics, least: int = 5
+) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+    """Return the pixels (H, W) that show a surface, and its unit normals (N, 3) there, to the camera, row by row.
 
-    A flying pixel lies between two surfaces and few neighbours share its depth; a pixel of a petiole has the
-    petiole's other pixels. A gradient filter would drop both (facts: perception, a 15 mm edge filter eats petioles).
+    They are those of `mask` (H, W) whose depth (H, W) [m] is that of `least` of the 5 x 5 pixels around. A flying pixel
+    lies between two surfaces and few share its depth; a petiole one pixel wide has its other pixels. A gradient filter
+    would drop both (facts: perception, a 15 mm edge filter eats petioles).
     """
     around, keep = _around(mask), np.zeros(mask.shape, dtype=bool)
-    supported = np.zeros_like(keep[around], order="C")
-    _supported(_inverse(depth[around]), np.ascontiguousarray(mask[around]), supported)
-    keep[around] = supported
-    return keep
-
-
-def pixel_normals(depth: NDArray[Any], keep: NDArray[np.bool_], intrinsics: Intrinsics) -> NDArray[np.float32]:
-    """Return the unit normals (N, 3), towards the camera, of the pixels `keep` (H, W) that have a depth, row by row."""
-    around = _around(keep)
     v, u = (part.start for part in around)
-    rows = np.flatnonzero(keep[around] & (depth[around] > 0))
-    camera = intrinsics.pinhole - [0, 0, u, v]
-    normals = np.empty((len(rows), 3), dtype=np.float32)
-    _fitted_planes(np.pad(_inverse(depth[around]), FIT_WINDOW), rows, camera, normals)
-    return normals
+    camera, inverse = intrinsics.pinhole - [0, 0, u, v], np.pad(_inverse(depth[around]), FIT_WINDOW)
+    masked = np.ascontiguousarray(mask[around])
+    supported, normals = np.zeros(masked.shape, dtype=bool), np.empty((np.count_nonzero(masked), 3), dtype=np.float32)
+    found = _fitted_planes(inverse, masked, least, camera, supported, normals)
+    keep[around] = supported
+    return keep, normals[:found]
 
 
 def _around(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
@@ -74,51 +69,52 @@ def slant(points: Array, normals: NDArray[Any]) -> Array:
     return np.hypot(normals[:, 0], normals[:, 1]) / np.maximum(towards, 0.1)
 
 
-@compiled
-def _supported(inverse, mask, keep):
-    height, width = inverse.shape
-    reach, least = 2, 5  # keeps a petiole that is one pixel wide
-    for v in range(height):
-        for u in range(width):
-            if not mask[v, u] or inverse[v, u] <= 0:
-                continue
-            count = 0
-            for j in range(v - reach, v + reach + 1):
-                if count >= least:
-                    break
-                for i in range(u - reach, u + reach + 1):
-                    if 0 <= j < height and 0 <= i < width:
-                        count += abs(inverse[j, i] - inverse[v, u]) <= _TOLERANCE
-            keep[v, u] = count >= least
-
-
 # fastmath lets the compiler use vector instructions; with NumPy's error model it takes a tenth longer
 @numba.njit(**OPTIONS | {"fastmath": {"reassoc", "contract"}, "error_model": "python"})
-def _fitted_planes(inverse, rows, camera, normals):
-    """Fill normals (N, 3) of inverse-depth planes through the pixels' neighbours; `inverse` has a margin."""
-    width = inverse.shape[1] - 2 * FIT_WINDOW
-    for k in range(rows.size):
-        v, u = divmod(rows[k], width)
-        middle = inverse[v + FIT_WINDOW, u + FIT_WINDOW]
-        n = su = sv = suu = suv = svv = sq = suq = svq = np.float32(0)
-        for dv in range(-FIT_WINDOW, FIT_WINDOW + 1):
-            for du in range(-FIT_WINDOW, FIT_WINDOW + 1):
-                q = inverse[v + dv + FIT_WINDOW, u + du + FIT_WINDOW] - middle
-                w = np.float32(abs(q) <= _TOLERANCE)
-                wu, wv = w * np.float32(du), w * np.float32(dv)
-                n += w
-                su, sv, sq = su + wu, sv + wv, sq + w * q
-                suu, suv, svv = suu + wu * np.float32(du), suv + wu * np.float32(dv), svv + wv * np.float32(dv)
-                suq, svq = suq + wu * q, svq + wv * q
-        ridge = 8.0  # [px^2], of 196 in a full window: across a petiole two pixels wide no slope can be observed
-        a, b, c = suu - su * su / n + ridge, suv - su * sv / n, svv - sv * sv / n + ridge
-        e, f = suq - su * sq / n, svq - sv * sq / n
-        # 1/z = normal . ray; its derivatives along u and v are the normal's x and y over the focal lengths.
-        x = camera[0] * (c * e - b * f) / (a * c - b * b)
-        y = camera[1] * (a * f - b * e) / (a * c - b * b)
-        w = middle - x * (u - camera[2]) / camera[0] - y * (v - camera[3]) / camera[1]
-        length = -np.sqrt(x * x + y * y + w * w)
-        normals[k, 0], normals[k, 1], normals[k, 2] = x / length, y / length, w / length
+def _fitted_planes(inverse, mask, least, camera, keep, normals):
+    """Fill what `surface_pixels` returns, and return how many; `inverse`, of depth, has a margin."""
+    height, width = mask.shape
+    found, near = 0, range(FIT_WINDOW - 2, FIT_WINDOW + 3)
+    for v in range(height):
+        for u in range(width):
+            middle, count = inverse[v + FIT_WINDOW, u + FIT_WINDOW], 0
+            if not mask[v, u] or middle <= 0:
+                continue
+            for dv in near:
+                if count >= least:
+                    break
+                for du in near:
+                    count += abs(inverse[v + dv, u + du] - middle) <= _TOLERANCE
+            if count >= least:
+                keep[v, u] = True
+                _fit_plane(inverse, v, u, camera, normals[found])
+                found += 1
+    return found
+
+
+@inlined
+def _fit_plane(inverse, v, u, camera, normal):
+    """Fill the normal (3,) of the inverse-depth plane through a pixel's neighbours."""
+    middle = inverse[v + FIT_WINDOW, u + FIT_WINDOW]
+    n = su = sv = suu = suv = svv = sq = suq = svq = np.float32(0)
+    for dv in range(-FIT_WINDOW, FIT_WINDOW + 1):
+        for du in range(-FIT_WINDOW, FIT_WINDOW + 1):
+            q = inverse[v + dv + FIT_WINDOW, u + du + FIT_WINDOW] - middle
+            w = np.float32(abs(q) <= _TOLERANCE)
+            wu, wv = w * np.float32(du), w * np.float32(dv)
+            n += w
+            su, sv, sq = su + wu, sv + wv, sq + w * q
+            suu, suv, svv = suu + wu * np.float32(du), suv + wu * np.float32(dv), svv + wv * np.float32(dv)
+            suq, svq = suq + wu * q, svq + wv * q
+    ridge = 8.0  # [px^2], of 196 in a full window: across a petiole two pixels wide no slope can be observed
+    a, b, c = suu - su * su / n + ridge, suv - su * sv / n, svv - sv * sv / n + ridge
+    e, f = suq - su * sq / n, svq - sv * sq / n
+    # 1/z = normal . ray; its derivatives along u and v are the normal's x and y over the focal lengths.
+    x = camera[0] * (c * e - b * f) / (a * c - b * b)
+    y = camera[1] * (a * f - b * e) / (a * c - b * b)
+    w = middle - x * (u - camera[2]) / camera[0] - y * (v - camera[3]) / camera[1]
+    length = -np.sqrt(x * x + y * y + w * w)
+    normal[0], normal[1], normal[2] = x / length, y / length, w / length
 
 
 def _inverse(depth: NDArray[Any]) -> NDArray[np.float32]:
@@ -164,59 +160,67 @@ def voxel_groups(points: Array, voxel: float) -> tuple[NDArray[np.int64], NDArra
 
     Points (N, 3) [m] are less than 2^20 voxels from the origin.
     """
-    return _groups(_voxel_keys(points, voxel))
-
-
-def _voxel_keys(points: Array, voxel: float) -> NDArray[np.int64]:
-    """Return (N,) a number for the voxel of each point; arguments as in `voxel_groups`."""
-    key = np.zeros(len(points), dtype=np.int64)
-    for column in points.T:
-        key = key << 21 | np.floor(column * (1 / voxel)).astype(np.int64) & 0x1FFFFF
-    return key
-
-
-def _groups(key: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return what `voxel_groups` does, of keys (N,)."""
-    order = np.argsort(key, kind="stable")  # quick where, as in an image, neighbours share a voxel
-    key, first = key[order], np.ones(len(key), dtype=bool)
-    np.not_equal(key[1:], key[:-1], out=first[1:])
-    start = np.flatnonzero(first)
-    count, first[:] = np.diff(start, append=len(key)), False
-    first[order[start]] = True
-    number = (np.cumsum(first) - 1)[order[start]]
-    group, counts = np.empty_like(order), np.empty_like(count)
-    group[order], counts[number] = np.repeat(number, count), count
-    return group, counts
+    groups, count, _ = _grouped([points], len(points), voxel)
+    return groups[0], count
 
 
 def voxel_means(points: Array, voxel: float) -> Array:
     """Return the mean point (M, 3) of each voxel; arguments as in `voxel_groups`."""
-    return _means(points.T, *voxel_groups(points, voxel))
+    return _grouped([points], len(points), voxel)[2]
 
 
-def _means(columns: Iterable[Array], group: NDArray[np.int64], count: NDArray[np.int64]) -> Array:
-    """Return (M, K) the means of K columns (N,) over groups (N,) that hold `count` (M,) of them."""
-    return np.stack([np.bincount(group, column, len(count)) for column in columns], axis=1) / count[:, None]
+def _grouped(
+    parts: Iterable[Array], most: int, voxel: float, columns: int = 3
+) -> tuple[list[NDArray[np.int64]], NDArray[np.int64], Array]:
+    """Return the voxels' numbers, part by part, and count, as `voxel_groups` does, and means (M, K) of K columns.
+
+    Parts are (N, K), the first three columns points [m], in all not more than `most` of them.
+    """
+    slots = np.full(1 << (2 * most).bit_length(), -1, dtype=np.int32)
+    count, held, sums = np.zeros(most, np.int64), np.zeros(most, np.int64), np.zeros((most, columns))
+    groups, voxels = list[NDArray[np.int64]](), 0
+    for values in parts:
+        groups.append(np.empty(len(values), dtype=np.int64))
+        voxels = _add_to_voxels(read_only(values), 1 / voxel, slots, groups[-1], count, held, sums, voxels)
+    return groups, count[:voxels], sums[:voxels] / count[:voxels, None]
+
+
+@compiled
+def _add_to_voxels(values, scale, slots, group, count, held, sums, voxels):
+    """Number and sum up a part's voxels, and return how many there are; `voxels` of them were found before.
+
+    `slots` is a hash table of their numbers, of a power of two, at first all -1; `held` the key of each.
+    """
+    for n in range(len(values)):
+        key = 0
+        for a in range(3):
+            key = key << 21 | (np.int64(np.floor(values[n, a] * scale)) & 0x1FFFFF)
+        slot = ((key ^ key >> 29) * 0x5851F42D4C957F2D >> 31) & (len(slots) - 1)  # Knuth's multiplier (MMIX)
+        while slots[slot] >= 0 and held[slots[slot]] != key:
+            slot = (slot + 1) & (len(slots) - 1)
+        if slots[slot] < 0:
+            slots[slot], held[voxels] = voxels, key
+            voxels += 1
+        group[n] = slots[slot]
+        count[group[n]] += 1
+        for k in range(values.shape[1]):
+            sums[group[n], k] += values[n, k]
+    return voxels
 
 
 def fuse_voxels(pixels: list[SurfacePoints], poses: Array, box: Box, voxel: float) -> SurfacePoints:
     """Return the mean point, normal, label and colour of every occupied voxel within the box."""
 
-    def placed(view: int) -> tuple[SurfacePoints, NDArray[np.int64]]:
+    def placed(view: int) -> Array:
         seen, T = pixels[view], poses[view]
-        world = SurfacePoints(transform_points(T, seen.points), seen.normals, seen.labels, seen.colors)
-        world = world.only(box.contains(world.points))
-        return world, _voxel_keys(world.points, voxel)
+        points, normals = transform_points(T, seen.points), seen.normals @ T[:3, :3].T
+        return np.column_stack([points, normals, seen.labels == FLOWER, seen.colors])[box.contains(points)]
 
-    views, keys = zip(*in_threads(placed, range(len(poses))), strict=True)
-    groups = _groups(np.concatenate(keys))
-    columns = [
-        *((lambda view, T, a=axis: view.points[:, a]) for axis in range(3)),
-        *((lambda view, T, a=axis: (view.normals @ T[:3, :3].T)[:, a]) for axis in range(3)),
-        lambda view, T: view.labels == FLOWER,
-        *((lambda view, T, c=channel: view.colors[:, c]) for channel in range(3)),
-    ]  # one after the other: all at once would double the memory
-    means = _means((np.concatenate([of(*seen) for seen in zip(views, poses, strict=True)]) for of in columns), *groups)
+    def views() -> Iterator[Array]:
+        for first in range(0, len(poses), 4):  # all at once would take 80 bytes a pixel
+            yield from in_threads(placed, range(first, min(first + 4, len(poses))))
+
+    _, _, means = _grouped(views(), sum(len(seen.points) for seen in pixels), voxel, columns=10)
     facing = means[:, 3:6] / np.maximum(np.linalg.norm(means[:, 3:6], axis=1, keepdims=True), 1e-9)
     majority = np.where(means[:, 6] >= 0.5, FLOWER, PLANT).astype(np.uint8)
     return SurfacePoints(means[:, :3].copy(), facing, majority, np.round(means[:, 7:]).astype(np.uint8))

@@ -86,7 +86,7 @@ def segment(capture: Capture, workspace: Box | None = None, params: Params | Non
         labels[view] = _add_pixels_without_depth(found, classes)
 
     in_threads(label_view, range(capture.views))
-    found = int((labels > 0).sum())
+    found = int(np.count_nonzero(labels))
     if found < LEAST_PIXELS:
         lower, size = seen.grid.lower, np.multiply(seen.grid.shape, seen.grid.voxel)
         raise StageFailure(
@@ -149,7 +149,7 @@ def _add_pixels_without_depth(labels: NDArray[Any], classes: NDArray[Any]) -> ND
     light without green that may be soil, as dark as a leaf.
     """
     ground = (labels == 0) & (classes == GREEN)
-    labels[_patches_of(classes == GREEN_NO_DEPTH, labels > 0, ground)] = PLANT
+    labels.ravel()[_patches_of(classes == GREEN_NO_DEPTH, labels > 0, ground)] = PLANT
     return labels
 
 
@@ -158,16 +158,19 @@ def _drop_pixels_without_depth(
 ) -> None:
     """Drop patches without depth (in place) that are not green and border more of what was dropped than of the rest."""
     blind = (labels > 0) & (depth <= 0) & (classes != GREEN_NO_DEPTH)
-    stayed = (kept > 0) & ~blind
-    kept[blind & ~_patches_of(blind, stayed, (labels > 0) & (kept == 0))] = 0
+    stayed = _patches_of(blind, (kept > 0) & ~blind, (labels > 0) & (kept == 0))
+    blind.ravel()[stayed] = False
+    kept[blind] = 0
 
 
-def _patches_of(blind: NDArray[np.bool_], plant: NDArray[np.bool_], ground: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the connected patches of `blind` (H, W) that border `plant`, and `ground` at most 0.6 times as long."""
-    count, numbered = cv2.connectedComponents(blind.astype(np.uint8), connectivity=8)
-    patch, window = np.asarray(numbered, dtype=np.int32), np.ones((5, 5), np.uint8)
+def _patches_of(blind: NDArray[np.bool_], plant: NDArray[np.bool_], ground: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return the pixels (n,), counted along the rows, of connected patches of `blind` (H, W) that border `plant`, and
+    `ground` at most 0.6 times as long."""
+    count, numbered = cv2.connectedComponents(blind.view(np.uint8), connectivity=8)
+    pixels, window = np.flatnonzero(blind), np.ones((5, 5), np.uint8)
+    patch = np.asarray(numbered, dtype=np.int32).ravel()[pixels]
     near_plant, near_ground = (
-        np.bincount(patch[blind & (cv2.dilate(part.astype(np.uint8), window) > 0)], minlength=count)
+        np.bincount(patch, cv2.dilate(part.view(np.uint8), window).ravel()[pixels], minlength=count)
         for part in (plant, ground)
     )
-    return blind & ((near_plant > 0) & (near_ground <= 0.6 * near_plant))[patch]
+    return pixels[((near_plant > 0) & (near_ground <= 0.6 * near_plant))[patch]]

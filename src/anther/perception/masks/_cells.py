@@ -98,18 +98,20 @@ def _by_colour(seen: Survey, least_votes: float, least_views: int) -> NDArray[np
     return cells
 
 
-def _numbered(part: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Return the number (X, Y, Z) of the connected component of `part` each cell is in, corners connect; 0 outside."""
-    number = np.zeros(part.shape, dtype=np.int32)
-    for box in ndimage.find_objects(part.view(np.uint8)):  # one: labelling the whole grid would take longer
-        ndimage.label(part[box], np.ones((3, 3, 3)), output=number[box])
-    return number
+def _numbered(part: NDArray[np.bool_]) -> tuple[tuple[slice, ...], NDArray[np.int32]]:
+    """Return the box that holds `part` (X, Y, Z), and the number there of each cell's connected component, corners
+    connect; 0 outside."""
+    wide = [np.flatnonzero(part.any(axis=others)) for others in ((1, 2), (0, 2), (0, 1))]
+    box = tuple(slice(at[0], at[-1] + 1) if len(at) else slice(0, 1) for at in wide)
+    number = np.zeros(part[box].shape, dtype=np.int32)  # labelling the whole grid would take longer
+    ndimage.label(part[box], np.ones((3, 3, 3)), output=number)
+    return box, number
 
 
 def _large_parts(part: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
     """Return the connected components of `part` (X, Y, Z) with at least `least` cells."""
-    number = _numbered(part)
-    return _of_components(part, number, np.bincount(number[part]) >= least)
+    box, number = _numbered(part)
+    return _of_components(part, box, number, np.bincount(number[part[box]], minlength=1) >= least)
 
 
 def _parts_near(
@@ -120,18 +122,25 @@ def _parts_near(
     Of the three extents of the bounding box, sorted from the greatest, number `axis` may not exceed `extent` [m]: 0
     bounds the size, 1 lets through slender parts of any length.
     """
-    number = _numbered(part)
-    sizes = [sorted(side.stop - side.start for side in box)[2 - axis] for box in ndimage.find_objects(number)]
-    kept = np.zeros(len(sizes) + 1, dtype=bool)
-    kept[number[part & dilated(plant, max(1, round(distance / voxel)))]] = True
-    kept[1:] &= np.multiply(sizes, voxel) <= extent + voxel
-    return _of_components(part, number, kept)
+    box, number = _numbered(part)
+    cells = np.nonzero(part[box])
+    owner = number[cells]
+    lower, upper = np.full((2, owner.max(initial=0) + 1, 3), [[[number.size]], [[-1]]])
+    for along, low, high in zip(cells, lower.T, upper.T, strict=True):  # `ndimage.find_objects` reads the whole grid
+        np.minimum.at(low, owner, along)
+        np.maximum.at(high, owner, along)
+    kept = np.sort(upper - lower + 1, axis=1)[:, 2 - axis] * voxel <= extent + voxel
+    near = np.zeros_like(kept)
+    near[number[dilated(plant, max(1, round(distance / voxel)))[box]]] = True
+    return _of_components(part, box, number, kept & near)
 
 
-def _of_components(part: NDArray[np.bool_], number: NDArray[np.int32], kept: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the cells of `part` in components, `_numbered`, that are `kept`, by their number; the rest is not read."""
+def _of_components(
+    part: NDArray[np.bool_], box: tuple[slice, ...], number: NDArray[np.int32], kept: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Return the cells of `part` in components, `_numbered`, that are `kept`, by their number."""
     found = np.zeros_like(part)
-    found[part] = kept[number[part]]
+    found[box] = part[box] & kept[number]
     return found
 
 

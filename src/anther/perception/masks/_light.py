@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 OUTSIDE, OTHER, GREEN, YELLOW, WHITE, GREEN_NO_DEPTH = range(6)
 """Colour class of a pixel. GREEN: like a leaf. OUTSIDE: beyond the workspace or without depth, and not green."""
 
-STEPS = 64
-"""Steps of a table in each channel: 4 grey levels wide, just above the noise of a camera."""
+STEPS, STEP = 64, 4
+"""Steps of a table in each channel, and how wide they are [grey levels]: just above the noise of a camera."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,7 +92,7 @@ def green_rule(light: Light, params: Params) -> ColourRule:
 
     Yellow petals are saturated and half as bright as bright leaves; white ones are not, and nearly as bright.
     """
-    level = np.arange(STEPS) * (256 / STEPS) + (256 / STEPS - 1) / 2
+    level = np.arange(STEPS) * STEP + (STEP - 1) / 2
     r, g, b = np.meshgrid(*(level * gain for gain in light.gains), indexing="ij")
     colour = np.stack([r, g, b], axis=-1)
     high = _of_channels(np.maximum, colour)
@@ -115,7 +115,7 @@ def learned_rule(plant: NDArray[Any], rest: NDArray[Any]) -> ColourRule:
     """
     likelier = _density(plant) > _density(rest)
     leaf = float(np.percentile(plant.max(axis=1), 90)) if len(plant) else 128.0
-    level = np.arange(STEPS) * (256 / STEPS) + (256 / STEPS - 1) / 2
+    level = np.arange(STEPS) * STEP + (STEP - 1) / 2
     high = np.maximum.reduce(np.meshgrid(level, level, level, indexing="ij"))
     table = np.where(likelier, GREEN, OTHER)
     table[high >= 2 * leaf] = WHITE
@@ -124,7 +124,7 @@ def learned_rule(plant: NDArray[Any], rest: NDArray[Any]) -> ColourRule:
 
 def _step(colours: NDArray[Any]) -> NDArray[np.int64]:
     """Return where in a flat table the colours (..., 3) uint8 stand."""
-    r, g, b = np.moveaxis(colours // (256 // STEPS), -1, 0).astype(np.int64)
+    r, g, b = np.moveaxis(colours // STEP, -1, 0).astype(np.int64)
     return (r * STEPS + g) * STEPS + b
 
 

@@ -6,16 +6,15 @@ Dimensions: H x W pixels, X x Y x Z cells.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
 from threading import Lock
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.core.compiling import compiled, read_only
+from anther.core.compiling import compiled, inlined, read_only
 from anther.core.geometry import Array, Box, Intrinsics
-from anther.perception.masks._light import GREEN, GREEN_NO_DEPTH, OTHER, WHITE, YELLOW, ColourRule
+from anther.perception.masks._light import GREEN, GREEN_NO_DEPTH, OTHER, STEP, WHITE, YELLOW, ColourRule
 
 EMPTY, GROUND, RIM, GREEN_CELL, BROWN_CELL, FLOWER_CELL, NEAR_FLOWER = range(7)
 """What a cell of the grid was found to be. RIM: green, but about a pot's rim. BROWN_CELL: a part of the plant that is
@@ -60,17 +59,9 @@ def vote(
         rule: None without colour.
         counts: (LAYERS, X, Y, Z) uint16, added to in place; without colour the first layer is enough.
     """
-    at = _cell_of(depth, camera, counts.shape[1:]).ravel()
-    seen, classes = np.flatnonzero(at >= 0), np.zeros(depth.shape, dtype=np.uint8)  # OUTSIDE
-    cell, kind = at[seen], np.full(len(seen), OTHER, dtype=np.uint8)
-    if rgb is not None and rule is not None:
-        colours, blind = rgb.reshape(-1, 3), np.flatnonzero(depth <= 0)
-        kind = rule.classes(colours[seen])
-        petals = np.flatnonzero(kind >= YELLOW)
-        kind[petals[_bleeds(rgb, depth, seen[petals], rule.alike)]] = OTHER
-        classes.ravel()[blind[rule.classes(colours[blind]) == GREEN]] = GREEN_NO_DEPTH
-    classes.ravel()[seen] = kind
-    at, petal_cells = (kind - np.int64(1)) * counts[0].size + cell, cell[kind >= YELLOW]
+    size, (classes, at) = counts[0].size, _classes(rgb, depth, camera, rule, counts.shape[1:])
+    at = at[at >= 0]
+    petal_cells = at[at >= (YELLOW - OTHER) * size] % size
     with _COUNTING:
         np.add.at(counts.reshape(-1), at, np.uint16(1))
         if len(petal_cells):
@@ -85,41 +76,63 @@ def pixels_to_cells(T_world_cam: Array, intrinsics: Intrinsics, grid: Grid) -> A
     return np.column_stack([T[:3, :3] @ rays, T[:3, 3] - grid.lower]) / grid.voxel
 
 
-def _cell_of(depth: NDArray[Any], camera: Array, shape: tuple[int, ...]) -> NDArray[np.int64]:
+def _cell_of(depth: NDArray[Any], camera: Array, shape: tuple[int, ...]) -> NDArray[np.int32]:
     """Return (H, W) the flat number of the cell that each pixel lies in; -1 beyond the grid or without depth."""
-    at = np.full(depth.shape, -1, dtype=np.int64)
-    _cells(read_only(depth), tuple(camera.ravel()), shape, at)
-    return at
+    return _classes(None, depth, camera, None, shape)[1]
+
+
+def _classes(
+    rgb: NDArray[Any] | None, depth: NDArray[Any], camera: Array, rule: ColourRule | None, shape: tuple[int, ...]
+) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
+    """Return (H, W) the colour classes, and where in the layers of votes the pixels count; -1 nowhere. See `vote`."""
+    none = np.zeros((0, 0, 0), np.uint8)
+    rgb, table, alike = (none, none, 0.0) if rgb is None or rule is None else (rgb, rule.table, rule.alike)
+    classes, at = np.zeros(depth.shape, dtype=np.uint8), np.full(depth.shape, -1, dtype=np.int32)
+    read = read_only(rgb), read_only(depth), read_only(table)
+    _classify(*read, tuple(camera.ravel()), shape, alike, at, classes)
+    return classes, at
 
 
 @compiled
-def _cells(depth, m, shape, at):
+def _classify(rgb, depth, table, m, shape, alike, at, classes):
     """Compiled, because 30 views hold 28 million pixels; `m` is a tuple to stay in registers."""
+    size = shape[0] * shape[1] * shape[2]
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
-            z = depth[v, u]
-            if z > 0:
-                x = (m[0] * u + (m[1] * v + m[2])) * z + m[3]
-                y = (m[4] * u + (m[5] * v + m[6])) * z + m[7]
-                w = (m[8] * u + (m[9] * v + m[10])) * z + m[11]
-                if 0 <= x < shape[0] and 0 <= y < shape[1] and 0 <= w < shape[2]:
-                    at[v, u] = (np.int64(x) * shape[1] + np.int64(y)) * shape[2] + np.int64(w)
+            z, kind, cell = depth[v, u], OTHER, np.int64(-1)
+            x = (m[0] * u + (m[1] * v + m[2])) * z + m[3]
+            y = (m[4] * u + (m[5] * v + m[6])) * z + m[7]
+            w = (m[8] * u + (m[9] * v + m[10])) * z + m[11]
+            if z > 0 and 0 <= x < shape[0] and 0 <= y < shape[1] and 0 <= w < shape[2]:
+                cell = (np.int64(x) * shape[1] + np.int64(y)) * shape[2] + np.int64(w)
+            if rgb.size > 0 and (cell >= 0 or z <= 0):
+                kind = table[rgb[v, u, 0] // STEP, rgb[v, u, 1] // STEP, rgb[v, u, 2] // STEP]
+                if cell >= 0 and kind >= YELLOW and _bleeds(rgb, depth, u, v, alike):
+                    kind = OTHER
+            if cell >= 0:
+                classes[v, u], at[v, u] = kind, (kind - OTHER) * size + cell
+            elif kind == GREEN:
+                classes[v, u] = GREEN_NO_DEPTH
 
 
-def _bleeds(rgb: NDArray[Any], depth: NDArray[Any], pixels: NDArray[np.int64], alike: float) -> NDArray[np.bool_]:
-    """Return (n,) which pixels have the colour of a background near them: then they are that, wrongly placed.
-
-    The pixels (n,) are counted along the rows of an image.
-    """
-    (height, width), colours, depths = depth.shape, rgb.reshape(-1, 3), depth.ravel()
-    v, u = np.divmod(pixels, width)
-    bleeding, steps, nearer_than = np.zeros(len(pixels), dtype=bool), (-3, 0, 3), depths[pixels] + np.float32(0.05)
-    for dv, du in product(steps, steps):  # [px], [m]
-        near = np.clip(v + dv, 0, height - 1) * width + np.clip(u + du, 0, width - 1)
-        behind = np.flatnonzero((depths[near] > nearer_than) | (depths[near] <= 0))
-        apart = np.abs(colours[near[behind]].astype(np.int16) - colours[pixels[behind]])
-        bleeding[behind] |= apart.max(axis=1, initial=0) < alike
-    return bleeding
+@inlined
+def _bleeds(rgb, depth, u, v, alike):
+    """Return whether a pixel has the colour of a background near it: then it is that, wrongly placed."""
+    height, width = depth.shape
+    nearer_than = depth[v, u] + np.float32(0.05)  # [m]
+    for dv in (-3, 0, 3):  # [px]
+        for du in (-3, 0, 3):
+            j, i = v + dv, u + du
+            j = 0 if j < 0 else (height - 1 if j >= height else j)
+            i = 0 if i < 0 else (width - 1 if i >= width else i)
+            if depth[j, i] > nearer_than or depth[j, i] <= 0:
+                apart = 0
+                for c in range(3):
+                    step = abs(np.int64(rgb[j, i, c]) - np.int64(rgb[v, u, c]))
+                    apart = step if step > apart else apart
+                if apart < alike:
+                    return True
+    return False
 
 
 def read_back(depth: NDArray[Any], camera: Array, classes: NDArray[Any], cells: NDArray[Any]) -> NDArray[np.uint8]:

@@ -166,18 +166,15 @@ def _smooth_curves(curves: Curves, sigma: float = 1.0) -> Curves:
     return replace(curves, nodes=nodes)
 
 
-def _tangents(curves: Curves) -> Array:
-    tangent = np.zeros_like(curves.nodes)
-    for chain, own in zip(curves.chains, curves.own, strict=True):
-        tangent[own] = np.gradient(curves.nodes[chain], axis=0)[-len(own) :]
-    return tangent / np.maximum(np.linalg.norm(tangent, axis=1), 1e-12)[:, None]
-
-
 def _sections(curves: Curves, points: Array) -> CrossSections:
-    before = np.full(len(curves.nodes), -1)
+    before, after = np.full((2, len(curves.nodes)), -1)
     for own in curves.own:  # not the node a side chain leaves: that lies in its carrier
-        before[own[1:]] = own[:-1]
-    return cross_sections(points, curves.nodes, _tangents(curves), before)
+        before[own[1:]], after[own[:-1]] = own[:-1], own[1:]
+    here, parent = np.arange(len(curves.nodes)), curves.parent
+    ahead, behind = np.where(after < 0, here, after), np.where(parent < 0, here, parent)
+    tangent = curves.nodes[ahead] - curves.nodes[behind]
+    tangent /= np.maximum(np.linalg.norm(tangent, axis=1), 1e-12)[:, None]
+    return cross_sections(points, curves.nodes, tangent, np.stack([before, here, after], axis=1))
 
 
 def _recentre(curves: Curves, points: Array) -> Curves:
@@ -277,17 +274,15 @@ class CrossSections:
     wide: Array
 
 
-def cross_sections(points: Array, nodes: Array, tangent: Array, before: NDArray[Any]) -> CrossSections:
+def cross_sections(points: Array, nodes: Array, tangent: Array, around: NDArray[Any]) -> CrossSections:
     """Return the cross-section of the points (N, 3) nearest to each node, or to its neighbours along the chain.
 
-    Tangents (J, 3) are unit vectors; `before` (J,) is the node before each on the same chain, -1 at the chain's first.
+    Tangents (J, 3) are unit vectors; `around` (J, 3) are the node before each on the same chain, itself and the node
+    after; -1 at the chain's ends.
     """
-    after = np.full(len(nodes), -1)
-    after[before[before >= 0]] = np.flatnonzero(before >= 0)
     _, owner = nearest(points, nodes)
     order = np.argsort(owner, kind="stable")
     start = np.searchsorted(owner[order], np.arange(len(nodes) + 1))
-    around = np.stack([before, np.arange(len(nodes)), after], axis=1)
     count, table = np.zeros(len(nodes), np.int64), np.zeros((len(nodes), 8))
     enough = 200  # points of a section beyond these are thinned: more cost time alone
     scratch = np.empty((2 * enough, 2)), *np.empty((2, 2 * enough))

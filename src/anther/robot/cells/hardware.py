@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from anther.core.errors import bad_input
 from anther.core.geometry import Array
 from anther.core.runs import Advance
-from anther.perception.capture import Capture
+from anther.perception.capture import Capture, Keep
 from anther.perception.cloud import Cloud
 from anther.robot.arm.model import ArmModel
 from anther.robot.arm.planner import Params as MotionParams
@@ -134,11 +134,11 @@ def hardware_cell(file: CellFile, views: ViewParams, tap: Tap = no_tap) -> Itera
     with connect_cell(file) as bare:
         robot = guard(tap(bare, limits, file.T_flange_cam, time.monotonic), limits, file.cart_limits())
 
-        def take_views(advance: Advance) -> Capture:
+        def take_views(advance: Advance, keep: Keep) -> Capture:
             begin, motion = robot.arm.joints(), motion_params(ratio)
             hand_eye = file.T_flange_cam
             planned = plan_views(file.region, boxes, views, start=begin, T_flange_cam=hand_eye, motion=motion, arm=arm)
-            return capture_views(robot, planned, hand_eye, advance, arm)
+            return capture_views(robot, planned, hand_eye, advance, arm, keep)
 
         def plan_around(cloud: Cloud) -> Planner:
             return planner_around(file, cloud, robot.arm.joints())
@@ -153,9 +153,16 @@ def move_and_stand(arm: Arm, motion: JointTrajectory) -> None:
 
 
 def capture_views(
-    robot: Robot, views: Views, T_flange_cam: Array, advance: Advance, model: ArmModel = SAWYER
+    robot: Robot,
+    views: Views,
+    T_flange_cam: Array,
+    advance: Advance,
+    model: ArmModel = SAWYER,
+    keep: Keep = lambda depth, rgb: None,
 ) -> Capture:
     """Go to each view, stand still, take a picture; return them with the poses that the arm read.
+
+    `keep` hears of each picture while the arm goes on.
 
     Raises:
         StageFailure: what arm and camera raise.
@@ -164,6 +171,7 @@ def capture_views(
     for number, motion in enumerate(views.motions):
         move_and_stand(robot.arm, motion)
         frames.append(robot.wrist_camera.read())
+        keep(frames[-1].depth, frames[-1].rgb)
         joints.append(robot.arm.joints())
         advance(number + 1, len(views.motions))
     return Capture(

@@ -102,11 +102,17 @@ def _draw(plot: Axes, axes: Sides, layer: Layer, order: int) -> None:
 
 
 def _draw_points(plot: Axes, axes: Sides, layer: Layer) -> None:
+    """Draw points as an image, the nearest last: Matplotlib takes half a second for so many of any colour."""
     points: Array = layer.points  # type: ignore[assignment]
-    some = np.random.default_rng(0).permutation(len(points))[:40_000]
-    some = some[np.argsort(points[some, axes[2]])]
-    colour = layer.colour if layer.colours is None else layer.colours[some] / 255
-    plot.scatter(*points[some][:, list(axes[:2])].T, s=0.4, c=colour, lw=0, alpha=0.6, rasterized=True)
+    order, flat = np.argsort(points[:, axes[2]]), points[:, axes[:2]]
+    low, edge = flat.min(axis=0), max(float(np.ptp(flat, axis=0).max()), 1e-9) / 400  # of a pixel: as fine as shown
+    across, up = ((flat[order] - low) / edge).astype(np.int64).T
+    image = np.zeros((up.max() + 1, across.max() + 1, 4), dtype=np.uint8)
+    image[up, across, :3] = rgb(layer.colour) if layer.colours is None else layer.colours[order]
+    image[up, across, 3] = 160
+    (right, top), (left, bottom) = low + edge * np.array(image.shape[1::-1]), low
+    drawn = plot.imshow(image, extent=(left, right, bottom, top), origin="lower", interpolation="nearest")
+    drawn.sticky_edges.x[:], drawn.sticky_edges.y[:] = [], []
 
 
 def _close_up(plot: Axes, grasp: Grasp) -> None:
