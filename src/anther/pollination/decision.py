@@ -192,8 +192,13 @@ def worth(
     def means(values: Array, kind: str, *curves: Curve, known: bool | None = observed) -> list[Array]:
         """Return (A, ...) each, means over members of curves of ln of a load at the amplitudes and its spread."""
         logs, spread = believed(kind, values, hertz, known)
-        spread, sizes = np.hypot(spread, delivered[1]), [member + size + delivered[0] for member in logs]
-        return [np.asarray(sum(curve(one, spread) for one in sizes) / len(sizes)) for curve in curves]
+        spread, together = np.hypot(spread, delivered[1]), max(1, 2**13 // size.size)  # that the cache holds
+        sums = [np.zeros(size.shape) for _ in curves]
+        for first in range(0, len(logs), together):
+            sizes = logs[first : first + together, None] + size + delivered[0]
+            for total, curve in zip(sums, curves, strict=True):
+                total += curve(sizes, spread).sum(axis=0)
+        return [total / len(logs) for total in sums]
 
     curves = [_dose_curve(hertz, power) for power, _ in DOSE_MEASURES.values()]
     parts, count = np.zeros((len(curves) + 1, *size.shape)), answer.flowers.shape[-1]

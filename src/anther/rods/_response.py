@@ -238,8 +238,9 @@ def observed_response(
     for g, (pad, unknowns) in enumerate(zip(grip_nodes, held, strict=True)):
         body = rigid_motion(rods.parent, system.state.x, np.asarray(pad))
         at, rows = np.searchsorted(view.wanted, unknowns), np.searchsorted(loads, unknowns)
-        forces, wrench[:, g], moved[:, g] = _grasped(trunk[:, rows][:, :, at], body, springs)
-        moves = np.swapaxes(trunk[:, rows], 1, 2) @ forces
+        loaded = trunk[:, rows]
+        forces, wrench[:, g], moved[:, g] = _grasped(loaded[:, :, at], body, springs)
+        moves = np.swapaxes(loaded, 1, 2) @ forces
         _observe(branch, view.base, view.direct, np.ascontiguousarray(moves), seen)
         vectors[:, g] = seen
     return Observed(vectors, wrench[:, :, :3], wrench[:, :, 3:], moved)
@@ -251,8 +252,8 @@ def _cores() -> int:
 
 
 def _on_all_cores(solve_some: Callable[[NDArray[Any]], None], count: int) -> None:
-    """Share the numbers 0 to `count` - 1 out among the cores of this process; one alone is not worth a thread."""
-    cores = min(_cores(), count)
+    """Share the numbers 0 to `count` - 1 out among the cores of this process; four are the least worth a thread."""
+    cores = min(_cores(), count // 4)
     if cores <= 1:
         solve_some(np.arange(count))
         return

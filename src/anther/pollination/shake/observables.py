@@ -63,12 +63,11 @@ def observables(plant: PlantModel, like: PlantModel | None = None) -> Observable
 
 def branch_of(plant: PlantModel) -> NDArray[Any]:
     """Return (N,) on which branch a node lies, as a row of `PlantModel.branch_bases`; -1 on the main stem."""
-    branch, parent = [-1] * len(plant.rods.nodes), plant.rods.parent.tolist()
-    for row, base in enumerate(plant.branch_bases.tolist()):
-        branch[base] = row
-    for j in range(1, len(branch)):
-        branch[j] = max(branch[j], branch[parent[j]])
-    return np.array(branch)
+    branch, up = np.full(len(plant.rods.nodes), -1), np.maximum(plant.rods.parent, 0)
+    branch[plant.branch_bases] = np.arange(len(plant.branch_bases))
+    while up.any():  # twice as far towards the root each time
+        branch, up = np.maximum(branch, branch[up]), up[up]
+    return branch
 
 
 def semi_major(vectors: ComplexArray) -> Array:

@@ -5,6 +5,7 @@ M scenarios, Q frequencies, G grip nodes, D directions, F flowers, N rod nodes.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -14,6 +15,7 @@ import scipy  # loads `scipy.stats`, which takes long, where it is used
 from numpy.typing import NDArray
 from scipy.sparse import vstack
 
+from anther.core.compiling import compiled, read_only
 from anther.core.errors import StageFailure
 from anther.core.geometry import ComplexArray
 from anther.plant.limits import PEAKS
@@ -251,13 +253,23 @@ def _flower_motion(plant: PlantModel, grips: Sequence[NDArray[Any]], vectors: Co
 
 
 def _sizes(vectors: ComplexArray, directions: Array) -> Array:
-    """Return (Q, G, D, K) the `semi_major` of V d for V (Q, G, K, 3, 3) and directions d (G, D, 3).
+    """Return (Q, G, D, K) the `semi_major` of V d for V (Q, G, K, 3, 3) and directions d (G, D, 3)."""
+    sizes = np.empty((*vectors.shape[:2], directions.shape[1], vectors.shape[2]))
+    _fill_sizes(read_only(vectors), read_only(directions), sizes)
+    return sizes
 
-    |V d|^2 and V d . V d are forms in d: their matrices are found once for all directions.
-    """
-    pairs = (directions[:, :, :, None] * directions[:, :, None]).reshape(*directions.shape[:2], 9)
-    square, product = (
-        (part @ vectors).reshape(*vectors.shape[:3], 9) @ np.swapaxes(pairs, 1, 2)
-        for part in (np.swapaxes(vectors.conj(), -1, -2), np.swapaxes(vectors, -1, -2))
-    )
-    return np.swapaxes(np.sqrt(np.maximum(0.5 * (square.real + np.abs(product)), 0)), 2, 3)
+
+@compiled
+def _fill_sizes(vectors: Any, directions: Any, sizes: Any) -> None:
+    for q in range(len(sizes)):
+        for g in range(sizes.shape[1]):
+            for k in range(sizes.shape[3]):
+                for d in range(sizes.shape[2]):
+                    x, y, z = directions[g, d, 0], directions[g, d, 1], directions[g, d, 2]
+                    square, product = 0.0, 0.0j
+                    for i in range(3):
+                        one = vectors[q, g, k, i, 0] * x + vectors[q, g, k, i, 1] * y + vectors[q, g, k, i, 2] * z
+                        square += one.real * one.real + one.imag * one.imag
+                        product += one * one
+                    size = math.sqrt(product.real * product.real + product.imag * product.imag)
+                    sizes[q, g, d, k] = math.sqrt(0.5 * (square + size))
