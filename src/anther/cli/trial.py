@@ -21,7 +21,7 @@ from anther.plant.visit import Visit
 from anther.pollination.pipeline import Done, Params, mask_finder, pollinate
 from anther.pollination.shake import with_preset
 from anther.robot.arm.gripper_shape import GripperShape
-from anther.robot.arm.saved import save_arm
+from anther.robot.arm.saved import SavedArm
 from anther.robot.cells import read_cell
 from anther.robot.devices import Tap, no_tap
 from anther.show.results import ARM, EXECUTED, FILM
@@ -74,7 +74,7 @@ def run(args: Args) -> int:
         log = machines.enter_context(TrialLog(run, wanted=args.log))
         try:
             if file is not None:
-                save_arm(run.folder / ARM, file.model, file.keep_out)
+                SavedArm(file.model, file.keep_out).save(run.folder / ARM)
             cell = run.timed("cell", lambda _: machines.enter_context(_cell(args, file, log.tap)))
             notes = cell.notes
             print(*notes, sep="\n", end="\n" * bool(notes), flush=True)

@@ -83,7 +83,7 @@ TIMESTEP = 2e-3
 
 
 def calm_time(plant: SimPlant) -> float:
-    """Return how long the wind blows before the clock begins [s]; on a string two swings of the stem (facts: rows 0)."""
+    """Return how long wind blows before the clock begins [s]; on a string two swings of the stem (facts: rows 0)."""
     return 4.0 if plant.twines else 2.0
 
 
