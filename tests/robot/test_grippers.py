@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from anther.core.choices import ArmName
 from anther.core.errors import InputError
 from anther.core.geometry import Box, transform, transform_points
-from anther.robot.arm import ArmName
 from anther.robot.arm.arms import find_arm
 from anther.robot.arm.gripper_shape import GripperShape
 from anther.robot.arm.grippers import PRESETS, GripperSize, with_camera

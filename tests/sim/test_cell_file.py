@@ -12,9 +12,9 @@ import pytest
 from made_arm import CELL
 
 from anther.cli.main import main
+from anther.core.choices import ArmName
 from anther.core.errors import InputError, StageFailure
 from anther.core.geometry import Intrinsics
-from anther.robot.arm import ArmName
 from anther.robot.arm.saved import SavedArm
 from anther.robot.cells import CellFile
 from anther.robot.devices import JointTrajectory

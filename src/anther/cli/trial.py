@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from anther.cli.args.trial import Args
-from anther.cli.run_folder import TrialLog, finish, open_run, parameters, remember
+from anther.cli.run_folder import TrialLog, finish, judge_done, open_run, parameters, remember
 from anther.core.checks import check_range
 from anther.core.errors import StageFailure, bad_input
 from anther.core.runs import WHERE_IT_STOPPED, stage_under_way
 from anther.history import Belief, earlier_shake, facts_prior, hide_password, starting_material
 from anther.plant.imported import with_known_places
 from anther.plant.visit import Visit
-from anther.pollination.pipeline import Done, Params, mask_finder, pollinate
+from anther.pollination.pipeline import Params, mask_finder, pollinate
 from anther.pollination.shake import with_preset
 from anther.robot.arm.gripper_shape import GripperShape
 from anther.robot.arm.saved import SavedArm
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from anther.robot.arm.views import Params as ViewParams
     from anther.robot.cells import CellFile
     from anther.robot.cells.hardware import HardwareCell
-    from anther.sim.judge import Verdict
     from anther.sim.simulated_cell import SimulatedCell
     from anther.sim.truth import Truth
 
@@ -83,7 +82,7 @@ def run(args: Args) -> int:
             side, world = cell.robot_side.robot, cell.world
             frames = done.trial.frames if world is None else with_robot(done.trial.frames, done.trial, side, world.arm)
             save_film(run.folder / FILM, frames)
-            verdict = None if cell.world is None else run.timed("judge", lambda _: _judge(cell, done))
+            verdict = None if cell.world is None else run.timed("judge", lambda _: judge_done(cell, done))
         except StageFailure as stopped:
             failure = stopped
         begun = Visit(args.plant, _label(args), held_unharmed=False, run=str(out), robot=args.robot, time=began)
@@ -213,13 +212,6 @@ def _build(args: Args, tap: Tap = no_tap) -> SimulatedCell:
         tap=tap,
         arm=simulated_arm(args.arm or "sawyer"),
     )
-
-
-def _judge(cell: SimulatedCell, done: Done) -> Verdict:
-    from anther.sim.judge import judge
-
-    times = done.trial.shake_times
-    return judge(cell.world, (times[0], times[-1]) if len(times) else None, done.shake.frequency, done.trial.steady)
 
 
 def _belief(args: Args) -> Belief:

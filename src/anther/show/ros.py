@@ -28,6 +28,7 @@ from anther.perception.stem import Stem, find_stem
 from anther.perception.supports import find_supports
 from anther.pollination import grasp
 from anther.robot.arm.gripper_shape import GripperShape
+from anther.robot.arm.motions import join
 from anther.robot.arm.planner import Planner
 from anther.robot.cells import CellFile
 from anther.robot.cells.hardware import planner_around
@@ -111,16 +112,9 @@ class PlantAnswers:
         out = planner.line(best.joints, best.pregrasp(grasp.STAND_OFF))
         free = planner.move(joints, out.positions[-1])
         limits = self.file.safety_limits()
-        way = joined(free, out.backwards())
+        way = join([free, out.backwards()])
         check_trajectory(way, joints, limits)
         return way
-
-
-def joined(first: JointTrajectory, second: JointTrajectory) -> JointTrajectory:
-    """Return two motions, the second from where the first has come to rest, as one."""
-    times = np.concatenate([first.times, first.duration + second.times[1:]])
-    positions = np.concatenate([first.positions, second.positions[1:]])
-    return JointTrajectory(times, positions, np.concatenate([first.velocities, second.velocities[1:]]))
 
 
 def cylinders(skeleton: Skeleton) -> Iterator[Shape]:

@@ -6,8 +6,8 @@ from typing import get_args
 
 import numpy as np
 
+from anther.core.choices import ArmName
 from anther.core.errors import AntherError
-from anther.robot.arm import ArmName
 from anther.robot.arm.arms import find_arm, simulated_arm
 from anther.robot.arm.model import ArmModel
 from anther.robot.arm.saved import SavedArm

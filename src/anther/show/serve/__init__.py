@@ -30,6 +30,7 @@ from starlette.background import BackgroundTask
 from starlette.exceptions import HTTPException
 
 from anther.core.errors import AntherError, InputError, MissingExtra
+from anther.core.runs import FILES
 from anther.history import (
     each_trial,
     export,
@@ -138,9 +139,6 @@ def _chart(
 
 
 HERE = Path(__file__).parent
-REPORT = "10_report.html"
-"""The file of a run folder that is shown, and no other."""
-
 OURS = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; frame-src 'self'; "
     "form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
@@ -438,9 +436,9 @@ def _read(house: House, ask: Callable[[Session], dict[str, Any]], nothing: dict[
 
 
 def _report(house: House, run: str) -> Path | None:
-    """Return the report of a run if it is there and under the folder of runs, wherever the history says it is."""
+    """Return the report of a run, its only file that is shown, if it is there and under the folder of runs."""
     try:
-        path = (house.runs / run / REPORT).resolve()
+        path = (house.runs / run / FILES["report"]).resolve()
         return path if path.is_relative_to(house.runs) and path.is_file() else None
     except (OSError, ValueError, RuntimeError):  # a name too long, a null character, a link to itself: no path
         return None
