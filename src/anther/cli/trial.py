@@ -15,8 +15,9 @@ from anther.cli.run_folder import TrialLog, finish, judge_done, open_run, parame
 from anther.core.checks import check_range
 from anther.core.errors import StageFailure, bad_input
 from anther.core.runs import WHERE_IT_STOPPED, stage_under_way
-from anther.history import Belief, earlier_shake, facts_prior, hide_password, starting_material
+from anther.history import Belief, earlier_shake, hide_password, starting_material
 from anther.plant.imported import with_known_places
+from anther.plant.source import PRIORS
 from anther.plant.visit import Visit
 from anther.pollination.pipeline import Params, mask_finder, pollinate
 from anther.pollination.shake import with_preset
@@ -217,7 +218,7 @@ def _build(args: Args, tap: Tap = no_tap) -> SimulatedCell:
 def _belief(args: Args) -> Belief:
     """Return what is believed of the plant. A history that cannot be read stops the trial before anything moves."""
     if args.material == "facts":
-        return Belief(facts_prior(args.plant), "facts", f"the facts' prior of {args.plant}, as asked for")
+        return Belief(PRIORS[args.plant], "facts", f"the facts' prior of {args.plant}, as asked for")
     return starting_material(args.plant, _label(args), args.history)
 
 

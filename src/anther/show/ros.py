@@ -141,13 +141,12 @@ class PlantNode:
     Args:
         file: the cell: arm, gripper, workspace, keep-out boxes and limits.
         frame: name of the arm's base frame.
-        states: topic of the arm's joints.
 
     Raises:
         MissingExtra: rclpy or a message package is not installed.
     """
 
-    def __init__(self, file: CellFile, frame: str = "base_link", states: str = "/joint_states") -> None:
+    def __init__(self, file: CellFile, frame: str = "base_link") -> None:
         self._file, self._frame, self._names = file, frame, _joint_names(file)
         self._answers: PlantAnswers | str = "no cloud was heard yet on ~/cloud"
         self._joints: tuple[float, Array] | None = None
@@ -164,7 +163,7 @@ class PlantNode:
         if self._moveit:
             self._out["planning scene"] = self._node.publisher("/planning_scene", "moveit_msgs/msg/PlanningScene")
         self._node.subscribe("~/cloud", "sensor_msgs/msg/PointCloud2", self._hear_cloud)
-        self._node.subscribe(states, "sensor_msgs/msg/JointState", self._hear_joints)
+        self._node.subscribe("/joint_states", "sensor_msgs/msg/JointState", self._hear_joints)
         asked = {"skeleton": self._skeleton, "grasp_pose": self._grasp_pose, "plan": self._plan}
         for name, answer in asked.items():
             self._node.service(f"~/{name}", "std_srvs/srv/Trigger", self._answering(answer))
