@@ -14,7 +14,7 @@ from rich.table import Table
 
 from anther.core import Array, StageFailure
 from anther.sim import NOMINAL, Organ, SimPlant, as_true
-from anther.sim.sway import CALM, TIMESTEP, gusts
+from anther.sim.sway import TIMESTEP, gusts
 from evaluation.harness import CROPS
 from evaluation.tables import by_part
 
@@ -53,7 +53,7 @@ def blown(plant: SimPlant, wind: float, seconds: float = SECONDS) -> dict[str, f
 def _watched(plant: SimPlant, wind: float, seconds: float) -> tuple[Array, Array, Array, Any]:
     """Return strains (T, B), flowers (T, F, 3), leaves' loads (T, L) and the bodies' organs (B,)."""
     strains, places, loads = [], [], []
-    wanted = round((CALM + seconds) / TIMESTEP)
+    wanted = round(seconds / TIMESTEP)
     for step, (mechanics, data) in enumerate(gusts(plant, wind)):
         if step == 0:
             first = mechanics.pieces.first
@@ -62,7 +62,7 @@ def _watched(plant: SimPlant, wind: float, seconds: float) -> tuple[Array, Array
             body = np.array([int(np.flatnonzero(first == b)[0]) for b in base], dtype=np.int64)
             radius = plant.radius_start[first]
             modulus = plant.youngs[first] * np.pi / 4 * radius**3  # torque = E I / r times the strain
-        if step * TIMESTEP >= CALM and step % EVERY == 0:
+        if step % EVERY == 0:
             T = mechanics.segment_poses(data)[plant.flower_segment]
             places.append(np.einsum("fij,fj->fi", T[:, :3, :3], plant.flower_position) + T[:, :3, 3])
             strains.append(mechanics.strain(data.qpos))

@@ -23,8 +23,7 @@ from rich.console import RenderableType
 
 from anther.core import AntherError
 from anther.perception import Capture
-from anther.robot import Viewpoints
-from anther.robot.arm.views import capture_time, reachable_views
+from anther.robot.arm.views import Viewpoints, capture_time, reachable_views
 from anther.sim import SimPlant, grow, layout, photograph
 from anther.sim.simulated_cell import PRESETS, USUAL_DISTANCE
 from evaluation.harness import CROPS, finish, lost, options, run_cases

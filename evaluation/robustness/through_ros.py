@@ -37,9 +37,10 @@ from fake_ros_master import FakeMaster
 from fake_sawyer import FakeSawyer, swing
 
 from anther.core import Array
+from anther.core.choices import ArmName
 from anther.plant import moved
 from anther.robot import Robot
-from anther.robot.arm import ArmName, sawyer
+from anther.robot.arm import sawyer
 from anther.robot.drivers.intera import types
 from anther.robot.drivers.ros1 import Node
 from anther.robot.drivers.sawyer_ros1 import Sawyer

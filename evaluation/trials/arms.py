@@ -15,7 +15,7 @@ from typing import get_args
 import numpy as np
 from rich.console import RenderableType
 
-from anther.robot.arm import ArmName
+from anther.core.choices import ArmName
 from evaluation.harness import finish, options, run_cases
 from evaluation.perception.skeletons import TEN
 from evaluation.statistics import interval

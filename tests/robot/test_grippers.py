@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from anther.core.choices import ArmName
 from anther.core.errors import InputError
 from anther.core.geometry import Box, transform, transform_points
-from anther.robot.arm import ArmName
 from anther.robot.arm.arms import find_arm
 from anther.robot.arm.gripper_shape import GripperShape
 from anther.robot.arm.grippers import PRESETS, GripperSize, with_camera
 from anther.robot.arm.model import outline
-from anther.robot.arm.saved import load_arm, save_arm
+from anther.robot.arm.saved import SavedArm
 from anther.robot.arm.sawyer import SAWYER, TOOL
 from anther.robot.cells import read_cell
 from anther.robot.cells.hardware import _check_stroke
@@ -167,18 +167,18 @@ def test_another_tool_leaves_the_arm_as_it_was(name: ArmName) -> None:
 @pytest.mark.parametrize("name", get_args(ArmName))
 def test_a_kept_arm_is_read_as_it_was(tmp_path: Path, name: ArmName) -> None:
     arm = find_arm(name)
-    save_arm(tmp_path / "arm.json", arm, [Box(np.zeros(3), np.ones(3))])
-    read, boxes = load_arm(tmp_path / "arm.json")
-    before, after = asdict(arm), asdict(read)
+    SavedArm(arm, (Box(np.zeros(3), np.ones(3)),)).save(tmp_path / "arm.json")
+    read = SavedArm.load(tmp_path / "arm.json")
+    before, after = asdict(arm), asdict(read.arm)
     for key, value in before.items():
         np.testing.assert_equal(after[key], value)
-    assert [tuple(box.upper) for box in boxes] == [(1.0, 1.0, 1.0)]
+    assert [tuple(box.upper) for box in read.keep_out] == [(1.0, 1.0, 1.0)]
 
 
 def test_a_kept_arm_of_another_version_is_refused(tmp_path: Path) -> None:
-    save_arm(tmp_path / "arm.json", SAWYER)
+    SavedArm(SAWYER).save(tmp_path / "arm.json")
     told = json.loads((tmp_path / "arm.json").read_text())
     for wrong in (told | {"schema": 99}, {key: told[key] for key in ("kind", "schema", "keep_out")}):
         (tmp_path / "arm.json").write_text(json.dumps(wrong))
         with pytest.raises(InputError):
-            load_arm(tmp_path / "arm.json")
+            SavedArm.load(tmp_path / "arm.json")

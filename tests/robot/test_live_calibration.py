@@ -37,8 +37,8 @@ from anther.robot.calibration.live import (
     candidates,
     is_steady,
     lacks,
+    read_camera_reference,
     read_earlier_views,
-    read_record,
     sees_board,
     spread,
 )  # fmt: skip
@@ -116,7 +116,7 @@ def test_the_hidden_place_of_the_camera_is_found(calibrated: Path) -> None:
 
 
 def test_the_views_cover_image_tilt_and_turns(calibrated: Path) -> None:
-    record = read_record(calibrated / "calib")
+    record = read_camera_reference(calibrated / "calib")
     motions = flange_motions(record.T_base_flange)
     assert motions.largest > np.deg2rad(40)
     assert motions.second > np.deg2rad(30)

@@ -20,7 +20,7 @@ from served_franka import NO_SERVER, has_server
 from slow_clock import AGAIN_IF_HELD_UP
 from small_planner import SmallPlanner
 
-from anther.robot.arm import ArmName
+from anther.core.choices import ArmName
 from anther.robot.cells import CellFile, read_cell
 from anther.robot.cells.hardware import connect_cell
 from anther.robot.devices import JointTrajectory, Robot

@@ -12,7 +12,7 @@ import pytest
 from fake_robot import LIMITS, FakeArm
 from fake_shaker import FakeClock, FakeShaker
 
-from anther.core.errors import InputError, StageFailure
+from anther.core.errors import MissingExtra, StageFailure
 from anther.robot.devices import ArmSample, DeviceError, Motor
 from anther.robot.drivers.voice_coil import VoiceCoil, open_port, seal, unseal
 from anther.robot.safety import GuardedMotor
@@ -277,7 +277,7 @@ def test_lines_with_a_wrong_sum_are_no_lines() -> None:
 
 @pytest.mark.skipif(importlib.util.find_spec("serial") is not None, reason="pyserial is installed")
 def test_without_pyserial_one_is_told_what_to_install() -> None:
-    with pytest.raises(InputError, match=r"pip install 'anther\[motor\]'"):
+    with pytest.raises(MissingExtra, match=r"pip install 'anther\[motor\]'"):
         open_port("loop://")
 
 

@@ -12,10 +12,10 @@ import pytest
 from made_arm import CELL
 
 from anther.cli.main import main
+from anther.core.choices import ArmName
 from anther.core.errors import InputError, StageFailure
 from anther.core.geometry import Intrinsics
-from anther.robot.arm import ArmName
-from anther.robot.arm.saved import save_arm
+from anther.robot.arm.saved import SavedArm
 from anther.robot.cells import CellFile
 from anther.robot.devices import JointTrajectory
 from anther.show.results import ARM, RunResults, read_run
@@ -196,7 +196,7 @@ def test_options_that_the_file_answers_are_refused(
 
 def test_the_viewer_shows_the_arm_that_the_run_kept(tmp_path: Path) -> None:
     file = cell(tmp_path, f'[arm]\nmodel = "ur5e"\n[gripper]{SHAPE}')
-    save_arm(tmp_path / ARM, file.model, file.keep_out)
+    SavedArm(file.model, file.keep_out).save(tmp_path / ARM)
     shown = arm_of(RunResults(tmp_path, {"cell": str(tmp_path / "gone.toml"), "arm": "ur5e"}))
     assert shown.tool.solids(0.01) == file.model.tool.solids(0.01)
 

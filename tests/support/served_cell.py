@@ -33,8 +33,7 @@ from served_controller import Aim, along, catching_up, references
 from served_franka import ServedFranka
 from served_world import World
 
-from anther.core.choices import Crop
-from anther.robot.arm import ArmName
+from anther.core.choices import ArmName, Crop
 from anther.robot.arm.arms import simulated_arm
 from anther.robot.arm.model import ArmModel
 from anther.robot.arm.sawyer import ACCELERATION, SAWYER, VELOCITY

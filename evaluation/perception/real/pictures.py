@@ -16,7 +16,8 @@ from PIL import Image
 from anther.core import Array
 from anther.perception import Cloud, Stem
 from anther.perception.stem import ORGAN_NAMES, STEM
-from anther.show.pictures.plant import BRANCH_COLOR, GRASP_COLOR, ORGAN_COLORS, STEM_COLOR
+from anther.show.scene import ORGAN_COLORS
+from anther.show.style import BRANCH_COLOR, GRASP_COLOR, STEM_COLOR
 from evaluation.perception.real.answers import Answer, Seen
 from evaluation.perception.real.plants import Reference
 

@@ -75,8 +75,9 @@ def _list(args: Args, which: dict[str, Any], outcomes: Sequence[Outcome]) -> Non
     return None
 
 
-def _trials(trials: Sequence[Visit], width: int, wide: int = 140) -> Table:
+def _trials(trials: Sequence[Visit], width: int) -> Table:
     """Return the table of trials; in a narrow terminal with the columns that tell how each went."""
+    wide = 140  # characters that all columns take
     columns = COLUMNS if width >= wide else {name: COLUMNS[name] for name in NARROW}
     more = (
         ""

@@ -32,14 +32,14 @@ from anther.robot.calibration import (
 from anther.robot.calibration.live import (
     INTRINSICS,
     RESULT,
-    Record,
+    CameraReference,
     Taken,
     candidates,
     is_steady,
     lacks,
     least_alike,
+    read_camera_reference,
     read_earlier_views,
-    read_record,
     spread,
 )  # fmt: skip
 from anther.robot.cells import CellFile, own_cell, read_cell
@@ -84,8 +84,9 @@ class Eye:
     arm: Arm
     camera: Camera
 
-    def look(self, still: float = 0.005) -> tuple[NDArray[Any], Array]:
-        """Return a grey image (H, W) uint8 and the joints (J,) [rad] of an arm that stands, but for `still` [rad]."""
+    def look(self) -> tuple[NDArray[Any], Array]:
+        """Return a grey image (H, W) uint8 and the joints (J,) [rad] of an arm that stands, but for 5 mrad."""
+        still = 0.005  # rad
         before, image = self.arm.joints(), cv2.cvtColor(self.camera.read().rgb, cv2.COLOR_RGB2GRAY)
         after = self.arm.joints()
         if (moved := float(np.abs(after - before).max())) > still:
@@ -300,37 +301,37 @@ def check(cell: Path, *, yes: bool = False) -> int:
     """
     file, begin = read_cell(cell), time.monotonic()
     folder = _calibration_of(file)
-    record = read_record(folder)
+    reference = read_camera_reference(folder)
     intrinsics, distortion = read_intrinsics(folder / INTRINSICS)
-    today = Taken(folder, record.board, intrinsics, distortion)
+    today = Taken(folder, reference.board, intrinsics, distortion)
     with _eye(file) as eye:
-        places = _look_again(eye, record, today, Asking(yes))
+        places = _look_again(eye, reference, today, Asking(yes))
     if places is None:
         return 2
     print(f"{len(places)} views in {time.monotonic() - begin:.0f} s")
-    anew = f"Calibrate again: anther calibrate --live --cell {cell} --board {record.board}"
+    anew = f"Calibrate again: anther calibrate --live --cell {cell} --board {reference.board}"
     if len(places) < CHECKED - 1:
         print(
             f"{CHECKED - len(places)} of {CHECKED} views do not show the board: does it stand where it stood, in light?"
         )
         print(f"If so, the camera has moved far. {anew}")
         return 1
-    then = record.T_base_flange[places], record.T_cam_board[places]
-    centre = parse_board(record.board).centre
-    moved = find_movement(record.found, then, today.flange, today.all_views(), intrinsics, centre)
+    then = reference.T_base_flange[places], reference.T_cam_board[places]
+    centre = parse_board(reference.board).centre
+    moved = find_movement(reference.found, then, today.flange, today.all_views(), intrinsics, centre)
     print(_in_words(moved))
     if moved.verdict != "still":
         print(anew)
     return int(moved.verdict != "still")
 
 
-def _look_again(eye: Eye, record: Record, today: Taken, ask: Asking) -> list[int] | None:
+def _look_again(eye: Eye, reference: CameraReference, today: Taken, ask: Asking) -> list[int] | None:
     """Take `today`'s views from places of the calibration; return which show the board, None if not allowed to."""
-    centre, here = parse_board(record.board).centre, eye.arm.joints()
-    nearest = int(np.abs(record.joints - here).max(axis=1).argmin())
-    chosen = spread(inverse(record.T_cam_board), CHECKED, nearest, centre, today.intrinsics)
-    planner, motions = eye.planner(record.found.T_base_board, centre), list[JointTrajectory]()
-    for there in record.joints[chosen]:
+    centre, here = parse_board(reference.board).centre, eye.arm.joints()
+    nearest = int(np.abs(reference.joints - here).max(axis=1).argmin())
+    chosen = spread(inverse(reference.T_cam_board), CHECKED, nearest, centre, today.intrinsics)
+    planner, motions = eye.planner(reference.found.T_base_board, centre), list[JointTrajectory]()
+    for there in reference.joints[chosen]:
         near = np.abs(there - here).max() < 0.01  # rad
         motions.append(JointTrajectory.standstill(here, 0.01) if near else planner.move(here, there))
         here = motions[-1].positions[-1]

@@ -56,8 +56,7 @@ def run(args: Args) -> None:
         return
     if args.rods.bare:
         raise bad_input("bare", given="no --simulate or --map", allowed="one of them", do="Leave --bare out.")
-    asked = _asked(args)
-    crop: Crop = asked["plant"] if asked.get("plant") in get_args(Crop) else args.species
+    asked, crop = _asked(args), _crop(args)
     out = room_for(args, WRITTEN)
     source, skeleton, stem, cloud = read(args)
     assert source.model is not None
@@ -77,16 +76,20 @@ def _asked(args: Args) -> dict[str, Any]:
     return read_object(args.source / PARAMS) if (args.source / PARAMS).is_file() else {}
 
 
+def _crop(args: Args) -> Crop:
+    """Return what the run was of; of a skeleton file what was said."""
+    was = _asked(args).get("plant")
+    return cast(Crop, was) if was in get_args(Crop) else args.species
+
+
 def read(args: Args) -> tuple[SourcePlant, Skeleton | None, Stem | None, Cloud | None]:
     """Return what `read_plant` does of what is asked."""
     given = {name: getattr(args.rods, name) for name in MATERIAL}
     changes = {name: value for name, value in given.items() if value is not None}
-    was = _asked(args).get("plant")
-    species = cast(Crop, was) if was in get_args(Crop) else args.species
     measured = None if args.material is None else read_material(args.material)
     return read_plant(
         args.source,
-        Properties(species, measured, changes, args.rods.radius, args.rods.least_radius),
+        Properties(_crop(args), measured, changes, args.rods.radius, args.rods.least_radius),
         flowers=() if args.source.is_dir() and (args.simulate or args.map) else args.flower,
         units=args.units,
         up=args.up,

@@ -6,15 +6,15 @@ from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
 
+from anther.cli.run_folder import judge_done
 from anther.core.errors import StageFailure
 from anther.core.runs import Run
 from anther.history import Order, Report, earlier_shake, starting_material
 from anther.plant.visit import Visit
-from anther.pollination import Done, visit_row_stem
+from anther.pollination import visit_row_stem
 from anther.show.results import SUMMARY
 from anther.show.summary import summarise
-from anther.sim import Row, SimulatedCell, build_row, mapped_hook
-from anther.sim.judge import Verdict, judge
+from anther.sim import Row, build_row, mapped_hook
 
 BY_THE_SIMULATOR = {"cell", "capture", "execution", "judge"}
 """Stages whose time is the simulator's, not this computer's."""
@@ -37,7 +37,7 @@ def visit_stem(row: Row, order: Order, history: str, folder: Path) -> Report:
             done = visit_row_stem(
                 cell.robot_side, row.crop, mapped_hook(row), run, material=belief.material, earlier=earlier
             )
-            verdict = _judge(cell, done, run)
+            verdict = run.timed("judge", lambda _: judge_done(cell, done))
         except StageFailure as stopped:
             failure = stopped
     visit = replace(
@@ -52,9 +52,3 @@ def visit_stem(row: Row, order: Order, history: str, folder: Path) -> Report:
     to_stem = 2.0  # s from one stem to the next, 0.4 m at 0.3 m/s until the cart stands (a guess)
     travel = entry if order.enters else to_stem
     return Report(visit, order.begin + timedelta(seconds=travel + moved + thought))
-
-
-def _judge(cell: SimulatedCell, done: Done, run: Run) -> Verdict:
-    times = done.trial.shake_times
-    shaken = (times[0], times[-1]) if len(times) else None
-    return run.timed("judge", lambda _: judge(cell.world, shaken, done.shake.frequency, done.trial.steady))

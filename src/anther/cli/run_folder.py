@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from anther.cli.doctor import installed_version
 from anther.core.errors import AntherError, bad_input, missing_extra
@@ -22,6 +22,11 @@ from anther.history import add_missing, hide_password, record_trial
 from anther.plant.visit import Visit
 from anther.robot.devices import Tap, no_tap
 from anther.show.results import ARM, EXECUTED, FILM, PARAMS, SUMMARY, TIMING, RunResults, read_run
+
+if TYPE_CHECKING:
+    from anther.pollination.pipeline import Done
+    from anther.sim.judge import Verdict
+    from anther.sim.simulated_cell import SimulatedCell
 
 LOG, EARLIER = "log.mcap", "log_before.mcap"
 """The log, and that of the process which a run was gone on from."""
@@ -168,6 +173,14 @@ def finish(run: Run) -> RunResults:
     results = read_run(run.folder)
     write_report(run.path("report"), results)
     return results
+
+
+def judge_done(cell: SimulatedCell, done: Done) -> Verdict:
+    """Return what the simulator knows of a trial that was carried out."""
+    from anther.sim.judge import judge
+
+    times, steady = done.trial.shake_times, done.trial.steady
+    return judge(cell.world, (times[0], times[-1]) if len(times) else None, done.shake.frequency, steady)
 
 
 def remember(visit: Visit, folder: Path, history: str) -> str | None:

@@ -12,4 +12,4 @@ def run(args: Args) -> None:
     free(*(args.out / name for name in SAMPLES), overwrite=args.overwrite)
     for path in write_samples(args.out):
         print(f"{path!s:24} {SAMPLES[path.name]}")
-    print("The table in README.md has a command for each.")
+    print("docs/commands.md has a command for each.")

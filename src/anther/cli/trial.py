@@ -11,17 +11,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from anther.cli.args.trial import Args
-from anther.cli.run_folder import TrialLog, finish, open_run, parameters, remember
+from anther.cli.run_folder import TrialLog, finish, judge_done, open_run, parameters, remember
 from anther.core.checks import check_range
 from anther.core.errors import StageFailure, bad_input
 from anther.core.runs import WHERE_IT_STOPPED, stage_under_way
-from anther.history import Belief, earlier_shake, facts_prior, hide_password, starting_material
+from anther.history import Belief, earlier_shake, hide_password, starting_material
 from anther.plant.imported import with_known_places
+from anther.plant.source import PRIORS
 from anther.plant.visit import Visit
-from anther.pollination.pipeline import Done, Params, mask_finder, pollinate
+from anther.pollination.pipeline import Params, mask_finder, pollinate
 from anther.pollination.shake import with_preset
 from anther.robot.arm.gripper_shape import GripperShape
-from anther.robot.arm.saved import save_arm
+from anther.robot.arm.saved import SavedArm
 from anther.robot.cells import read_cell
 from anther.robot.devices import Tap, no_tap
 from anther.show.results import ARM, EXECUTED, FILM
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from anther.robot.arm.views import Params as ViewParams
     from anther.robot.cells import CellFile
     from anther.robot.cells.hardware import HardwareCell
-    from anther.sim.judge import Verdict
     from anther.sim.simulated_cell import SimulatedCell
     from anther.sim.truth import Truth
 
@@ -74,7 +74,7 @@ def run(args: Args) -> int:
         log = machines.enter_context(TrialLog(run, wanted=args.log))
         try:
             if file is not None:
-                save_arm(run.folder / ARM, file.model, file.keep_out)
+                SavedArm(file.model, file.keep_out).save(run.folder / ARM)
             cell = run.timed("cell", lambda _: machines.enter_context(_cell(args, file, log.tap)))
             notes = cell.notes
             print(*notes, sep="\n", end="\n" * bool(notes), flush=True)
@@ -83,7 +83,7 @@ def run(args: Args) -> int:
             side, world = cell.robot_side.robot, cell.world
             frames = done.trial.frames if world is None else with_robot(done.trial.frames, done.trial, side, world.arm)
             save_film(run.folder / FILM, frames)
-            verdict = None if cell.world is None else run.timed("judge", lambda _: _judge(cell, done))
+            verdict = None if cell.world is None else run.timed("judge", lambda _: judge_done(cell, done))
         except StageFailure as stopped:
             failure = stopped
         begun = Visit(args.plant, _label(args), held_unharmed=False, run=str(out), robot=args.robot, time=began)
@@ -215,17 +215,10 @@ def _build(args: Args, tap: Tap = no_tap) -> SimulatedCell:
     )
 
 
-def _judge(cell: SimulatedCell, done: Done) -> Verdict:
-    from anther.sim.judge import judge
-
-    times = done.trial.shake_times
-    return judge(cell.world, (times[0], times[-1]) if len(times) else None, done.shake.frequency, done.trial.steady)
-
-
 def _belief(args: Args) -> Belief:
     """Return what is believed of the plant. A history that cannot be read stops the trial before anything moves."""
     if args.material == "facts":
-        return Belief(facts_prior(args.plant), "facts", f"the facts' prior of {args.plant}, as asked for")
+        return Belief(PRIORS[args.plant], "facts", f"the facts' prior of {args.plant}, as asked for")
     return starting_material(args.plant, _label(args), args.history)
 
 

@@ -1,6 +1,6 @@
 """The public names of the room, and where they stand; `__init__.py` finds them when they are asked for."""
 
-from ._beliefs import Belief, earlier_shake, facts_prior, starting_material
+from ._beliefs import Belief, earlier_shake, starting_material
 from ._database import hide_password, open_reader
 from ._export import export
 from ._merge import merge
@@ -49,7 +49,6 @@ __all__ = [
     "each_trial",
     "earlier_shake",
     "export",
-    "facts_prior",
     "find_unfinished_shift",
     "find_visit",
     "fit",

@@ -14,10 +14,8 @@ from anther.history._database import DEFAULT, open_reader
 from anther.history._records import material_of
 from anther.history._tables import GraspRow, Plant, ResponseRow, ShakeRow, VisitRow
 from anther.plant.belief import EarlierShake
-from anther.plant.model import PEPPER, TOMATO, Material
-
-CROPS = {"tomato": TOMATO, "pepper": PEPPER}
-"""What is believed of a crop before any plant of it was measured; each says its sources."""
+from anther.plant.model import TOMATO, Material
+from anther.plant.source import PRIORS
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,11 +33,6 @@ class Belief:
     reason: str
 
 
-def facts_prior(species: str) -> Material:
-    """Return what the facts say of a crop; the tomato's for a crop without facts."""
-    return CROPS.get(species, TOMATO)
-
-
 def starting_material(species: str, plant: str, where: Path | str = DEFAULT) -> Belief:
     """Return what to believe of a plant before its next shake.
 
@@ -48,13 +41,13 @@ def starting_material(species: str, plant: str, where: Path | str = DEFAULT) -> 
     plant's flowers do beyond the model at one frequency says little a fifth away from it, and nothing two fifths away
     (correlations 0.35 and 0.05, docs/reports/response.md). Last is what the robots' clocks say is last. The
     belief is not widened with time: no rate at which stems stiffen was found (facts: pollination, "Not found"); the
-    reason says how old it is. Another plant has the facts' prior.
+    reason says how old it is. Another plant has the facts' prior, the tomato's for a crop without facts.
     """
-    facts = facts_prior(species)
+    facts = next((prior for crop, prior in PRIORS.items() if crop == species), TOMATO)
     with open_reader(where) as session:
         own, count = (None, 0) if session is None else _own(session, species, plant)
     if own is None or own.material is None:
-        known = species if species in CROPS else f"{species}, taken as tomato's: nothing is known of it"
+        known = species if species in PRIORS else f"{species}, taken as tomato's: nothing is known of it"
         return Belief(facts, "facts", f"the facts' prior of {known}; nothing was learned of this plant yet")
     reason = f"{plant}'s own, learned in {_count(count, 'trial')}, the last on {own.time:%Y-%m-%d %H:%M} UTC"
     last = material_of(own.material) or facts

@@ -152,7 +152,7 @@ def _stems(here: Session, there: Session, side: RowSide, known: RowSide, *, newe
             gone = stem.removed or (None if newer else known.passed or stem.last_seen)
             there.add(StemRow(row_side_id=known.id, plant_id=plant, **{**values, "removed": gone}))
             newly += 1
-        elif match is not None and newer:
+        elif newer:
             _set(match, values)
     for left in own.values() if newer else ():
         left.removed = left.removed or side.passed

@@ -34,9 +34,7 @@ class RobotNow(NamedTuple):
     leg: int | None
 
 
-def assign_legs(
-    legs: Sequence[Leg], robots: Sequence[RobotNow], chargers: int, effort: float = 2.0
-) -> dict[str, list[int]]:
+def assign_legs(legs: Sequence[Leg], robots: Sequence[RobotNow], chargers: int) -> dict[str, list[int]]:
     """Return each robot's steps: numbers of legs and `CHARGE`, in their order. A leg that fits nowhere is left out.
 
     As many stems as can be are visited, then as early as can be. One robot is in a row at a time.
@@ -74,7 +72,7 @@ def assign_legs(
     spent = sum(literal for of in charges.values() for _, literal, _ in of)
     model.maximize(sum(horizon * leg.stems * literal for leg, literal in done.items()) - last - 60 * spent)
     solver = cp_model.CpSolver()
-    solver.parameters.max_deterministic_time, solver.parameters.num_workers = effort, 1
+    solver.parameters.max_deterministic_time, solver.parameters.num_workers = 2.0, 1
     solver.parameters.catch_sigint_signal = False  # else Ctrl-C would kill a visit afterwards, arm moving
     if solver.solve(model) not in (cp_model.OPTIMAL, cp_model.FEASIBLE):
         return {robot.name: [] for robot in robots}

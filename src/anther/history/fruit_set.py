@@ -12,13 +12,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from scipy.special import expit, gammaln, logit
 
 from anther.core.checks import check_array, check_range
 from anther.core.geometry import Array
+from anther.core.records import Range, Record
 
 if TYPE_CHECKING:  # the database's library takes half a second
     from anther.history import Outcome
@@ -73,7 +74,7 @@ PRIORS = {"tomato": Prior(), "pepper": Prior(unshaken=(-0.3, 1.0), gain=(0.0, 1.
 
 
 @dataclass(frozen=True, slots=True)
-class Count:
+class Count(Record):
     """One count of fruit set with the shakes that came before it.
 
     Attributes:
@@ -81,12 +82,11 @@ class Count:
         shakes: peak accelerations (F,) [m/s2] of the flowers in each visit; none for a control.
     """
 
-    flowers: int
+    flowers: Annotated[int, Range(1, 100_000)]
     fruit: int
     shakes: tuple[Array, ...] = ()
 
-    def __post_init__(self) -> None:
-        check_range("flowers", self.flowers, 1, 100_000)
+    def _check(self) -> None:
         check_range("fruit", self.fruit, 0, self.flowers)
         checked = tuple(check_array("flower accelerations", a, (None,)) for a in self.shakes)
         for a in checked:

@@ -196,8 +196,8 @@ def worth(
         sums = [np.zeros(size.shape) for _ in curves]
         for first in range(0, len(logs), together):
             sizes = logs[first : first + together, None] + size + delivered[0]
-            for total, curve in zip(sums, curves, strict=True):
-                total += curve(sizes, spread).sum(axis=0)
+            for k, curve in enumerate(curves):
+                sums[k] += curve(sizes, spread).sum(axis=0)
         return [total / len(logs) for total in sums]
 
     curves = [_dose_curve(hertz, power) for power, _ in DOSE_MEASURES.values()]

@@ -4,9 +4,9 @@ from .arm.arms import find_arm
 from .arm.model import ArmModel
 from .arm.planner import Planner
 from .arm.urdf import from_urdf
-from .arm.views import Viewpoints, Views, plan_views
+from .arm.views import Views, plan_views
 from .calibration import CharucoBoard, HandEye, calibrate, estimate_intrinsics
-from .cell import Cell, MotionPlanner, TrajectoryPlanner
+from .cell import Cell, MotionPlanner
 from .cells import CellFile, read_cell
 from .cells.hardware import connect_cell, hardware_cell
 from .devices import (
@@ -54,8 +54,6 @@ __all__ = [
     "Robot",
     "SafetyLimits",
     "Swing",
-    "TrajectoryPlanner",
-    "Viewpoints",
     "Views",
     "calibrate",
     "connect_cell",

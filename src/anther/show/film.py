@@ -20,14 +20,13 @@ from anther.show.scene import hand, limbs
 from anther.show.style import GRIPPER_COLOR, ROBOT_COLOR, rgb
 
 
-def save_film(path: Path, frames: Sequence[Frame], *, seconds: float = 1.5, width: int = 420) -> None:
+def save_film(path: Path, frames: Sequence[Frame], *, seconds: float = 1.5) -> None:
     """Write the end of a recording as an animated WebP that plays at half the speed; nothing of fewer than two frames.
 
     Args:
         path: of the file.
         frames: in order of time.
         seconds: of the recording's end.
-        width: of the film [px].
 
     Raises:
         InputError: the file cannot be written.
@@ -35,6 +34,7 @@ def save_film(path: Path, frames: Sequence[Frame], *, seconds: float = 1.5, widt
     last = [frame for frame in frames if frame.time >= frames[-1].time - seconds]
     if len(last) < 2:
         return
+    width = 420  # px, as wide as the report shows it
     height = round(width * last[0].rgb.shape[0] / last[0].rgb.shape[1])
     pictures = [Image.fromarray(frame.rgb).resize((width, height), Image.Resampling.LANCZOS) for frame in last]
     apart = round(1000 * 2.0 * (last[-1].time - last[0].time) / (len(last) - 1))

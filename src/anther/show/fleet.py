@@ -6,14 +6,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
-from typing import ClassVar
+from dataclasses import dataclass
+from typing import Annotated
 
-from anther.core.checks import check_range
+from anther.core.records import Range, Record
 
 
 @dataclass(frozen=True, slots=True)
-class House:
+class House(Record):
     """A greenhouse and what a robot does in it. Defaults answer for today, with two hectares of tomatoes.
 
     Attributes:
@@ -29,37 +29,19 @@ class House:
         years: that it serves; a guess.
         season: days of a year on which robots work; 41 weeks (facts: pollination, manual wand).
         upkeep: per robot and year, as a share of its price; a guess.
-        limits: of each of these, with its unit.
     """
 
-    limits: ClassVar = {
-        "area": (0.01, 1000.0, "ha"),
-        "plants": (100.0, 1e6, "per ha"),
-        "path": (0.3, 10.0, "m"),
-        "hours": (0.1, 24.0, "h"),
-        "days": (0.1, 60.0, "days"),
-        "seconds": (0.1, 3600.0, "s"),
-        "move": (0.0, 3600.0, "s"),
-        "price": (0.0, 1e7, "€"),
-        "years": (0.5, 50.0, "years"),
-        "season": (1.0, 366.0, "days"),
-        "upkeep": (0.0, 10.0, ""),
-    }
-    area: float = 2.0
-    plants: float = 30000.0
-    path: float = 1.6
-    hours: float = 5.0
-    days: float = 2.0
-    seconds: float = 27.6
-    move: float = 0.0
-    price: float = 40000.0
-    years: float = 8.0
-    season: float = 287.0
-    upkeep: float = 0.1
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            check_range(field.name, getattr(self, field.name), *self.limits[field.name])
+    area: Annotated[float, Range(0.01, 1000.0, "ha")] = 2.0
+    plants: Annotated[float, Range(100.0, 1e6, "per ha")] = 30000.0
+    path: Annotated[float, Range(0.3, 10.0, "m")] = 1.6
+    hours: Annotated[float, Range(0.1, 24.0, "h")] = 5.0
+    days: Annotated[float, Range(0.1, 60.0, "days")] = 2.0
+    seconds: Annotated[float, Range(0.1, 3600.0, "s")] = 27.6
+    move: Annotated[float, Range(0.0, 3600.0, "s")] = 0.0
+    price: Annotated[float, Range(0.0, 1e7, "€")] = 40000.0
+    years: Annotated[float, Range(0.5, 50.0, "years")] = 8.0
+    season: Annotated[float, Range(1.0, 366.0, "days")] = 287.0
+    upkeep: Annotated[float, Range(0.0, 10.0)] = 0.1
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -133,7 +133,7 @@ class RunResults:
     def crop(self) -> Crop | None:
         """What was shaken, if it is known."""
         name = self.params.get("plant")
-        return name if name in ("tomato", "pepper") else None
+        return name if name in get_args(Crop) else None
 
     @property
     def headline(self) -> str:

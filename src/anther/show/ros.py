@@ -28,6 +28,7 @@ from anther.perception.stem import Stem, find_stem
 from anther.perception.supports import find_supports
 from anther.pollination import grasp
 from anther.robot.arm.gripper_shape import GripperShape
+from anther.robot.arm.motions import join
 from anther.robot.arm.planner import Planner
 from anther.robot.cells import CellFile
 from anther.robot.cells.hardware import planner_around
@@ -111,16 +112,9 @@ class PlantAnswers:
         out = planner.line(best.joints, best.pregrasp(grasp.STAND_OFF))
         free = planner.move(joints, out.positions[-1])
         limits = self.file.safety_limits()
-        way = joined(free, out.backwards())
+        way = join([free, out.backwards()])
         check_trajectory(way, joints, limits)
         return way
-
-
-def joined(first: JointTrajectory, second: JointTrajectory) -> JointTrajectory:
-    """Return two motions, the second from where the first has come to rest, as one."""
-    times = np.concatenate([first.times, first.duration + second.times[1:]])
-    positions = np.concatenate([first.positions, second.positions[1:]])
-    return JointTrajectory(times, positions, np.concatenate([first.velocities, second.velocities[1:]]))
 
 
 def cylinders(skeleton: Skeleton) -> Iterator[Shape]:
@@ -147,13 +141,12 @@ class PlantNode:
     Args:
         file: the cell: arm, gripper, workspace, keep-out boxes and limits.
         frame: name of the arm's base frame.
-        states: topic of the arm's joints.
 
     Raises:
         MissingExtra: rclpy or a message package is not installed.
     """
 
-    def __init__(self, file: CellFile, frame: str = "base_link", states: str = "/joint_states") -> None:
+    def __init__(self, file: CellFile, frame: str = "base_link") -> None:
         self._file, self._frame, self._names = file, frame, _joint_names(file)
         self._answers: PlantAnswers | str = "no cloud was heard yet on ~/cloud"
         self._joints: tuple[float, Array] | None = None
@@ -170,7 +163,7 @@ class PlantNode:
         if self._moveit:
             self._out["planning scene"] = self._node.publisher("/planning_scene", "moveit_msgs/msg/PlanningScene")
         self._node.subscribe("~/cloud", "sensor_msgs/msg/PointCloud2", self._hear_cloud)
-        self._node.subscribe(states, "sensor_msgs/msg/JointState", self._hear_joints)
+        self._node.subscribe("/joint_states", "sensor_msgs/msg/JointState", self._hear_joints)
         asked = {"skeleton": self._skeleton, "grasp_pose": self._grasp_pose, "plan": self._plan}
         for name, answer in asked.items():
             self._node.service(f"~/{name}", "std_srvs/srv/Trigger", self._answering(answer))

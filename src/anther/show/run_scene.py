@@ -6,11 +6,11 @@ from typing import get_args
 
 import numpy as np
 
+from anther.core.choices import ArmName
 from anther.core.errors import AntherError
-from anther.robot.arm import ArmName
 from anther.robot.arm.arms import find_arm, simulated_arm
 from anther.robot.arm.model import ArmModel
-from anther.robot.arm.saved import load_arm
+from anther.robot.arm.saved import SavedArm
 from anther.robot.cells import read_cell
 from anther.show import scene, style
 from anther.show.results import ARM, RunResults
@@ -41,7 +41,7 @@ def layers_of(results: RunResults) -> list[Layer]:
             found.append(scene.arm_at(arm, grasp.joints, shown=results.trial is not None))
     if shake is not None:
         found.append(scene.shaking(shake))
-    if (results.folder / ARM).exists() and (boxes := load_arm(results.folder / ARM)[1]):
+    if (results.folder / ARM).exists() and (boxes := SavedArm.load(results.folder / ARM).keep_out):
         found.append(scene.keep_out(boxes))
     return found
 
@@ -50,7 +50,7 @@ def arm_of(results: RunResults) -> ArmModel | None:
     """Return the run's arm: as it was kept, by its name, or from the run's cell file; None if that is gone."""
     try:
         if (results.folder / ARM).exists():
-            return load_arm(results.folder / ARM)[0]
+            return SavedArm.load(results.folder / ARM).arm
         if results.simulated:
             return simulated_arm(results.arm)
         return (

@@ -122,11 +122,10 @@ def grasps(name: str, ranked: Sequence[Grasp], colour: str = style.GRASP_COLOR) 
     return Layer(name, colour, arrows=arrows, lines=ends, width=0.004, shown=name == "grasp")
 
 
-def shaking(plan: ShakePlan, exaggeration: float = 20.0) -> Layer:
-    """Return an arrow along the shake at the grasp, so many times as long as its amplitude."""
-    end = plan.grasp.point + exaggeration * plan.amplitude * plan.direction
-    name = f"shake, {exaggeration:.0f} times as long"
-    return Layer(name, style.SHAKE_COLOR, arrows=np.array([[plan.grasp.point, end]]))
+def shaking(plan: ShakePlan) -> Layer:
+    """Return an arrow along the shake at the grasp, 20 times as long as its amplitude."""
+    end = plan.grasp.point + 20 * plan.amplitude * plan.direction
+    return Layer("shake, 20 times as long", style.SHAKE_COLOR, arrows=np.array([[plan.grasp.point, end]]))
 
 
 def motion(trajectory: JointTrajectory, forward: Callable[[Array], Array]) -> Layer:

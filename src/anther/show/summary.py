@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from anther.core.geometry import Array
+from anther.core.runs import FILES
 from anther.core.usage import process_seconds
 from anther.plant.limits import MOVED, moved
 from anther.plant.visit import GraspRecord, GripRecord, ShakeRecord, StepRecord, TruthRecord, Visit, median
@@ -207,7 +208,7 @@ def print_summary(results: RunResults) -> None:
     slowest = sorted(results.seconds.items(), key=lambda item: -item[1])
     times = ", ".join(f"{name} {seconds:.1f}" for name, seconds in slowest if seconds >= 0.05)
     table.add_row("time per stage [s]", f"{times}; in all, with imports, {process_seconds():.1f}")
-    table.add_row("report", str(results.folder / "10_report.html"))
+    table.add_row("report", str(results.folder / FILES["report"]))
     Console(markup=False).print(table)
 
 

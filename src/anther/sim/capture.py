@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anther.core.checks import check_array, check_range, check_transform
-from anther.core.compiling import compiled
 from anther.core.geometry import Array, Intrinsics, look_at, small_transform
 from anther.core.records import Range, Record
 from anther.perception.capture import Capture, Keep
@@ -278,9 +277,7 @@ def noisy_depth(
     disparity = focal / z
     seen = z < params.max_range
     if params.stereo_shadow:
-        shadowed = np.zeros(disparity.shape, np.bool_)
-        _find_shadows(disparity, np.empty(disparity.shape[1], disparity.dtype), shadowed)
-        seen &= ~shadowed
+        seen &= ~_shadowed(disparity)
     disparity, dropped = _ragged_edges(disparity, rng, params)
     # standard deviation of the Gaussian that correlates the disparity's error between neighbours [px]
     correlation = 1.5
@@ -338,23 +335,15 @@ def _ragged_edges(
     return np.where(flying, between, disparity), dropped
 
 
-@compiled
-def _find_shadows(disparity: NDArray[Any], nearest: NDArray[Any], out: NDArray[Any]) -> None:
-    """Fill (H, W) whether the second imager, on the right, sees another surface there or is not pointed there.
-
-    `nearest` (W,) is scratch.
-    """
+def _shadowed(disparity: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return (H, W) whether the second imager, on the right, sees another surface there or is not pointed there."""
     height, width = disparity.shape
-    for row in range(height):
-        nearest[:] = 0
-        for column in range(width):
-            x = np.int64(column - disparity[row, column] + 0.5)
-            if x >= 0 and disparity[row, column] > nearest[x]:
-                nearest[x] = disparity[row, column]
-        for column in range(width):
-            x = np.int64(column - disparity[row, column] + 0.5)
-            if x < 0 or nearest[x] > disparity[row, column] + 1.5:
-                out[row, column] = True
+    x = (np.arange(width) - disparity + 0.5).astype(np.int64)
+    inside = x >= 0
+    at = np.where(inside, x, 0) + width * np.arange(height)[:, None]
+    nearest = np.zeros(height * width, disparity.dtype)
+    np.maximum.at(nearest, at[inside], disparity[inside])
+    return ~inside | (nearest[at] > disparity + np.float64(1.5))
 
 
 def _pose_errors(count: int, errors: CameraErrors, rng: np.random.Generator) -> Array:

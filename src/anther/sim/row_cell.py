@@ -21,6 +21,7 @@ from anther.sim.row import Row, row_scene
 from anther.sim.row_house import Block
 from anther.sim.row_plants import held_by_string
 from anther.sim.simulated_cell import Layout, SimulatedCell, around, usual_distance
+from anther.sim.sway import calm_time
 from anther.sim.true_plant import as_true
 from anther.sim.truth import NOMINAL, Truth
 
@@ -141,9 +142,8 @@ def build_row(
     planned = plan_views(place.region, place.solids, views, arm=arm)
     mujoco = row_world(row, truth, arm, planned.joints[-1])
     if truth.wind:  # the views see it blown aside, and so it is when the arm comes
-        swing = round(4.0 / mujoco.timestep)  # s: two of a stem on its string (facts: rows 0)
-        still = np.tile(mujoco.joints, (swing, 1))
-        mujoco.run(still, np.zeros_like(still), np.full(swing, mujoco.opening))
+        still = np.tile(mujoco.joints, (round(calm_time(mujoco.plant) / mujoco.timestep), 1))
+        mujoco.run(still, np.zeros_like(still), np.full(len(still), mujoco.opening))
         mujoco.forget()  # of the wind's first gust the robot is not to blame
     noise = int(np.random.default_rng([row.seed, 15 + 10 * visit]).integers(1 << 31))
     scene = row_scene(row, mujoco.plant)

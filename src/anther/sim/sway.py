@@ -80,12 +80,17 @@ class Air:
 
 
 TIMESTEP = 2e-3
-CALM = 2.0
-"""How long the wind has blown before the clock begins [s]."""
+
+
+def calm_time(plant: SimPlant) -> float:
+    """Return how long wind blows before the clock begins [s]; on a string two swings of the stem (facts: rows 0)."""
+    return 4.0 if plant.twines else 2.0
 
 
 def gusts(plant: SimPlant, wind: float) -> Iterator[tuple[PlantMechanics, Any]]:
     """Yield (mechanics, MuJoCo's data) of a plant in gusts of `wind` [m/s] in the mean, every `TIMESTEP`, for ever.
+
+    The wind has blown for `calm_time` at the first, where `data.time` is 0.
 
     Args:
         plant: as it truly is; its `drag_area` feels the wind.
@@ -102,9 +107,11 @@ def gusts(plant: SimPlant, wind: float) -> Iterator[tuple[PlantMechanics, Any]]:
         mechanics.damp(model.opt.timestep)
     data = mujoco.MjData(model)
     air = Air(mechanics, wind, plant.seed)
+    data.time = -calm_time(plant)
     mujoco.mj_forward(model, data)
     while not data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
-        yield mechanics, data
+        if data.time > -TIMESTEP / 2:
+            yield mechanics, data
         for _ in range(parts):
             mujoco.mj_step1(model, data)  # drag with an inertia one step old blew stems on strings apart
             data.qfrc_applied[mechanics.dofs] = mechanics.drag(data)
@@ -126,7 +133,7 @@ def swaying(plant: SimPlant, wind: float, times: ArrayLike) -> Array:
     times, blown = check_array("times", times, (None,)), gusts(plant, wind)
     mechanics, data = next(blown)
     out = np.empty((len(times), len(plant.start), 4, 4))
-    for i, time in enumerate(times + CALM):
+    for i, time in enumerate(times):
         while data.time < time - TIMESTEP / 2:
             next(blown)
         out[i] = mechanics.segment_poses(data)

@@ -1,5 +1,1 @@
 """Arms: reach, paths, and how hard they can shake. Each stage is a module of its own."""
-
-from anther.core.choices import ArmName
-
-__all__ = ["ArmName"]

@@ -11,8 +11,8 @@ from typing import get_args
 
 import numpy as np
 
+from anther.core.choices import ArmName
 from anther.core.errors import bad_input
-from anther.robot.arm import ArmName
 from anther.robot.arm.model import ArmModel, Capsule, Link, complete
 from anther.robot.arm.sawyer import SAWYER
 from anther.robot.arm.urdf import WIDEST, from_urdf, usual_drives

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
@@ -18,6 +18,7 @@ from anther.core.checks import check_range
 from anther.core.errors import InputError, bad_input
 from anther.core.files import existing, number, read_json, read_rows
 from anther.core.geometry import Array, transform_from_pose7
+from anther.core.records import Range, Record
 
 SPECS = (
     "charuco:7x5:30mm:22mm[:DICT_4X4_50] (squares, square, marker, dictionary) or chessboard:9x6:25mm (inner corners)"
@@ -25,7 +26,7 @@ SPECS = (
 
 
 @dataclass(frozen=True, slots=True)
-class CharucoBoard:
+class CharucoBoard(Record):
     """A ChArUco board: a chessboard whose white squares hold ArUco markers, so that a part of it is enough.
 
     Attributes:
@@ -36,18 +37,16 @@ class CharucoBoard:
             a white square; opencv/opencv_contrib, `CharucoBoard.setLegacyPattern`).
     """
 
-    columns: int = 7
-    rows: int = 5
-    square: float = 0.030
+    CALLED = "board"
+    columns: Annotated[int, Range(3, 50)] = 7
+    rows: Annotated[int, Range(3, 50)] = 5
+    square: Annotated[float, Range(0.002, 1, "m")] = 0.030
     marker: float = 0.022
     dictionary: str = "DICT_4X4_50"
     legacy: bool = False
     _printed: Any = field(default=None, init=False, repr=False, compare=False)
 
-    def __post_init__(self) -> None:
-        check_range("board columns", self.columns, 3, 50)
-        check_range("board rows", self.rows, 3, 50)
-        check_range("board square", self.square, 0.002, 1, "m")
+    def _check(self) -> None:
         check_range("board marker", self.marker, 0.001, self.square * 0.99, "m")
         if not (self.dictionary.startswith("DICT_") and hasattr(cv2.aruco, self.dictionary)):
             raise bad_input(
@@ -88,7 +87,7 @@ class CharucoBoard:
 
 
 @dataclass(frozen=True, slots=True)
-class Chessboard:
+class Chessboard(Record):
     """A plain chessboard; a view counts only where all inner corners are seen.
 
     Attributes:
@@ -97,14 +96,12 @@ class Chessboard:
         square: edge length [m].
     """
 
-    columns: int = 9
-    rows: int = 6
-    square: float = 0.025
+    CALLED = "board"
+    columns: Annotated[int, Range(3, 50)] = 9
+    rows: Annotated[int, Range(3, 50)] = 6
+    square: Annotated[float, Range(0.002, 1, "m")] = 0.025
 
-    def __post_init__(self) -> None:
-        check_range("board columns", self.columns, 3, 50)
-        check_range("board rows", self.rows, 3, 50)
-        check_range("board square", self.square, 0.002, 1, "m")
+    def _check(self) -> None:
         if (self.columns - self.rows) % 2 == 0:
             raise bad_input(
                 "chessboard",

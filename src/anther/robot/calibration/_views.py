@@ -60,13 +60,12 @@ class BoardViews:
         return self.corners.images
 
 
-def find_corners(images: Iterable[NDArray[Any]], board: Board, *, least: int = LEAST_CORNERS) -> BoardCorners:
-    """Return the board's corners in each image that shows at least so many of them, not all in one line.
+def find_corners(images: Iterable[NDArray[Any]], board: Board) -> BoardCorners:
+    """Return the board's corners in each image that shows `LEAST_CORNERS` of them or more, not all in one line.
 
     Args:
         images: (H, W) or (H, W, 3) uint8.
         board: what was printed; measure its squares.
-        least: corners that a view needs.
 
     Raises:
         InputError: no image shows the board.
@@ -75,14 +74,14 @@ def find_corners(images: Iterable[NDArray[Any]], board: Board, *, least: int = L
     for number, image in enumerate(images):
         known, seen = board.find(image)
         count, last = count + 1, image
-        if len(known) >= least and np.linalg.matrix_rank(known[:, :2] - known[0, :2], tol=1e-9) == 2:
+        if len(known) >= LEAST_CORNERS and np.linalg.matrix_rank(known[:, :2] - known[0, :2], tol=1e-9) == 2:
             numbers.append(number)
             points.append(known)
             pixels.append(seen)
     if not numbers:
         raise bad_input(
             "calibration images",
-            given=f"{count} images, none with {least} corners of the board",
+            given=f"{count} images, none with {LEAST_CORNERS} corners of the board",
             allowed=f"a {board}",
             do=explain_missing_board(last if last.ndim == 2 else cv2.cvtColor(last, cv2.COLOR_BGR2GRAY), board),
         )

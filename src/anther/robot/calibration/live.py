@@ -197,7 +197,7 @@ def find_board(image: NDArray[Any], board: Board, intrinsics: Intrinsics, distor
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Record:
+class CameraReference:
     """What a check of the camera compares with.
 
     Attributes:
@@ -215,7 +215,7 @@ class Record:
     T_cam_board: Array
 
 
-def read_record(folder: Path | str) -> Record:
+def read_camera_reference(folder: Path | str) -> CameraReference:
     """Read what a live calibration left in its folder.
 
     Raises:
@@ -226,7 +226,7 @@ def read_record(folder: Path | str) -> Record:
     with understood(Path(folder) / VIEWS, "the views of the calibration beside it", "Calibrate again."):
         flange, cam = (np.stack([transform_from_pose7(rows[n][key]) for n in used]) for key in _POSES)
         joints = check_array("joints", [rows[n]["joints"] for n in used], (len(used), None))
-        return Record(found, board, joints, flange, cam)
+        return CameraReference(found, board, joints, flange, cam)
 
 
 def read_earlier_views(folder: Path, board: str) -> Taken | None:

@@ -10,13 +10,14 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from anther.core.checks import check_range
 from anther.core.errors import StageFailure, bad_input
 from anther.core.geometry import Array, Box, Intrinsics, transform_from_pose7
+from anther.core.records import Range, Record
 from anther.robot.arm.arms import find_arm
 from anther.robot.arm.grippers import PRESETS, GripperSize, with_camera
 from anther.robot.arm.model import ArmModel, outline
@@ -54,7 +55,7 @@ class ToolSection:
 
 
 @dataclass(frozen=True, slots=True)
-class Simulation:
+class Simulation(Record):
     """What a simulation of the cell wants to know beyond the machines; on metal it says nothing.
 
     Attributes:
@@ -63,14 +64,12 @@ class Simulation:
         side_camera: whether a cell file without a side camera is simulated with one.
     """
 
-    foot: Point | None = None
+    foot: Annotated[Point | None, Range(-FARTHEST, FARTHEST, "m")] = None
     wrist_intrinsics: Lens | None = None
     side_intrinsics: Lens | None = None
     side_camera: bool = True
 
-    def __post_init__(self) -> None:
-        for value in self.foot or ():
-            check_range("foot", value, -FARTHEST, FARTHEST, "m")
+    def _check(self) -> None:
         self.lens("wrist_intrinsics")
         self.lens("side_intrinsics")
 
@@ -85,14 +84,14 @@ class Simulation:
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class Limits(Record):
     """What no command may exceed: see `devices.SafetyLimits`, whose defaults hold where nothing is said.
 
     Attributes:
         speed_ratio: of all speeds and accelerations of arm and flange; a shake is so much smaller too. Begin low.
     """
 
-    speed_ratio: float = 0.1
+    speed_ratio: Annotated[float, Range(0.01, 1.0)] = 0.1
     flange_speed: float | None = None
     contact_force: float | None = None
     tracking: float | None = None
@@ -101,9 +100,6 @@ class Limits:
     shake_acceleration: float | None = None
     shake_duration: float | None = None
     grip_force: float | None = None
-
-    def __post_init__(self) -> None:
-        check_range("speed_ratio", self.speed_ratio, 0.01, 1.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from anther.core.checks import check_range
 from anther.core.errors import bad_input
 from anther.core.geometry import Array, Box
+from anther.core.records import Range, Record
 from anther.robot.arm.model import ArmModel
 from anther.robot.devices import CartLimits
 
@@ -16,7 +17,7 @@ Ends = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class CartSection:
+class CartSection(Record):
     """What the file says of the cart besides its driver.
 
     Attributes:
@@ -28,13 +29,12 @@ class CartSection:
     """
 
     travel: Ends
-    corridor: float
+    corridor: Annotated[float, Range(0.3, 2.0, "m")]
     lift: Ends | None = None
     stowed: list[float] | None = None
     tolerance: float = 0.003
 
-    def __post_init__(self) -> None:
-        check_range("corridor", self.corridor, 0.3, 2.0, "m")
+    def _check(self) -> None:
         for name, ends in (("travel", self.travel), ("lift", self.lift)):
             if ends is not None and not ends[0] < ends[1]:
                 raise bad_input(name, given=f"{list(ends)}", allowed="[lower, upper] m, lower < upper", do="Swap them.")

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from anther.core.errors import InputError
+from anther.core.errors import MissingExtra
 from anther.robot.devices import LEAD, Arm, ArmRecord, ArmSample, DeviceError, MoreSwing, Watch
 from anther.robot.drivers._streamed import Coming
 from anther.robot.swing import Swing
@@ -30,13 +30,13 @@ def open_port(name: str) -> Any:
     """Open a serial port at 115200 baud, such as "/dev/ttyACM0", "COM3" or pyserial's "loop://".
 
     Raises:
-        InputError: pyserial is not installed.
+        MissingExtra: pyserial is not installed.
         DeviceError: there is no such port.
     """
     try:
         serial: Any = importlib.import_module("serial")
     except ImportError as error:
-        raise InputError("serial port: pyserial is not installed. Run: pip install 'anther[motor]'.") from error
+        raise MissingExtra("serial port: pyserial is not installed. Run: pip install 'anther[motor]'.") from error
     try:
         return serial.serial_for_url(name, baudrate=115200, timeout=REPLY / 3, write_timeout=REPLY)
     except (OSError, ValueError) as error:

@@ -123,11 +123,11 @@ class _LoggedGripper(_Logged):
 
 
 class _LoggedCamera(_Logged):
-    """At most `rate` frames a second are kept."""
+    """At most 15 frames a second are kept."""
 
-    def __init__(self, camera: Any, say: Say, name: str, rate: float = 15.0) -> None:
+    def __init__(self, camera: Any, say: Say, name: str) -> None:
         super().__init__(camera, say)
-        self._name, self._apart, self._kept = name, 1 / rate - 1e-3, float("-inf")
+        self._name, self._apart, self._kept = name, 1 / 15 - 1e-3, float("-inf")
 
     def read(self) -> Frame:
         return self._keep([self._machine.read()])[0]

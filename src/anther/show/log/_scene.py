@@ -42,9 +42,10 @@ def update(name: str, layers: Sequence[Layer], when: Timestamp, frame: str) -> S
     return SceneUpdate(entities=[SceneEntity(timestamp=when, frame_id=frame, id=name, **parts)])
 
 
-def points(layer: Layer, when: Timestamp, frame: str, most: int = 20_000) -> PointCloud:
-    """Return a layer's points in their colours, at most `most` of them."""
+def points(layer: Layer, when: Timestamp, frame: str) -> PointCloud:
+    """Return a layer's points in their colours, at most 20 000 of them."""
     assert layer.points is not None
+    most = 20_000
     rows = np.linspace(0, len(layer.points) - 1, min(len(layer.points), most)).astype(int)
     packed = np.zeros(len(rows), [("at", "<f4", 3), ("colour", "u1", 4)])
     packed["at"], packed["colour"] = layer.points[rows], (*rgb(layer.colour), 255)

@@ -13,10 +13,10 @@ from anther.core.geometry import Array, transform_points
 from anther.history.fruit_set import Count, FruitSet
 from anther.plant.bench import FreeVibration, Identification, MaterialTest, fitted_motion, tip_deflections
 from anther.robot.calibration import CELLS, BoardViews, HandEye, flange_motions, image_coverage
+from anther.show.style import GREEN, INK, MAGENTA
 
 USED, OUTLIER, LEFT_OUT = "tab:blue", "tab:red", "tab:orange"
-GREEN, MAGENTA, INK, GREY = "#2f7d4f", "#c2389a", "#1d2a22", "#9aa39d"
-PRIOR, COUNT = "#8a8a8a", "#1f4e79"
+GREY, PRIOR, COUNT = "#9aa39d", "#8a8a8a", "#1f4e79"
 
 
 def draw_calibration(found: HandEye, views: BoardViews, T_base_flange: Array) -> Figure:

@@ -21,10 +21,8 @@ from anther.perception.skeleton import Skeleton
 from anther.perception.stem import Stem
 from anther.pollination.grasp import Grasp
 from anther.show import scene
-from anther.show.scene import ORGAN_COLORS, Layer
-from anther.show.style import BRANCH_COLOR, GRASP_COLOR, STEM_COLOR, rgb
-
-__all__ = ["BRANCH_COLOR", "GRASP_COLOR", "ORGAN_COLORS", "STEM_COLOR", "draw_layers", "draw_plant", "draw_side"]
+from anther.show.scene import Layer
+from anther.show.style import STEM_COLOR, rgb
 
 Sides = tuple[int, int, int]
 """Which world axes go across, up, and into the picture."""

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from anther.core.geometry import Array
 from anther.pollination.grip_map import GripMap
 from anther.rods import Rods, Trajectory
+from anther.show.style import MAGENTA
 
 GRIP, FLOWER, REST = "tab:blue", "tab:red", "#23402b"
-MAGENTA, BEST, PALE = "#c2389a", "deepskyblue", "#8aa58c"
+BEST, PALE = "deepskyblue", "#8aa58c"
 
 
 def draw_shake(rods: Rods, grip: int, flower: int, direction: Array, trajectory: Trajectory, period: float) -> Figure:

@@ -30,6 +30,7 @@ from starlette.background import BackgroundTask
 from starlette.exceptions import HTTPException
 
 from anther.core.errors import AntherError, InputError, MissingExtra
+from anther.core.runs import FILES
 from anther.history import (
     each_trial,
     export,
@@ -138,9 +139,6 @@ def _chart(
 
 
 HERE = Path(__file__).parent
-REPORT = "10_report.html"
-"""The file of a run folder that is shown, and no other."""
-
 OURS = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; frame-src 'self'; "
     "form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
@@ -159,7 +157,7 @@ Before = Annotated[int | None, Query(ge=1, le=2**31 - 1)]
 """Of the last visit of the page before."""
 
 
-class House(NamedTuple):
+class Site(NamedTuple):
     """What the pages are about; see `make_app`."""
 
     history: str
@@ -177,7 +175,7 @@ def make_app(history: str, runs: Path, token: str | None = None, *, local: bool 
         local: answer only requests that name this computer as localhost.
     """
     app = FastAPI(title="Anther", docs_url=None, redoc_url=None, openapi_url=None)
-    house = House(history, runs.resolve(), token)
+    site = Site(history, runs.resolve(), token)
     templates = Jinja2Templates(HERE / "templates")
     templates.env.globals.update(
         result_of=result_of, result_words=result_words, quantity=quantity, results=RESULTS, states=STATES
@@ -231,13 +229,13 @@ def make_app(history: str, runs: Path, token: str | None = None, *, local: bool 
         return Response(text, media_type="text/css", headers={"Cache-Control": "max-age=300"})
 
     app.mount("/static", StaticFiles(directory=HERE / "static"))
-    _overviews(app, house, page)
-    _details(app, house, page)
-    _exports(app, house, page)
+    _overviews(app, site, page)
+    _details(app, site, page)
+    _exports(app, site, page)
     return app
 
 
-def _overviews(app: FastAPI, shown: House, page: Callable[..., HTMLResponse]) -> None:
+def _overviews(app: FastAPI, site: Site, page: Callable[..., HTMLResponse]) -> None:
     """Add the pages about many visits."""
 
     @app.get("/")
@@ -249,14 +247,14 @@ def _overviews(app: FastAPI, shown: House, page: Callable[..., HTMLResponse]) ->
     ) -> HTMLResponse:
         shown_day = day or datetime.now(UTC).date()
         ask = partial(_whole_day, day=shown_day, result=result, before=before)
-        values = _read(shown, ask, {"failures": [], "visits": [], "tally": None, "charts": [], "last_day": None})
+        values = _read(site, ask, {"failures": [], "visits": [], "tally": None, "charts": [], "last_day": None})
         return page(request, "day.html", day=shown_day, result=result, step=timedelta(days=1), **values)
 
     @app.get("/house")
     def a_house(request: Request, house: Name = None, row: Name = None, day: Day = None) -> HTMLResponse:
         shown_day = day or datetime.now(UTC).date()
         ask = partial(_house_day, house=house, row=row, day=shown_day)
-        found = _read(shown, ask, {"houses": [], "house": None, "rows": {}, "row": None, "stems": []})
+        found = _read(site, ask, {"houses": [], "house": None, "rows": {}, "row": None, "stems": []})
         if (house or row) and not found["stems"]:
             raise HTTPException(404, f"There is no row '{row or ''}' of a house '{house or ''}' in this history.")
         return page(request, "house.html", day=shown_day, step=timedelta(days=1), **found)
@@ -272,7 +270,7 @@ def _overviews(app: FastAPI, shown: House, page: Callable[..., HTMLResponse]) ->
         since = until - timedelta(days=days - 1)
 
         ask = partial(_trends, span=(since, until), result=result, before=before)
-        found = _read(shown, ask, {"charts": [], "counts": {}, "failures": [], "visits": []})
+        found = _read(site, ask, {"charts": [], "counts": {}, "failures": [], "visits": []})
         return page(request, "trends.html", days=days, result=result, **found)
 
     @app.get("/robots")
@@ -280,17 +278,17 @@ def _overviews(app: FastAPI, shown: House, page: Callable[..., HTMLResponse]) ->
         now = datetime.now(UTC)
         # a clock that is fast writes visits of tomorrow
         span = now.date() - timedelta(days=29), now.date() + timedelta(days=2)
-        found = _read(shown, lambda session: {"robots": overview.robots(session, *span)}, {"robots": []})
+        found = _read(site, lambda session: {"robots": overview.robots(session, *span)}, {"robots": []})
         return page(request, "robots.html", now=now + timedelta(minutes=1), **found)
 
     @app.get("/plants")
     def plants(request: Request, q: Annotated[str, Query(max_length=200)] = "") -> HTMLResponse:
-        found = _read(shown, lambda session: {"plants": overview.plants(session, q)}, {"plants": []})
+        found = _read(site, lambda session: {"plants": overview.plants(session, q)}, {"plants": []})
         return page(request, "plants.html", q=q, **found)
 
     @app.get("/sweeps")
     def sweeps(request: Request) -> HTMLResponse:
-        found = _read(shown, lambda session: {"sweeps": overview.sweeps(session)}, {"sweeps": []})
+        found = _read(site, lambda session: {"sweeps": overview.sweeps(session)}, {"sweeps": []})
         return page(request, "sweeps.html", **found)
 
 
@@ -343,7 +341,7 @@ def _trends(session: Session, span: tuple[date, date], result: Result | None, be
     }
 
 
-def _details(app: FastAPI, house: House, page: Callable[..., HTMLResponse]) -> None:
+def _details(app: FastAPI, site: Site, page: Callable[..., HTMLResponse]) -> None:
     """Add the pages about one plant and one visit."""
 
     @app.get("/plants/{number}")
@@ -356,18 +354,18 @@ def _details(app: FastAPI, house: House, page: Callable[..., HTMLResponse]) -> N
                 "last": overview.last_run(session, number),
             }
 
-        found = _read(house, ask, {"plant": None})
+        found = _read(site, ask, {"plant": None})
         if found["plant"] is None:
             raise HTTPException(404, f"There is no plant {number} in this history.")
-        belief = believed(found["plant"].species, found["plant"].label, house.history)
-        newest = find_visit(found["visits"][0].id, house.history) if found["visits"] else None
+        belief = believed(found["plant"].species, found["plant"].label, site.history)
+        newest = find_visit(found["visits"][0].id, site.history) if found["visits"] else None
         last = found["last"]
-        report = None if last is None or _report(house, last.run) is None else last.id
+        report = None if last is None or _report(site, last.run) is None else last.id
         return page(request, "plant.html", belief=belief, report=report, over=_over_predicted(newest), **found)
 
     @app.get("/visits/{number}")
     def a_visit(request: Request, number: Number) -> HTMLResponse:
-        record = find_visit(number, house.history)
+        record = find_visit(number, site.history)
         if record is None:
             raise HTTPException(404, f"There is no visit {number} in this history.")
 
@@ -375,32 +373,32 @@ def _details(app: FastAPI, house: House, page: Callable[..., HTMLResponse]) -> N
             visit = overview.visit(session, number)
             return {"plant_id": visit.plant_id, "notes": overview.notes(session, number)}
 
-        report = None if record.run is None else _report(house, record.run)
-        found = _read(house, ask, {})
+        report = None if record.run is None else _report(site, record.run)
+        found = _read(site, ask, {})
         return page(request, "visit.html", visit=record, number=number, report=report, **found)
 
     @app.get("/visits/{number}/report")
     def report(number: Number) -> FileResponse:
-        record = find_visit(number, house.history)
-        path = None if record is None or record.run is None else _report(house, record.run)
+        record = find_visit(number, site.history)
+        path = None if record is None or record.run is None else _report(site, record.run)
         if path is None:
-            raise HTTPException(404, f"There is no report of visit {number} under {house.runs}.")
+            raise HTTPException(404, f"There is no report of visit {number} under {site.runs}.")
         return FileResponse(path, media_type="text/html", headers={"Content-Security-Policy": REPORTS})
 
     @app.post("/visits/{number}/notes")
     def note(number: Number, text: Annotated[str, Form()], token: Annotated[str, Form()]) -> RedirectResponse:
-        if house.token is None:
+        if site.token is None:
             raise HTTPException(403, "This page only reads. Start it with --token FILE to let people write notes.")
-        if not secrets.compare_digest(token.encode(), house.token.encode()):
+        if not secrets.compare_digest(token.encode(), site.token.encode()):
             raise HTTPException(403, "That is not the token. Nothing was written.")
         try:
-            record_note(number, text, house.history)
+            record_note(number, text, site.history)
         except InputError as error:
             raise HTTPException(400, str(error)) from error
         return RedirectResponse(f"/visits/{number}", 303)
 
 
-def _exports(app: FastAPI, house: House, page: Callable[..., HTMLResponse]) -> None:
+def _exports(app: FastAPI, site: Site, page: Callable[..., HTMLResponse]) -> None:
     """Add the tables for other programs."""
     one_at_a_time = BoundedSemaphore(1)
 
@@ -424,24 +422,24 @@ def _exports(app: FastAPI, house: House, page: Callable[..., HTMLResponse]) -> N
         try:
             folder = tempfile.TemporaryDirectory(prefix="anther-export-")
             path = Path(folder.name) / f"{table} {since} to {until}.{form}"
-            outcomes = (o for o in read_outcomes(house.history) if since <= o.date <= until)
-            export(path, table, each_trial(house.history, since=since, until=until), outcomes)
+            outcomes = (o for o in read_outcomes(site.history) if since <= o.date <= until)
+            export(path, table, each_trial(site.history, since=since, until=until), outcomes)
         finally:
             one_at_a_time.release()
         return FileResponse(path, filename=path.name, background=BackgroundTask(folder.cleanup))
 
 
-def _read(house: House, ask: Callable[[Session], dict[str, Any]], nothing: dict[str, Any]) -> dict[str, Any]:
+def _read(site: Site, ask: Callable[[Session], dict[str, Any]], nothing: dict[str, Any]) -> dict[str, Any]:
     """Return what is read in one transaction; `nothing` where there is no history yet."""
-    with open_reader(house.history) as session:
+    with open_reader(site.history) as session:
         return nothing if session is None else ask(session)
 
 
-def _report(house: House, run: str) -> Path | None:
-    """Return the report of a run if it is there and under the folder of runs, wherever the history says it is."""
+def _report(site: Site, run: str) -> Path | None:
+    """Return the report of a run, its only file that is shown, if it is there and under the folder of runs."""
     try:
-        path = (house.runs / run / REPORT).resolve()
-        return path if path.is_relative_to(house.runs) and path.is_file() else None
+        path = (site.runs / run / FILES["report"]).resolve()
+        return path if path.is_relative_to(site.runs) and path.is_file() else None
     except (OSError, ValueError, RuntimeError):  # a name too long, a null character, a link to itself: no path
         return None
 

@@ -25,14 +25,12 @@ __all__ = ["serve", "write_html"]
 MEASURED, PREDICTED = SHAKE_COLOR, PREDICTED_COLOR
 
 
-def write_html(
-    path: Path, results: RunResults, *, exaggeration: float, seconds: float = 8.0, most_points: int = 40_000
-) -> None:
+def write_html(path: Path, results: RunResults, *, exaggeration: float) -> None:
     """Write the scene of a run to one HTML file that opens without a server and plays the end of the shake.
 
-    Motions are shown larger by the exaggeration [-]. The file grows with the seconds of play, and with the points of
-    the cloud that are shown.
+    Motions are shown larger by the exaggeration [-].
     """
+    seconds, most_points = 8.0, 40_000  # of play, and of the cloud: the file grows with both
     with redirect_stdout(io.StringIO()):  # viser announces its address even when nobody is to visit it
         server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
         try:

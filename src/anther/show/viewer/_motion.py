@@ -104,8 +104,9 @@ def _swing(read: Array, along: Array, frequencies: Array, times: Array, within: 
     return np.array([phasors(np.abs(read - time) <= 1 / frequencies[0]) for time in times]).reshape(-1, 1)
 
 
-def _read_tracks(results: RunResults, times: Array, longest: float = 0.12) -> Array:
-    """Return (T, F, 3) the flowers' tracks at the times; NaN where they were lost, for longer than `longest` [s]."""
+def _read_tracks(results: RunResults, times: Array) -> Array:
+    """Return (T, F, 3) the flowers' tracks at the times; NaN where they were lost, for longer than 0.12 s."""
+    longest = 0.12
     response = results.response
     if response is None or not len(response.times):
         return np.full((len(times), 0, 3), np.nan)

@@ -118,9 +118,10 @@ def _add(scene: Any, layer: Layer, handles: Handles, most: int | None) -> list[A
     return parts
 
 
-def _add_points(scene: Any, name: str, layer: Layer, most: int | None, white: float = 0.45) -> Any:
+def _add_points(scene: Any, name: str, layer: Layer, most: int | None) -> Any:
     """Add small points with a share of white in their colours: the skeleton is seen between them, and stands out."""
     assert layer.points is not None
+    white = 0.45
     step = 1 if most is None else max(1, -(-len(layer.points) // most))
     points = layer.points[::step].astype(np.float32)
     colours = np.tile(rgb(layer.colour), (len(points), 1)) if layer.colours is None else layer.colours[::step]
