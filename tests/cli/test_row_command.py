@@ -41,7 +41,7 @@ class Drawn:
         self.asked: list[int] = []
         self.dies = dies
 
-    def __call__(self, row: Any, order: Order, history: str, folder: Path) -> Report:
+    def __call__(self, row: Any, order: Order, history: str, folder: Path, *, quiet: bool) -> Report:
         self.orders.append(order)
         self.asked.append(row.asked)
         if len(self.orders) in self.dies:

@@ -105,6 +105,26 @@ def test_bending_dies_out_beside_a_push(tension: float, youngs: float, radius: f
     assert -1 / np.polyfit(away[near], np.log(strain[near]), 1)[0] == pytest.approx(expected, rel=0.02)
 
 
+def test_stiffness_is_how_torques_change_with_the_hinges() -> None:
+    """Two stems on two strings, bent aside: weight, strings and springs, by central differences of MuJoCo's torques."""
+    mechanics, step = alone(worked("pepper"), Params()), 1e-5
+    m, data, rng = mechanics.model, mujoco.MjData(mechanics.model), np.random.default_rng(0)
+    data.qpos[:] = rng.normal(0, 0.02, m.nq)
+    mujoco.mj_forward(m, data)
+    columns = rng.choice(m.nv, 25, replace=False)
+    found = mechanics.stiffness(data)[:, columns]
+    torques = []
+    for column in columns:
+        for sign in (1, -2):
+            data.qpos[mechanics.dofs[column]] += sign * step
+            mujoco.mj_forward(m, data)
+            torques.append((data.qfrc_bias - data.qfrc_spring)[mechanics.dofs])
+        data.qpos[mechanics.dofs[column]] += step
+    expected = (np.array(torques[::2]) - np.array(torques[1::2])).T / (2 * step)
+    assert len(mechanics.plant.twines) == 2
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max())
+
+
 def test_a_pulled_stem_stays_where_it_hangs() -> None:
     mechanics = alone(pulled(2.8, 0.006, 1e8, 1.5, 50.0), Params())
     data = mujoco.MjData(mechanics.model)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections import Counter
 from dataclasses import replace
@@ -50,8 +51,11 @@ def run(args: Args) -> int:
     return int(states["visited"] + states["left"] < len(found))
 
 
-def _run_house(args: Args) -> list[StemResult]:
-    """Map a house, begin a shift or go on with one, and return what became of every stem."""
+def _run_house(args: Args, *, quiet: bool = False) -> list[StemResult]:
+    """Map a house, begin a shift or go on with one, and return what became of every stem.
+
+    What each visit is at is shown meanwhile, unless it is `quiet`.
+    """
     house = _grow(args)
     record_house(house.built(), args.history, passes=list(house.passes(datetime.now(UTC))))
     number = find_unfinished_shift(house.name, args.history)
@@ -60,7 +64,7 @@ def _run_house(args: Args) -> list[StemResult]:
     stems = read_shift(number, args.history)
     due = sum(stem.state in ("waiting", "working") for stem in stems)
     print(f"house '{house.name}': {len(stems)} stems, {due} to visit; shift {number} {how}", flush=True)
-    work = _Work(house, args, len(stems) - due, len(stems))
+    work = _Work(house, args, len(stems) - due, len(stems), quiet=quiet)
     return run_shift(number, work, args.history, simulated=True)
 
 
@@ -86,23 +90,22 @@ def _next_shift(args: Args, house: str) -> Shift:
 class _Work:
     """Visits stems of a simulated house, and tells of each as it ends."""
 
-    def __init__(self, house: SimulatedHouse, args: Args, done: int, stems: int) -> None:
-        self._house, self._args, self._done, self._stems = house, args, done, stems
+    def __init__(self, house: SimulatedHouse, args: Args, done: int, stems: int, *, quiet: bool) -> None:
+        self._house, self._args, self._done, self._stems, self._quiet = house, args, done, stems, quiet
 
     def __call__(self, order: Order) -> Report:
         side, began = self._house.sides[order.row, order.side], time.monotonic()
         assert side is not None
-        print(
-            f"{self._done + 1:4} of {self._stems}  row {order.row} {order.side}, hook {order.hook + 1}: ",
-            end="",
-            flush=True,
-        )
+        which = f"{self._done + 1:4} of {self._stems}  row {order.row} {order.side}, hook {order.hook + 1}"
+        if not self._quiet:
+            print(f"{which} ...", file=sys.stderr, flush=True)
         name = f"{order.shift}-{order.row}-{order.side}-{order.hook + 1}-{order.begin:%H%M%S}"
         folder = Path(self._args.out) / name.replace("/", "-")
-        report = visit_stem(replace(side.row, asked=order.hook), order, self._args.history, folder)
+        row = replace(side.row, asked=order.hook)
+        report = visit_stem(row, order, self._args.history, folder, quiet=self._quiet)
         self._done += 1
         took, computed = (report.ended - order.begin).total_seconds(), time.monotonic() - began
-        print(f"{report.visit.result_words}, {took:.1f} s (simulated in {computed:.0f} s)", flush=True)
+        print(f"{which}: {report.visit.result_words}, {took:.1f} s (simulated in {computed:.0f} s)", flush=True)
         return report
 
 
@@ -143,7 +146,7 @@ def run_one(row: dict[str, Any], folder: Path) -> dict[str, Any]:
     file = None if row["file"] is None else Path(row["file"])
     here = {"history": str(folder / "history.sqlite"), "out": str(folder)}
     with kept_log(folder):
-        found = _run_house(Args(**{**row, **here, "file": file}))
+        found = _run_house(Args(**{**row, **here, "file": file}), quiet=True)
     states = Counter(stem.state for stem in found)
     counts = {state: states[state] for state in ("visited", "left")}
     return {"stems": len(found), "pollinated": sum(stem.reason == "pollinated" for stem in found), **counts}

@@ -20,8 +20,8 @@ BY_THE_SIMULATOR = {"cell", "capture", "execution", "judge"}
 """Stages whose time is the simulator's, not this computer's."""
 
 
-def visit_stem(row: Row, order: Order, history: str, folder: Path) -> Report:
-    """Visit the plant of a row that is asked for, in its own run folder.
+def visit_stem(row: Row, order: Order, history: str, folder: Path, *, quiet: bool = False) -> Report:
+    """Visit the plant of a row that is asked for, in its own run folder; its stages are shown, unless it is `quiet`.
 
     The robot knows what its cell holds, and the place of the stem's hook as a map has it.
     The report's time is the simulator's for motions, and this computer's for what is computed: of wall and processor
@@ -31,7 +31,7 @@ def visit_stem(row: Row, order: Order, history: str, folder: Path) -> Report:
     earlier = earlier_shake(order.species, order.plant, history)
     visit = Visit(order.species, order.plant, held_unharmed=False, run=str(folder), robot=order.robot, time=order.begin)
     cell, done, verdict, failure = None, None, None, None
-    with Run(folder, quiet=True) as run:
+    with Run(folder, quiet=quiet) as run:
         try:
             cell = run.timed("cell", lambda _: build_row(row, visit=int(order.begin.timestamp()) % 2**20))
             done = visit_row_stem(

@@ -7,12 +7,13 @@ K segments, B bodies, D degrees of freedom.
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 import mujoco as mujoco_module
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eigh
+from scipy.linalg import LinAlgError, cholesky, eigh
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
@@ -209,7 +210,6 @@ class PlantMechanics:
 
     Attributes:
         dofs: (D,) its degrees of freedom in the model.
-        frequencies: (D,) natural frequencies about the rest shape [Hz], lowest first.
     """
 
     def __init__(self, model: Any, plant: SimPlant, pieces: Pieces) -> None:
@@ -221,12 +221,19 @@ class PlantMechanics:
         self.dofs = model.jnt_dofadr[self.joints]
         self._bends = np.concatenate([np.arange(n) < 2 for n in model.body_jntnum[self.bodies]])
         self._ratio = np.repeat(plant.damping_ratio[pieces.first], model.body_jntnum[self.bodies])
+        self._rest_origin = plant.start[pieces.first]
         data = mujoco.MjData(model)
         self._hang(data)
-        self._modes = self._free_modes(data)
-        self.frequencies = np.sqrt(self._modes[0]) / (2 * np.pi)
-        self._undamped = self.underdamped(*self._modes)
-        self._rest_origin = plant.start[pieces.first]
+        try:
+            cholesky(self.stiffness(data))
+        except LinAlgError as error:
+            why = "the simulated plant cannot carry its own weight (it buckles): its stem is too soft."
+            raise StageFailure("no_convergence", why) from error
+
+    @cached_property
+    def frequencies(self) -> Array:
+        """(D,) natural frequencies about the rest shape [Hz], lowest first."""
+        return np.sqrt(self._modes[0]) / (2 * np.pi)
 
     def _hang(self, data: Any) -> None:
         """Set the springs' references so that the generated shape carries its own weight (inverse statics).
@@ -241,7 +248,11 @@ class PlantMechanics:
     def damp(self, timestep: float) -> None:
         """Damp hinges and plant anew as a finer `timestep` [s] allows: by what is true of more of them."""
         self.model.dof_damping[self.dofs] = _beta(self._ratio, timestep) * self.model.jnt_stiffness[self.joints]
-        self._undamped = self.underdamped(*self._modes)
+        self.__dict__.pop("_undamped", None)
+
+    @cached_property
+    def _undamped(self) -> tuple[Array, Array]:
+        return self.underdamped(*self._modes)
 
     def underdamped(self, values: Array, modes: Array) -> tuple[Array, Array]:
         """Return the modes (D, K) that the hinges damp too little, and the rates that they lack: 2 z w - c [1/s].
@@ -275,51 +286,54 @@ class PlantMechanics:
         share = min(1.0, float(lacking @ speed**2) / turned) if turned > 0 else 1.0
         return -share * momentum[self.dofs]
 
-    def _free_modes(self, data: Any) -> tuple[Array, Array]:
-        """Return squared frequencies and modes of the plant in its pot, as `underdamped` takes them."""
-        m, d = self.model, self.dofs
-        mass = np.zeros((m.nv, m.nv))
-        mujoco.mj_fullM(m, data, mass)
+    @cached_property
+    def _modes(self) -> tuple[Array, Array]:
+        """Squared frequencies and modes of the plant in its pot, as `underdamped` takes them."""
+        data, mass, d = mujoco.MjData(self.model), np.zeros((self.model.nv, self.model.nv)), self.dofs
+        mujoco.mj_forward(self.model, data)
+        mujoco.mj_fullM(self.model, data, mass)
         values, modes = eigh(self.stiffness(data), mass[np.ix_(d, d)])
-        if values[0] <= 0:
-            raise StageFailure(
-                "no_convergence", "the simulated plant cannot carry its own weight (it buckles): its stem is too soft."
-            )
         return values, modes
 
-    def stiffness(self, data: Any, step: float = 1e-5) -> Array:
-        """Return (D, D) the springs and the change of the gravity torques with the hinge angles, at `data`'s place.
-
-        The latter, with the torques of strings, by central differences.
-        """
-        m, columns = self.model, []
-        for address in m.jnt_qposadr[self.joints]:
-            pair = []
-            for sign in (1, -1):
-                data.qpos[address] += sign * step
-                mujoco.mj_kinematics(m, data)
-                mujoco.mj_comPos(m, data)
-                mujoco.mj_comVel(m, data)
-                bias = np.zeros(m.nv)
-                mujoco.mj_rne(m, data, 0, bias)
-                data.qpos[address] -= sign * step
-                pair.append(bias[self.dofs] - self._pull(data))
-            columns.append((pair[0] - pair[1]) / (2 * step))
-        K = np.array(columns)
-        mujoco.mj_forward(m, data)
-        return np.diag(m.jnt_stiffness[self.joints]) + (K + K.T) / 2 + self._tie(data)
-
-    def _pull(self, data: Any) -> Array:
-        """Return (D,) the torques of the strings where the plant is in `data`."""
-        m, torque = self.model, np.zeros(self.model.nv)
+    def stiffness(self, data: Any) -> Array:
+        """Return (D, D) the second derivatives of the energy of springs, weight and strings at `data`'s place."""
+        m, bodies = self.model, self.model.dof_bodyid[self.dofs]
+        weight = np.zeros((len(bodies), 3))
+        weight[:, 2] = m.opt.gravity[2] * m.body_subtreemass[bodies]
+        K = np.diag(m.jnt_stiffness[self.joints]) + self._turned(data, data.subtree_com[bodies], weight)
         for i, twine in enumerate(self.plant.twines):
             site, place = m.site(f"held_{i}").id, np.zeros((3, m.nv))
             way = twine.hook - data.site_xpos[site]
             length = float(np.linalg.norm(way))
-            force = max(twine.stiffness * (length - m.tendon_lengthspring[m.tendon(f"twine_{i}").id, 1]), 0.0)
+            pull = max(twine.stiffness * (length - m.tendon_lengthspring[m.tendon(f"twine_{i}").id, 1]), 0.0)
             mujoco.mj_jacSite(m, data, place, None, site)
-            torque += force / length * way @ place
-        return torque[self.dofs]
+            own, along = place[:, self.dofs], np.outer(way, way) / length**2
+            stretch = twine.stiffness * (pull > 0) * along + pull / length * (np.eye(3) - along)
+            holds = np.any(own != 0, axis=0)[:, None]
+            K += own.T @ stretch @ own + self._turned(data, data.site_xpos[site], holds * pull * way / length)
+        return K + self._tie(data)
+
+    def _turned(self, data: Any, place: Array, force: Array) -> Array:
+        """Return (D, D) by how much less torque a hinge gets from forces (D, 3) beyond others as those turn.
+
+        The forces [N] keep their direction; they act at `place` (3,) or (D, 3) on what each hinge carries. Of two
+        hinges the inner one turns axis and lever of the outer: its axis times (axis x lever) x force of that.
+        """
+        axis = data.xaxis[self.joints]
+        moment = np.cross(np.cross(axis, place - data.xanchor[self.joints]), force)
+        inner = np.where(self._inner, -axis @ moment.T, 0.0)
+        return inner + inner.T - np.diag(np.diag(inner))
+
+    @cached_property
+    def _inner(self) -> NDArray[np.bool_]:
+        """(D, D) whether the first hinge is the second, or carries it."""
+        number = np.full(self.model.nv, -1)
+        number[self.dofs] = np.arange(len(self.dofs))
+        out = np.eye(len(self.dofs), dtype=bool)
+        for j, dof in enumerate(self.dofs):  # hinges are numbered from the root out
+            if (before := self.model.dof_parentid[dof]) >= 0:
+                out[:, j] |= out[:, number[before]]
+        return out
 
     def _tie(self, data: Any) -> Array:
         """Return (D, D) what the tie to a stake adds."""

@@ -205,7 +205,7 @@ class Still(NamedTuple):
 
         Args:
             intrinsics, T_world_cam: of the camera.
-            shapes: vertices (Nv, 3) [m] that the other image may show.
+            shapes: vertices (n, 3) [m] that the other image may show of what moves: `Scene.shape`.
         """
         changing = self.shown.copy()
         for shape in shapes:
@@ -294,6 +294,11 @@ class Scene:
             setting=setting,
             moving=len(plant.vertices),
         )
+
+    @property
+    def shape(self) -> Array:
+        """(n, 3) the vertices that may move [m]: the first ones."""
+        return self.vertices[: self._moving]
 
     def moved(self, vertices: ArrayLike) -> Scene:
         """Return the scene with its first n vertices at `vertices` (n, 3) [m]: the plant's, from `posed_vertices`."""

@@ -260,7 +260,7 @@ class SimCamera:
         moments = [here] * 3
         if way is not None:
             moments[0], moments[2] = (self.scene.moved(vertices + share * way) for share in (-0.33, 0.33))  # exposures
-        changing, fine = still.changing(eye, pose, [m.vertices for m in (moments if way is not None else [here])])
+        changing, fine = still.changing(eye, pose, [m.shape for m in (moments if way is not None else [here])])
         image = here.render(eye, pose, still.image, changing)
         if way is not None:
             fine |= changing & self._blurred(way, vertices)

@@ -7,6 +7,7 @@ robot may know goes into `robot.Cell`: not which plant this is, nor where its ho
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -14,11 +15,12 @@ from anther.core.geometry import Array, Box, look_at
 from anther.robot.arm.model import ArmModel
 from anther.robot.arm.sawyer import SAWYER
 from anther.robot.arm.views import Params as ViewParams
-from anther.robot.arm.views import plan_views
+from anther.robot.arm.views import Views, capture_time, plan_views
 from anther.robot.devices import Tap, no_tap
 from anther.sim import cell as world
+from anther.sim.capture import Sight
+from anther.sim.render import Scene
 from anther.sim.row import Row, row_scene
-from anther.sim.row_house import Block
 from anther.sim.row_plants import held_by_string
 from anther.sim.simulated_cell import Layout, SimulatedCell, around, usual_distance
 from anther.sim.sway import calm_time
@@ -58,29 +60,34 @@ def _mapped_hooks(row: Row) -> Array:
     return row.hooks + np.pad(error, ((0, 0), (0, 1)))
 
 
-def neighbours_kept(row: Row, arm: ArmModel) -> list[Box]:
-    """Return what is kept clear of where the map has other stems within reach: a column below each of their hooks."""
+def _hung_kept(row: Row) -> list[Box]:
+    """Return what the map of hooks keeps clear: each hook with its spool, and a column below those of other stems."""
     # m from the plumb line of its hook that a neighbour's stem is looked for; peppers part in two: guesses
-    beside = {"tomato": 0.06, "pepper": 0.12}
-    wide, found = beside[row.crop], list[Box]()
-    for k, (x, y, z) in enumerate(_mapped_hooks(row)):
-        box = Box(np.array([x - wide, y - wide, -1.5]), np.array([x + wide, y + wide, z]))
-        if k != row.asked and _gap(box, arm.shoulder) < arm.reach + arm.tool.tip:
-            found.append(box)
-    return found
+    beside = {"tomato": 0.06, "pepper": 0.12}[row.crop]
+    spool = np.array([0.06, 0.15, 0.05])  # m: as far from its hook as `row_house` has it, and 0.04 more
+    column, hooks = np.array([beside, beside, 0.0]), _mapped_hooks(row)
+    others = np.delete(hooks, row.asked, axis=0)
+    below = np.where([True, True, False], others - column, -1.5)
+    spools = [Box(hook - spool, hook + spool) for hook in hooks]
+    return spools + [Box(lower, upper) for lower, upper in zip(below, others + column, strict=True)]
+
+
+def _fixed_kept(row: Row) -> list[Box]:
+    """Return boxes about what is fixed in a row: posts, pipes, wires, gutters and what stands on them."""
+    return [part.box for part in row.parts if part.name not in ("hook", "spool")]
 
 
 def row_layout(row: Row, arm: ArmModel = SAWYER) -> Layout:
     """Return where things are around an arm before a row (`before_arm`), all in its base frame.
 
-    The other side of the path is kept clear of, and so are posts, pipes and gutters within reach, and other stems where
-    the map has them: no camera looks at all of them. The side camera is on the cart.
+    The other side of the path is kept clear of, and so are posts, pipes, wires and gutters within reach, and hooks and
+    other stems where the map has them: no camera looks at all of them. The side camera is on the cart.
     """
     stems = row.origin[0] + row.measures.near
     other = row.origin[0] - row.measures.corridor / 2
     far = Box(np.array([other - 1.0, -2.0, -1.5]), np.array([other, 2.0, 2.0]))
     reach = arm.reach + arm.tool.tip
-    solids = [part.box for part in row.parts if isinstance(part, Block) and _gap(part.box, arm.shoulder) < reach]
+    solids = [box for box in (*_hung_kept(row), *_fixed_kept(row)) if _gap(box, arm.shoulder) < reach]
 
     def box(lower: tuple[float, float, float], upper: tuple[float, float, float]) -> Box:
         return Box(np.array([stems, 0, 0]) + lower, np.array([stems, 0, 0]) + upper)
@@ -89,7 +96,7 @@ def row_layout(row: Row, arm: ArmModel = SAWYER) -> Layout:
     return Layout(
         workspace=box((-0.30, -0.30, -0.35), (0.25, 0.30, 0.60)),
         region=box((-0.12, -0.15, -0.25), (0.12, 0.15, 0.35)),
-        solids=(far, *solids[:-1], *neighbours_kept(row, arm)),
+        solids=(far, *solids[:-1]),
         pot=solids[-1] if solids else far,
         arm_space=Box(np.array([other, -0.8, -0.6]), np.array([stems + 0.1, 0.8, 1.2])),
         T_world_side_camera=look_at(eye, np.array([stems, 0.0, FLOWERS_Z])),
@@ -109,18 +116,9 @@ def row_world(row: Row, truth: Truth = NOMINAL, arm: ArmModel = SAWYER, joints: 
     if truth != NOMINAL:
         plant = held_by_string(as_true(plant, truth), cut)  # softer or heavier, it must still hang
     reach = arm.reach + arm.tool.tip + 0.2
-    near = [part for part in row.obstacles() if _distance(part, arm.shoulder) < reach]
+    near = [part for part in row.obstacles() if _gap(part.box, arm.shoulder) < reach]
     start = arm.waiting if joints is None else joints
     return world.Cell(plant, start, world.Params(plant=cut), truth, arm, obstacles=near)
-
-
-def _distance(part: object, place: Array) -> float:
-    if isinstance(part, Block):
-        return _gap(part.box, place)
-    start, end = part.start, part.end  # type: ignore[attr-defined]
-    along = end - start
-    share = np.clip((place - start) @ along / max(float(along @ along), 1e-12), 0, 1)
-    return float(np.linalg.norm(start + share * along - place))
 
 
 def build_row(
@@ -141,10 +139,29 @@ def build_row(
     place = row_layout(row, arm)
     planned = plan_views(place.region, place.solids, views, arm=arm)
     mujoco = row_world(row, truth, arm, planned.joints[-1])
-    if truth.wind:  # the views see it blown aside, and so it is when the arm comes
-        still = np.tile(mujoco.joints, (round(calm_time(mujoco.plant) / mujoco.timestep), 1))
-        mujoco.run(still, np.zeros_like(still), np.full(len(still), mujoco.opening))
-        mujoco.forget()  # of the wind's first gust the robot is not to blame
     noise = int(np.random.default_rng([row.seed, 15 + 10 * visit]).integers(1 << 31))
     scene = row_scene(row, mujoco.plant)
-    return around(mujoco, scene, place, planned, planned.joints[-1], noise, (row.seed, 0.0, visit), tap)
+    sight = partial(_in_wind, mujoco, scene, planned)
+    return around(mujoco, scene, sight, place, planned, planned.joints[-1], noise, (row.seed, 0.0, visit), tap)
+
+
+def _in_wind(mujoco: world.Cell, scene: Scene, views: Views) -> Sight:
+    """Return what each of the views finds of a plant that sways in this world's wind; the arm finds it where they end.
+
+    The arm stands still meanwhile, where the last view is taken from.
+    """
+    if not mujoco.truth.wind:
+        return scene
+    _blow(mujoco, calm_time(mujoco.plant))
+    shapes, between = list[Array](), capture_time(views) / max(len(views.joints) - 1, 1)
+    for view in range(len(views.joints)):
+        _blow(mujoco, between if view else 0.0)
+        shapes.append(mujoco.plant.posed_vertices(mujoco.segment_poses()))
+    mujoco.forget()  # of what the wind did the robot is not to blame
+    return lambda view: scene.moved(shapes[view])
+
+
+def _blow(mujoco: world.Cell, seconds: float) -> None:
+    steps = round(seconds / mujoco.timestep)
+    still = np.tile(mujoco.joints, (steps, 1))
+    mujoco.run(still, np.zeros_like(still), np.full(steps, mujoco.opening))

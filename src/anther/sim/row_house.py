@@ -109,6 +109,12 @@ class Rod:
     radius: float
     colour: RGB = STEEL
 
+    @property
+    def box(self) -> Box:
+        """The box around it [m]."""
+        ends = np.stack([self.start, self.end])
+        return Box(ends.min(axis=0) - self.radius, ends.max(axis=0) + self.radius)
+
     def moved(self, way: ArrayLike) -> Rod:
         """Return the rod elsewhere, `way` (3,) from here [m]."""
         return replace(self, start=self.start + np.asarray(way), end=self.end + np.asarray(way))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial
 
@@ -177,12 +178,15 @@ def build(
     noise = int(np.random.default_rng([seed, int(viewpoint), 2 + 10 * visit]).integers(1 << 31))
     coil = arm_model.COIL.force if actuator == "gripper" else 0.0
     mujoco = world.Cell(plant, arm.waiting, world.Params(coil_force=coil), truth, arm)
-    return around(mujoco, Scene.of_plant(plant), place, planned, arm.waiting, noise, (seed, viewpoint, visit), tap)
+    scene = Scene.of_plant(plant)
+    sight = partial(in_wind, plant, scene, planned, truth)
+    return around(mujoco, scene, sight, place, planned, arm.waiting, noise, (seed, viewpoint, visit), tap)
 
 
 def around(
     mujoco: world.Cell,
     scene: Scene,
+    sight: Callable[[], Sight],
     place: Layout,
     planned: Views,
     home: Array,
@@ -195,6 +199,7 @@ def around(
     Args:
         mujoco: the arm and the plant.
         scene: what cameras see.
+        sight: gives what the views find of it.
         place: where things are.
         planned: the views.
         home: (J,) joints where the arm waits [rad].
@@ -202,13 +207,12 @@ def around(
         seen: seed, viewpoint [deg] and visit, as `photograph` takes them.
         tap: listens to the bare machines.
     """
-    plant, truth, arm = mujoco.plant, mujoco.truth, mujoco.arm
+    truth, arm = mujoco.truth, mujoco.arm
     seen_from, limits = place.T_world_side_camera, safety_limits(place, arm)
     robot = robot_of(mujoco, errors=camera_errors(truth), T_world_side_camera=seen_from, seed=noise, scene=scene)
 
     def take_views(advance: Advance, keep: Keep) -> Capture:
-        sight = in_wind(plant, scene, planned, truth)
-        return photograph(sight, planned.joints, *seen, progress=advance, keep=keep, truth=truth, arm=arm)[0]
+        return photograph(sight(), planned.joints, *seen, progress=advance, keep=keep, truth=truth, arm=arm)[0]
 
     def plan_around(cloud: Cloud) -> Planner:
         # between sawyer_moveit's "medium" and "fast" (facts: sawyer 1), which passes the safety limits in places
@@ -216,7 +220,7 @@ def around(
         return Planner(cloud.yielding, cloud.rigid, place.solids, space=place.arm_space, params=params, arm=arm)
 
     robot = guard(tap(robot, limits, arm.tool.T_flange_cam, lambda: mujoco.time), limits)
-    return SimulatedCell(plant, mujoco, planned, Cell(take_views, plan_around, robot, place.workspace, limits))
+    return SimulatedCell(mujoco.plant, mujoco, planned, Cell(take_views, plan_around, robot, place.workspace, limits))
 
 
 def photograph(
