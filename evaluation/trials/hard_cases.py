@@ -33,6 +33,7 @@ from rich.console import RenderableType
 
 from anther.core import Advance, Array
 from anther.perception import Capture
+from anther.perception.capture import Keep
 from anther.perception.skeleton import Params as SkeletonParams
 from anther.plant import PEPPER, TOMATO, Crop
 from anther.pollination import Params, pollinate
@@ -63,7 +64,7 @@ CASES = (
     "plain", "leaning", "two stems", "dense", "edge of reach", "pot shifted", "wind", "hand-eye", "view lost",
 )  # fmt: skip
 FAR, SHIFT, HAND_EYE = 0.90, (0.04, 0.05), 0.005  # m
-TakeViews = Callable[[Advance], Capture]
+TakeViews = Callable[[Advance, Keep], Capture]
 
 
 @dataclass(frozen=True)
@@ -96,15 +97,15 @@ def views_of(case: Case, plant: SimPlant, joints: Array, rng: np.random.Generato
     match case.kind:
         case "wind":
             poses = swaying(plant, len(joints), rng)
-            return lambda _: in_wind(plant, scene, joints, poses, case.seed), sway(plant, poses)
+            return lambda *_: in_wind(plant, scene, joints, poses, case.seed), sway(plant, poses)
         case "hand-eye":
             off = perturbed_hand_eye(sawyer.T_FLANGE_CAM, rng, translation=HAND_EYE)
             shot = partial(capture_views, scene, joints, sawyer.forward, off, sawyer.T_FLANGE_CAM, rng=rng)
-            return lambda advance: shot(progress=advance)[0], 0.0
+            return lambda advance, _: shot(progress=advance)[0], 0.0
         case "view lost":
             left = np.delete(np.arange(len(joints)), rng.integers(len(joints)))
-            return lambda advance: photograph(scene, joints, case.seed, progress=advance)[0].select(left), 0.0
-    return lambda advance: photograph(scene, joints, case.seed, progress=advance)[0], 0.0
+            return lambda advance, _: photograph(scene, joints, case.seed, progress=advance)[0].select(left), 0.0
+    return lambda advance, _: photograph(scene, joints, case.seed, progress=advance)[0], 0.0
 
 
 def in_wind(plant: SimPlant, scene: Scene, joints: Array, poses: list[Array], seed: int) -> Capture:

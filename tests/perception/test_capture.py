@@ -85,6 +85,19 @@ def test_a_capture_whose_views_do_not_all_come_leaves_nothing(tmp_path: Path) ->
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("told", [0, 1, 3])
+def test_a_capture_is_written_whole_though_other_views_were_added(tmp_path: Path, told: int) -> None:
+    """What takes views may leave one out afterwards, or tell of none."""
+    capture = small_capture(2)
+    with CaptureWriter(tmp_path / "capture") as writer:
+        for _ in range(told):
+            writer.add(np.ones_like(capture.depth[0]), None)
+        writer.finish(capture)
+    read = Capture.load(tmp_path / "capture")
+    assert read.views == 2
+    np.testing.assert_allclose(read.depth, capture.depth, atol=0.51e-4)
+
+
 def test_poses_are_written_in_nerfstudios_camera_frame(tmp_path: Path) -> None:
     capture = small_capture()
     capture.save(tmp_path / "c")

@@ -9,7 +9,7 @@ import json
 import shutil
 import tempfile
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -92,8 +92,6 @@ class Capture:
                 65 m.
         """
         with CaptureWriter(folder) as writer:
-            for view in range(self.views):
-                writer.add(self.depth[view], None if self.rgb is None else self.rgb[view])
             writer.finish(self)
 
     @classmethod
@@ -128,8 +126,7 @@ class CaptureWriter:
 
     def __exit__(self, *reason: object) -> None:
         self._pool.shutdown(cancel_futures=True)
-        if self._temporary is not None:
-            shutil.rmtree(self._temporary, ignore_errors=True)
+        self._clear()
 
     def add(self, depth: NDArray[Any], rgb: NDArray[Any] | None) -> None:
         """Begin to write the next view, (H, W) [m] and (H, W, 3) uint8, which do not change from now on."""
@@ -138,7 +135,15 @@ class CaptureWriter:
         self._units.append(self._pool.submit(_write_view, self._temporary / "new", len(self._units), depth, rgb))
 
     def finish(self, capture: Capture) -> None:
-        """Write what is known of the views, all of which were added, and put the folder where it belongs."""
+        """Write what is known of the views, and put the folder where it belongs.
+
+        Unless just its views were added, one by one, they are written now.
+        """
+        if len(self._units) != capture.views:
+            wait(self._units)
+            self._clear()
+            for view, depth in enumerate(capture.depth):
+                self.add(depth, None if capture.rgb is None else capture.rgb[view])
         assert self._temporary is not None, "a capture has views"
         with written(self._folder, _FOLDER):
             new = self._temporary / "new"
@@ -146,6 +151,11 @@ class CaptureWriter:
             if self._folder.exists():
                 self._folder.replace(self._temporary / "old")
             new.replace(self._folder)
+
+    def _clear(self) -> None:
+        if self._temporary is not None:
+            shutil.rmtree(self._temporary, ignore_errors=True)
+        self._temporary, self._units = None, []
 
     def _prepared(self) -> Path:
         with written(self._folder, _FOLDER):
