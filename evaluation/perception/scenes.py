@@ -11,11 +11,13 @@ plant; unnamed any plant will do whose foot is at most 1.25 times as far from th
 (share of the asked stem's height along which the named main stem runs within two stem radii, mean, 0 where another stem
 was found), organs_own (share of the named tree's nodes on the asked plant, mean, supports left out), support_as_stem
 (questions whose main stem is a support over more than a twentieth of its nodes), support_in_pads (share of the grasps
-that close on a support, of scenes with supports), two_stems_48 (of 48 pairs of own plants with their feet 0.04-0.12 m
-apart, those whose grasp is on the asked stem; clouds, not whole trials), flagged_wrong (share of the wrong answers,
-another plant's stem or a grasp off the asked one's, that are refused, or have a confidence below 0.75 or a note of the
-stem), false_flags (share of right answers that have), scene_over_one (processor time of a scene of five over that
-of one of them, median; of all scenes where there are none of five), scenes; and own_, helios_, real_ for parts.
+that close on a support, of scenes with supports; a string wound round a stem counts as the stem), two_stems_48 (of 48
+pairs of own plants with their feet 0.04-0.12 m apart, those whose grasp is on the asked stem; clouds, not whole
+trials), flagged_wrong (share of the wrong answers, another plant's stem or a grasp off the asked one's, that are
+refused, or have a confidence below 0.75, a note of the stem, or a gripper that does not fit), false_flags (share of
+right answers that have, where one plant alone was meant), alike_flagged (share of questions that have where several
+would do), scene_over_one (processor time of a scene of five over that of one of them, median; of all scenes where there
+are none of five), scenes; and own_, helios_, real_ for parts.
 """
 
 from __future__ import annotations
@@ -79,11 +81,13 @@ class Answer:
     stem: Stem | None = None
     grasp: Grasp | None = None
     refused: str = ""
+    unfit: bool = False
+    """Whether the gripper was said not to fit; a robot's visit ends there."""
 
     @property
     def flagged(self) -> bool:
         """Whether a user is warned."""
-        if self.stem is None or self.skeleton is None or self.grasp is None:
+        if self.stem is None or self.skeleton is None or self.grasp is None or self.unfit:
             return True
         sure = (self.skeleton.root_confidence, self.stem.confidence, self.grasp.confidence)
         return bool(self.stem.notes) or min(value for value in (*sure, 1.0) if value is not None) < SURE
@@ -98,25 +102,29 @@ def ask(scene: Scene, root: Array | None = None) -> Answer:
         skeleton = skeletonize(cloud, None if root is None else Params(root=(x, y, z)))
         stem = find_stem(skeleton, flowers_at=flower_centres(cloud))
         seconds = time.process_time() - begin
-        grasp = best_grasps(stem, skeleton, cloud)[0][0]
+        grasps, unfit = best_grasps(stem, skeleton, cloud)
     except AntherError as error:
         return Answer(time.process_time() - begin, refused=str(error))
-    return Answer(seconds, skeleton, stem, grasp)
+    return Answer(seconds, skeleton, stem, grasps[0], unfit=bool(unfit))
 
 
 class Judge:
-    """Says what an answer lies on."""
+    """Says what an answer lies on. A string that is wound round a stem counts as the stem: it cannot be taken away."""
 
     def __init__(self, scene: Scene) -> None:
-        self.scene, self.tree = scene, KDTree(scene.points)
+        self.scene, self.tree, self.owners = scene, KDTree(scene.points), scene.owner.copy()
+        for k, name in enumerate(scene.supports):
+            if name == "wound string":
+                self.owners[scene.owner == len(scene.plants) + k] = k % len(scene.plants)
 
     def owner(self, places: Array) -> NDArray[Any]:
         """Return (M,) whose the nearest point of the scene is: a plant, or P and more of supports."""
-        return self.scene.owner[np.asarray(self.tree.query(places)[1])]
+        return self.owners[np.asarray(self.tree.query(places)[1])]
 
     def of(self, answer: Answer, asked: Sequence[int]) -> Row:
         """Return an answer's row; `asked` are the plants that will do."""
         row: Row = {"flagged": answer.flagged, "seconds": answer.seconds, "refused": answer.refused}
+        row |= {"unfit": answer.unfit, "answers": len(asked)}
         if answer.skeleton is None or answer.stem is None or answer.grasp is None:
             return row | {"found": None, "right": False, "grasp_right": False, "traced": 0.0}
         count, nodes = len(self.scene.plants), answer.skeleton.nodes
@@ -126,7 +134,7 @@ class Judge:
         right = bool(found in asked and share[found] > 0.5)
         all_on = self.owner(nodes)
         held, gap = self._held(answer.grasp)
-        support = self._support_in_pads(answer.grasp)
+        support = self._support_in_pads(answer.grasp) and not answer.unfit
         return row | {
             "found": found,
             "right": right,
@@ -166,7 +174,7 @@ class Judge:
 
     def _support_in_pads(self, grasp: Grasp) -> bool:
         """Return whether a point of a support lies where the pads close."""
-        points = self.scene.points[self.scene.owner >= len(self.scene.plants)]
+        points = self.scene.points[self.owners >= len(self.scene.plants)]
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = grasp.T_world_flange[:3, :3].T, -grasp.T_world_flange[:3, :3].T @ grasp.point
         x, y, z = np.abs(transform_points(T, points)).T
@@ -249,7 +257,8 @@ def _numbers(scenes: list[Row]) -> dict[str, float]:
         "support_as_stem": float(sum(row.get("support_share", 0.0) > 0.05 for row in beside)),
         "support_in_pads": mean(row.get("support_in_pads") for row in beside),
         "flagged_wrong": mean(row["flagged"] for row in asked if not row["grasp_right"]),
-        "false_flags": mean(row["flagged"] for row in asked if row["grasp_right"]),
+        "false_flags": mean(row["flagged"] for row in asked if row["grasp_right"] and row["answers"] == 1),
+        "alike_flagged": mean(row["flagged"] for row in asked if row["answers"] > 1),
         "scene_over_one": median(row["named"]["seconds"] / row["alone"]["seconds"] for row in most),
         "alone_right": mean(row["alone"]["grasp_right"] for row in scenes),
         "alone_traced": mean(row["alone"]["traced"] for row in scenes),

@@ -231,7 +231,7 @@ def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, towar
         costs["comes from behind the plant"] = 0.25 * (1 - candidates.outward())
     refused = np.any(list(refusals.values()), axis=0)
     if not params.fit_gripper:
-        costs |= {name: 3.0 * yes for name, yes in refusals.items()}
+        costs |= {name: (30.0 if name == BETWEEN else 3.0) * yes for name, yes in refusals.items()}
         refused[:] = False
     total = np.sum(list(costs.values()), axis=0)
     order = np.argsort(np.where(refused, np.inf, total), kind="stable")[: int((~refused).sum())]
@@ -243,7 +243,7 @@ STEM_CLEARANCE, OBSTACLE_CLEARANCE = 0.003, 0.015
 """Least distance of the open fingers from the stem's surface, and of the gripper from pot, soil and bench [m]."""
 SUPPORT_CLEARANCE = OFF_BY + DOUBT
 """Of the gripper from a string, stake or pole [m]: these are seen as well as the stem is."""
-DOUBTED = "probably not the main stem"
+DOUBTED, BETWEEN = "probably not the main stem", "a support between the pads"
 
 
 def _refusals(
@@ -256,7 +256,7 @@ def _refusals(
     return {
         DOUBTED: doubtful,
         "thicker than the stroke": held > params.gripper.stroke - margin,
-        "a support between the pads": met.enclosed[:, RIGID] > 0,
+        BETWEEN: met.enclosed[:, RIGID] > 0,
         "would hit a support": met.distance[:, [RIGID, STRING]].min(axis=1) < SUPPORT_CLEARANCE,
         "would hit pot or bench": met.distance[:, OBSTACLE] < OBSTACLE_CLEARANCE,
         "would hit the stem": met.distance[:, STEM] < STEM_CLEARANCE,
