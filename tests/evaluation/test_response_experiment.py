@@ -25,4 +25,3 @@ def test_a_measurement_is_right_within_a_tenth_or_three_tenths_of_a_millimetre()
     assert found["hidden_but_measured"] == 1
     assert (found["blind_flowers"], found["blind_refused"]) == (1, 1)
     assert found["12mm_in_sight"] == 1
-    assert response_experiment.draw(rows).axes

@@ -32,6 +32,7 @@ def test_a_process_that_was_stopped_sends_an_arm_that_stands_nowhere() -> None:
         assert driver.stderr is not None
         assert driver.stdout.readline() == "ready\n"
         while np.abs(robot.v).max() < 0.4:
+            assert driver.poll() is None, f"it ended before it moved: {driver.stderr.read()}"
             time.sleep(0.01)
         os.kill(driver.pid, signal.SIGSTOP)
         time.sleep(SLOWER * 0.3)  # as `anther.robot.testing.check_pause` does
