@@ -41,6 +41,7 @@ from anther.core.geometry import Array, transform_points
 from anther.perception import Skeleton, Stem, find_stem, find_supports, flower_centres, skeletonize
 from anther.perception.skeleton import Params
 from anther.pollination import Grasp
+from anther.robot.arm.sawyer import SAWYER
 from anther.robot.pressing import Pressing
 from anther.sim import grow
 from evaluation.harness import CROPS, Row, finish, lost, options, run_cases
@@ -68,7 +69,7 @@ SURE = 0.75
 MOST_POINTS = 15_000
 """Of a real plant."""
 PAD_REACH = 0.0185
-"""Of a pad along the approach to either side of the stem [m]: basic soft tips are 37 mm long (facts: sawyer 3)."""
+"""Of a pad along the approach to either side of its middle [m]: basic soft tips are 37 mm long (facts: sawyer 3)."""
 SLICES = 50
 
 
@@ -175,9 +176,8 @@ class Judge:
     def _support_in_pads(self, grasp: Grasp) -> bool:
         """Return whether a point of a support lies where the pads close."""
         points = self.scene.points[self.owners >= len(self.scene.plants)]
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = grasp.T_world_flange[:3, :3].T, -grasp.T_world_flange[:3, :3].T @ grasp.point
-        x, y, z = np.abs(transform_points(T, points)).T
+        T_world_pads = grasp.T_world_flange @ SAWYER.tool.T_flange_grasp
+        x, y, z = np.abs(transform_points(np.linalg.inv(T_world_pads), points)).T
         return bool(np.any((x <= Pressing().pad_width / 2) & (y <= grasp.opening / 2) & (z <= PAD_REACH)))
 
 
