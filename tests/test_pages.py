@@ -138,7 +138,9 @@ def check_pip(words: list[str]) -> None:
 def check_script(words: list[str]) -> None:
     """The scripts are there, and they know the options."""
     if words[1] == "-m":
-        words = [words[0], f"{words[2].replace('.', '/')}.py", *words[3:]]
+        module = words[2].replace(".", "/")
+        package = (ROOT / module).is_dir()
+        words = [words[0], f"{module}/__main__.py" if package else f"{module}.py", *words[3:]]
     scripts = [n for n, word in enumerate(words) if word.endswith(".py")]
     assert scripts, words
     script = ROOT / words[scripts[-1]]
