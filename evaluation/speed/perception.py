@@ -34,6 +34,7 @@ from anther.perception.capture import CaptureWriter
 from anther.plant import PEPPER, TOMATO, Crop, Material
 from anther.pollination import Grasp, Params, Seen, foresee, grasp, model_plant, plan_shake
 from anther.pollination.escalation import watch_points
+from anther.pollination.pipeline import SLACK
 from anther.sim import Organ
 from evaluation.harness import CROPS, HIDDEN, finish, options, progress
 from evaluation.perception.simulated import BOX, take
@@ -43,8 +44,6 @@ VIEWS = 30
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "2"}
 STAGES = ("reading", "masks", "cloud", "skeleton", "stem", "flowers", "grasps")
 MATERIALS = {"tomato": TOMATO, "pepper": PEPPER}
-OFFERED = 0.6
-"""How much lower the score of a grasp may be that a trial offers to the plan."""
 
 
 def measure(species: Crop, seed: int, views: int, repeats: int) -> dict[str, float]:
@@ -116,7 +115,7 @@ def perceive(capture: Capture, box: Box) -> tuple[dict[str, float], Seen, list[G
 def plan(found: Seen, ranked: list[Grasp], material: Material, repeats: int) -> dict[str, float]:
     """Return the wall time of a shake's plan and of its prediction before it is raised [s], without the arm's reach."""
     rods = model_plant(found, material, Params())
-    offered = [one for one in ranked if one.score >= ranked[0].score - OFFERED]
+    offered = [one for one in ranked if one.score >= ranked[0].score - SLACK]
     shake = plan_shake(rods, offered)
     points = watch_points(rods)
     return {

@@ -19,6 +19,7 @@ import numpy as np
 
 from anther.core import Array
 from anther.core.geometry import ComplexArray
+from anther.perception.capture import no_keep
 from anther.plant import Crop
 from anther.pollination import Params, pipeline
 from anther.pollination.escalation._knowledge import fit_motors
@@ -44,7 +45,7 @@ def holding(species: Crop, seed: int, truth: Truth) -> Array:
     """Return the joints (J,) at the best grasp of a plant [rad]."""
     cell = build(species, seed, 90.0 * (seed % 4), PRESETS["fast"], truth=truth)
     side, run, params = cell.robot_side, Memory(Path()), Params()
-    seen = pipeline.perceive(side.take_views(lambda *_: None, lambda *_: None), side.workspace, run, params)
+    seen = pipeline.perceive(side.take_views(lambda *_: None, no_keep), side.workspace, run, params)
     best = pipeline.rank_grasps(seen, side.plan_around(seen.cloud).reach, run, params)[0]
     assert best.joints is not None
     return best.joints

@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from anther.core import Advance
+from anther.perception.capture import no_keep
 from anther.plant import PEPPER, TOMATO, Crop, EarlierShake, Material
 from anther.pollination import Done, Params, Seen, ShakePlan, execute, perceive, pollinate
 from anther.pollination.escalation import Escalation
@@ -146,7 +147,7 @@ def shaken(case: Case, folder: Path, earlier: EarlierShake | None = None) -> dic
 def by_the_paper(cell: SimulatedCell, run: Memory, material: Material) -> Done:
     """Take the plant by the paper's rule (P12-P14) and shake it as the paper's most vigorous runs."""
     side = cell.robot_side
-    capture = run.stage("capture", None, lambda advance: side.take_views(advance, lambda *_: None))
+    capture = run.stage("capture", None, lambda advance: side.take_views(advance, no_keep))
     seen: Seen = perceive(capture, side.workspace, run, Params())
     planner, plan, material = paper_plan(cell, seen, material)
     press = float(side.limits.pressing.most(plan.grasp.stem_diameter))

@@ -32,11 +32,16 @@ __all__ = [
     "Keep",
     "check_views",
     "in_threads",
+    "no_keep",
     "viewed_box",
 ]
 
 Keep = Callable[[NDArray[Any], NDArray[Any] | None], None]
 """Hears of each view as it is taken: depth (H, W) [m], colour (H, W, 3) uint8. It does not wait."""
+
+
+def no_keep(depth: NDArray[Any], rgb: NDArray[Any] | None) -> None:
+    """Let a view go: a `Keep`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

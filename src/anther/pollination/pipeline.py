@@ -280,6 +280,10 @@ def _watched(cell: Cell, trial: Trial, plan: ShakePlan, seen: Seen, run: Run) ->
     )
 
 
+SLACK = 0.6
+"""A grasp whose score is lower than the best's by more is tried when the better ones failed; a judgement."""
+
+
 def _shaken(
     cell: Cell,
     planner: MotionPlanner,
@@ -307,9 +311,8 @@ def _shaken(
     actuator = shake.arm_shaker(arm_limit, arm_delivers) if by_arm else shake.VIBRATING_GRIPPER
     robot, pressing = replace(cell.robot, motor=None) if by_arm else cell.robot, cell.limits.pressing
 
-    slack = 0.6  # a grasp whose score is lower than the best's by more is tried when the better ones failed
     while True:
-        offered = [g for g in grasps if g.score >= grasps[0].score - slack]
+        offered = [g for g in grasps if g.score >= grasps[0].score - SLACK]
         try:
             plan = run.stage(
                 "shake plan",

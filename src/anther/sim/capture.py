@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from anther.core.checks import check_array, check_range, check_transform
 from anther.core.geometry import Array, Intrinsics, look_at, small_transform
 from anther.core.records import Range, Record
-from anther.perception.capture import Capture, Keep
+from anther.perception.capture import Capture, Keep, no_keep
 from anther.robot.devices import Frame
 from anther.sim.plant import SimPlant
 from anther.sim.render import Image, Scene, d455
@@ -127,7 +127,7 @@ def capture_views(
     intrinsics: Intrinsics | None = None,
     errors: CameraErrors | None = None,
     progress: Progress | None = None,
-    keep: Keep = lambda depth, rgb: None,
+    keep: Keep = no_keep,
 ) -> tuple[Capture, CaptureTruth]:
     """Return the capture of a camera carried by an arm, and the truth about it.
 
@@ -165,7 +165,7 @@ def capture_from_poses(
     intrinsics: Intrinsics | None = None,
     errors: CameraErrors | None = None,
     progress: Progress | None = None,
-    keep: Keep = lambda depth, rgb: None,
+    keep: Keep = no_keep,
     T_world_cam_true: ArrayLike | None = None,
 ) -> tuple[Capture, CaptureTruth]:
     """Return the capture of a camera believed at T_world_cam (V, 4, 4), and the truth about it; see `capture_views`.

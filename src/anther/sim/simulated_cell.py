@@ -11,7 +11,7 @@ import numpy as np
 from anther.core.choices import ActuatorName, Crop
 from anther.core.geometry import Array, Box, Intrinsics, look_at
 from anther.core.runs import Advance
-from anther.perception.capture import Capture, Keep
+from anther.perception.capture import Capture, Keep, no_keep
 from anther.perception.cloud import Cloud
 from anther.robot.arm.model import ArmModel, outline
 from anther.robot.arm.planner import Params as MotionParams
@@ -231,7 +231,7 @@ def photograph(
     visit: int = 0,
     *,
     progress: Advance | None = None,
-    keep: Keep = lambda depth, rgb: None,
+    keep: Keep = no_keep,
     truth: Truth = NOMINAL,
     arm: ArmModel = SAWYER,
     intrinsics: Intrinsics | None = None,

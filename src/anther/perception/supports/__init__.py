@@ -332,13 +332,11 @@ def _fitted(scene: _Scene, line: Array) -> tuple[_Rod, Evidence] | None:
         typical = _mode(found.spread[there])  # what touches a rod makes sections wider, each by another amount
         off_typical = np.abs(np.log(found.spread / typical))
         alone = there & (off_typical < alike)
-        if np.count_nonzero(alone) < least:
-            return None
-        if again:
+        if again and np.count_nonzero(alone) >= least:
             thickness = _thickness(found.t[alone], found.spread[alone])
             alone = there & (off_typical < np.clip(3 * thickness.noise, even, alike))
-            if np.count_nonzero(alone) < least:
-                return None
+        if np.count_nonzero(alone) < least:
+            return None
         offset, slope, off = _straight_fit(found.t[alone], found.centre[alone])
         length = np.linalg.norm(end - start)
         along = (end - start) / length

@@ -281,8 +281,7 @@ def _credible_motion(
 
 
 def prior_answer(foresight: Foresight, observation: Observation, i: int) -> Answer:
-    """Return the prior response at frequency number i of an observation that proves nothing; only the gripper's motion
-    is used."""
+    """Return the prior response at frequency number i of an observation, of which only the gripper's motion is used."""
     own = slice(foresight.where["flowers"].stop - foresight.where["flowers"].start)
     nothing = np.full((own.stop, 3), np.nan)
     members = _predict_members(foresight, observation, i)

@@ -231,6 +231,7 @@ def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, towar
         costs["comes from behind the plant"] = 0.25 * (1 - candidates.outward())
     refused = np.any(list(refusals.values()), axis=0)
     if not params.fit_gripper:
+        # a place with a support between the pads comes last, whatever else speaks for it
         costs |= {name: (30.0 if name == BETWEEN else 3.0) * yes for name, yes in refusals.items()}
         refused[:] = False
     total = np.sum(list(costs.values()), axis=0)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from anther.core.errors import bad_input
 from anther.core.geometry import Array
 from anther.core.runs import Advance
-from anther.perception.capture import Capture, Keep
+from anther.perception.capture import Capture, Keep, no_keep
 from anther.perception.cloud import Cloud
 from anther.robot.arm.model import ArmModel
 from anther.robot.arm.planner import Params as MotionParams
@@ -158,7 +158,7 @@ def capture_views(
     T_flange_cam: Array,
     advance: Advance,
     model: ArmModel = SAWYER,
-    keep: Keep = lambda depth, rgb: None,
+    keep: Keep = no_keep,
 ) -> Capture:
     """Go to each view, stand still, take a picture; return them with the poses that the arm read.
 
