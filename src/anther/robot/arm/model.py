@@ -14,7 +14,7 @@ from typing import ClassVar
 
 import numpy as np
 import scipy  # loads `scipy.stats`, which takes long, where it is used
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from anther.core.checks import check_array, check_transform
@@ -283,6 +283,21 @@ def outline(arm: ArmModel, q: ArrayLike) -> Array:
     """
     poses, shapes = arm.link_poses(q), _balls(arm)
     return np.concatenate([_place(poses[..., i, :, :], balls) for i, balls in enumerate(shapes)], axis=-2)
+
+
+def touches(arm: ArmModel, q: ArrayLike, points: Array, within: float) -> NDArray[np.bool_]:
+    """Return (N,) which points (N, 3) in the base frame lie `within` [m] of links, gripper and camera at joints (J,)."""
+    poses, found = arm.link_poses(q), np.zeros(len(points), dtype=bool)
+    for T, link in zip(poses, arm.links, strict=False):  # the last pose is the flange's
+        own = (points - T[:3, 3]) @ T[:3, :3]
+        for capsule in link.capsules:
+            start, axis = np.array(capsule.start), np.subtract(capsule.end, capsule.start)
+            share = np.clip((own - start) @ axis / max(float(axis @ axis), 1e-12), 0, 1)
+            found |= np.linalg.norm(own - start - share[:, None] * axis, axis=1) <= capsule.radius + within
+    own = (points - poses[-1, :3, 3]) @ poses[-1, :3, :3]
+    for solid in arm.tool.solids(arm.tool.stroke):
+        found |= (np.abs(own - solid.center) <= np.add(solid.half, within)).all(axis=1)
+    return found
 
 
 def _place(T: Array, balls: Array) -> Array:

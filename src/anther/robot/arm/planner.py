@@ -17,9 +17,9 @@ from anther.core.errors import StageFailure
 from anther.core.geometry import Array, Box, ComplexArray, transform
 from anther.core.records import Range, Record
 from anther.robot.arm import _kinematics, compliance, motions, shaking
-from anther.robot.arm._collision import GROUP, CollisionWorld, cube_centres
+from anther.robot.arm._collision import GROUP, VOXEL, CollisionWorld, cube_centres
 from anther.robot.arm._tours import DETOUR, least_times
-from anther.robot.arm.model import ArmModel, outline
+from anther.robot.arm.model import ArmModel, outline, touches
 from anther.robot.arm.sawyer import SAWYER
 from anther.robot.devices import JointTrajectory
 from anther.robot.swing import Swing
@@ -54,6 +54,7 @@ class Planner:
 
     Args:
         plant: (N, 3) plant points, world [m]. The arm never touches them; gripper and camera may on straight lines.
+            Leaves among which it stands at home have given way already: they do not hold it there.
         obstacles: (M, 3) points of pot, soil and bench [m]. Nothing ever touches them.
         boxes: solid boxes, such as the bench; the floor is always there.
         space: box that the flange does not leave in free motion; None is no limit.
@@ -83,9 +84,11 @@ class Planner:
         self.params, self.space, self.arm = params, space, arm
         home = arm.ready if params.home is None else params.home
         self.home = check_array("home joints", home, (arm.count,))
-        points = check_array("plant points", plant, (None, 3)), check_array("obstacle points", obstacles, (None, 3))
-        self.world = CollisionWorld(arm, *points, boxes)
-        self.plant = cube_centres(points[0])
+        yielding = check_array("plant points", plant, (None, 3))
+        diagonal = np.sqrt(3) * VOXEL  # within which of a point a cube of the octree that holds it is
+        yielding = yielding[~touches(arm, self.home, yielding, arm.margin + diagonal)]
+        self.world = CollisionWorld(arm, yielding, check_array("obstacle points", obstacles, (None, 3)), boxes)
+        self.plant = cube_centres(yielding)
 
     def reach(self, T_world_pregrasp: Array, T_world_grasp: Array) -> Array | None:
         """Return joints (J,) at the grasp if it, the pre-grasp and the straight way between are free, else None.
