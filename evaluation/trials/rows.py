@@ -3,7 +3,7 @@
     python -m evaluation.trials.rows --rows 20 --jobs 2
 
 Every row is drawn (`anther.sim.grow_row`), and its plants' truth is wide (`anther.sim.truth.WIDE`). The robot is told
-the hook by the map alone, a few centimetres off. The judge is `anther.sim.judge`; besides, the pull of the stem's
+the hook, and of a pepper the foot, by the map alone, a few centimetres off. The judge is `anther.sim.judge`; besides, the pull of the stem's
 string is followed. Every trial ends in one JSON in --out and is not run again; those of the campaign, which takes more
 than a day's hours, are in docs/results/long/done/rows.jsonl (--done). Keys of --json:
 
@@ -30,7 +30,7 @@ from anther.core import StageFailure
 from anther.plant import Crop
 from anther.plant.limits import MOVED
 from anther.pollination import visit_row_stem
-from anther.sim import build_row, grow_row, mapped_hook
+from anther.sim import build_row, grow_row, mapped_string
 from anther.sim.cell import BENCH, NEIGHBOUR, POT, CellLog
 from anther.sim.judge import LETS_GO, string_pull
 from evaluation.harness import CROPS, Row, by_turns, failed, finish, options, run_cases
@@ -40,7 +40,7 @@ from evaluation.trials.grasping_pictures import portrait
 from evaluation.trials.grasping_trial import COMPUTE, PICTURE, notes, overlap, performed, truth_of
 from evaluation.trials.shaking import Brief
 
-FIRST, DEVELOPMENT = 6110, 3
+FIRST, DEVELOPMENT = 6120, 3
 """Rows from the first seed on are in no other table; on those from the second on the visit was made."""
 PARTS = ("views_s", "thought_s", "approach_s", "shake_s", "retreat_s")
 ACCELERATION = "true_flower_acceleration_median_ms2"
@@ -67,8 +67,8 @@ def one(row: Row, folder: Path) -> Row:
         cell = build_row(grown, truth=truth_of(case.truth, case.seed))
     except StageFailure as failure:
         return {"success": False, "failure": failure.kind, "message": str(failure)}
-    hook = mapped_hook(grown, cell.world.arm)
-    found, done = performed(cell, lambda: visit_row_stem(cell.robot_side, case.species, hook, run))
+    hook, foot = mapped_string(grown, cell.world.arm)
+    found, done = performed(cell, lambda: visit_row_stem(cell.robot_side, case.species, hook, run, foot=foot))
     log = cell.world.log()
     found |= touched(log) | {"string_pull": string_pull(cell.world, log), "plants": len(grown.plants)}
     found |= {"views_s": cell.capture_seconds, "first": len(_begun) == 1, "notes": notes(run)}

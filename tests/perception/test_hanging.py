@@ -75,6 +75,17 @@ def test_of_two_stems_the_asked_one_is_that_below_the_hook() -> None:
     assert abs(find_hanging_stem(both, (0.7, 0.1, 1.2)).axis[:, 1] - 0.12).max() < 0.02
 
 
+def test_a_stem_on_a_slanting_string_is_found_between_its_hook_and_its_foot() -> None:
+    points, normals = stem_seen()
+    slant = 0.2
+    slanting = cloud_of((points + slant * points[:, 2:] * [1.0, 0.0, 0.0], normals))
+    hook, foot = (0.705 + slant * 1.2, 0.0, 1.2), (0.705 - slant * 0.2, 0.0, -0.2)
+    found = find_hanging_stem(slanting, hook, foot)
+    assert off(found.axis - slant * found.axis[:, 2:] * [1.0, 0.0, 0.0]) < RADIUS + 0.004
+    with pytest.raises(StageFailure, match="no stem hangs below the hook"):
+        find_hanging_stem(slanting, hook)
+
+
 def test_no_stem_below_the_hook_is_said() -> None:
     with pytest.raises(StageFailure, match=r"hook at 0\.70, 0\.40") as failure:
         find_hanging_stem(cloud_of(stem_seen()), (0.7, 0.4, 1.2))

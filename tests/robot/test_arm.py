@@ -12,7 +12,7 @@ from anther.core.geometry import Box, transform
 from anther.robot.arm import _kinematics, motions, sawyer, shaking
 from anther.robot.arm._collision import CollisionWorld
 from anther.robot.arm._kinematics import newton_step
-from anther.robot.arm.planner import Planner
+from anther.robot.arm.planner import Params, Planner
 from anther.robot.devices import JointTrajectory
 from anther.robot.swing import whole_shake
 
@@ -263,6 +263,19 @@ def test_move_draws_back_out_of_leaves():
     assert_within_limits(motion, share=0.6)
     early = sawyer.forward(motion.positions[motion.times < 0.4])[:, :3, 3] - GRASP[:3, 3]
     np.testing.assert_allclose(early[:, 1:], 0, atol=1e-5)
+
+
+def test_leaves_around_the_arm_at_home_do_not_hold_it_there_and_all_others_are_kept_clear_of():
+    q = np.array(sawyer.NEUTRAL)
+    poses, rng = sawyer.link_poses(q), np.random.default_rng(0)
+    around = [T[:3, 3] + rng.uniform(-0.05, 0.05, (100, 3)) for T in poses[3:]]
+    ahead = poses[7, :3, 3] + poses[7, :3, 2] * 0.35 + rng.uniform(-0.02, 0.02, (100, 3))
+    planner = Planner(np.concatenate([*around, ahead]), NOTHING, params=Params(home=tuple(q)))
+    assert planner.world.free(q)
+    with pytest.raises(StageFailure, match="not free"):
+        planner.line(q, poses[7] @ transform(np.eye(3), [0, 0, 0.3]))
+    goal = q + [0.4, 0, 0, 0, 0, 0, 0]
+    assert np.allclose(planner.move(q, goal).positions[-1], goal)
 
 
 @pytest.mark.parametrize("pocket", [0.1, 1.0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from functools import cache
 from itertools import islice
@@ -13,6 +14,7 @@ from scipy.optimize import brentq
 from scipy.special import j0, j1, y0, y1
 from straight_plant import chain, plant_of
 
+from anther.core.choices import Crop
 from anther.core.errors import InputError
 from anther.core.geometry import transform
 from anther.sim.cell import NEIGHBOUR, Cell
@@ -271,6 +273,20 @@ def test_an_arm_before_a_row_has_the_asked_plant_at_hand_and_touches_nothing() -
     assert len(cell.log().contact_other) == 0
     assert np.abs(cell.segment_poses() - np.eye(4)).max() < 1e-4, "the plant rests"
     assert cell.model.ntendon >= len(before.worked.twines)
+
+
+@pytest.mark.parametrize("crop", ["tomato", "pepper"])
+def test_what_the_map_keeps_clear_of_are_the_neighbours_and_not_the_asked_stem(crop: Crop) -> None:
+    before = before_arm(grow_row(crop, 3))
+    kept = row_layout(before).solids
+
+    def share_kept(plants: Sequence[SimPlant]) -> float:
+        stems = np.vstack([plant.end[plant.stem_segments()] for plant in plants])
+        reached = stems[np.linalg.norm(stems, axis=1) < 1.2]
+        return float(np.any([box.contains(reached) for box in kept], axis=0).mean())
+
+    assert share_kept([before.worked]) < 0.05
+    assert share_kept([p for k, p in enumerate(before.plants[: before.near]) if k != before.asked]) > 0.9
 
 
 def test_far_below_the_flowers_a_stem_is_cut_coarsely_and_swings_alike() -> None:

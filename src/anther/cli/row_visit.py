@@ -14,7 +14,7 @@ from anther.plant.visit import Visit
 from anther.pollination import visit_row_stem
 from anther.show.results import SUMMARY
 from anther.show.summary import summarise
-from anther.sim import Row, build_row, mapped_hook
+from anther.sim import Row, build_row, mapped_string
 
 BY_THE_SIMULATOR = {"cell", "capture", "execution", "judge"}
 """Stages whose time is the simulator's, not this computer's."""
@@ -34,8 +34,9 @@ def visit_stem(row: Row, order: Order, history: str, folder: Path, *, quiet: boo
     with Run(folder, quiet=quiet) as run:
         try:
             cell = run.timed("cell", lambda _: build_row(row, visit=int(order.begin.timestamp()) % 2**20))
+            hook, foot = mapped_string(row)
             done = visit_row_stem(
-                cell.robot_side, row.crop, mapped_hook(row), run, material=belief.material, earlier=earlier
+                cell.robot_side, row.crop, hook, run, foot=foot, material=belief.material, earlier=earlier
             )
             verdict = run.timed("judge", lambda _: judge_done(cell, done))
         except StageFailure as stopped:

@@ -1,6 +1,6 @@
-"""The axis of a stem that hangs on a string: nearly upright below its hook, straight on behind what hides it.
+"""The axis of a stem that hangs on a string: close to its line below the hook, straight on behind what hides it.
 
-K slices of height, C cells of a square about the plumb line.
+K slices of height, C cells of a square about that line.
 """
 
 from __future__ import annotations
@@ -44,32 +44,43 @@ class HangingStem:
         return replace(cloud, points=np.vstack([cloud.points, new]), labels=labels, normals=None, colors=None)
 
 
-def find_hanging_stem(cloud: Cloud, hook: ArrayLike) -> HangingStem:
+def find_hanging_stem(cloud: Cloud, hook: ArrayLike, foot: ArrayLike | None = None) -> HangingStem:
     """Return the axis of the stem that hangs on a hook (3,) [m].
 
-    Of all ways up near the plumb line it is the one along which most upright surface is seen, less what its distance
-    from that line and its steps aside cost (dynamic programming over slices of height); the axis is the middle of what
-    is seen there.
+    Of all ways up near the line of its string it is the one along which most upright surface is seen, less what its
+    distance from that line and its steps aside cost (dynamic programming over slices of height); the axis is the middle
+    of what is seen there.
+
+    Args:
+        cloud: what was seen.
+        hook: (3,) where the string hangs [m].
+        foot: (3,) where the stem rises, below the hook but not plumb where strings slant [m]; None: plumb.
 
     Raises:
         StageFailure: "no_stem_found" where nothing hangs there.
     """
     x, y, z = np.asarray(hook, dtype=np.float64)
+    down = np.array([x, y, z - 1.0] if foot is None else foot) - [x, y, z]
+
+    def line(height: Array) -> Array:
+        """Return where the string passes heights (N,): (N, 2) [m]."""
+        return [x, y] + np.multiply.outer((height - z) / down[2], down[:2])
 
     def lean(height: ArrayLike) -> Array:
-        """Return how far from the plumb line a stem may be [m]: maps err by 0.02, strings slant; guesses."""
+        """Return how far from that line a stem may be [m]: maps err by 0.02, stems sag; guesses."""
         return np.maximum(0.05, 0.08 * (z - np.asarray(height)))
 
     stray = float(lean(cloud.points[:, 2].min(initial=z)))
-    near = (cloud.labels != FLOWER) & (np.abs(cloud.points[:, :2] - [x, y]) < stray).all(axis=1)
-    points = cloud.points[near]
+    beside = cloud.points[:, :2] - line(cloud.points[:, 2])
+    near = (cloud.labels != FLOWER) & (np.abs(beside) < stray).all(axis=1)
+    points, beside = cloud.points[near], beside[near]
     upright = np.ones(len(points)) if cloud.normals is None else 1 - np.abs(cloud.normals[near, 2])
     enough = 10.0  # points in 3 x 3 cells: a fifth of what one side of a stem of 10 mm shows in voxels of 1.5 mm
     if upright.sum() < enough:
         raise _nothing(x, y)
     edge = 0.004  # m, of a cell: a stem's radius
     low, side = points[:, 2].min(), int(2 * stray / edge)
-    cell = np.minimum(((points[:, :2] - [x, y] + stray) / edge).astype(int), side - 1)
+    cell = np.minimum(((beside + stray) / edge).astype(int), side - 1)
     slice_ = 0.01  # m, height of a slice: a stem's diameter
     level = ((points[:, 2] - low) / slice_).astype(int)
     count = np.zeros((level.max() + 1, side, side))
@@ -83,7 +94,7 @@ def find_hanging_stem(cloud: Cloud, hook: ArrayLike) -> HangingStem:
     if len(ends) < 2:
         raise _nothing(x, y)
     kept, number = slice(ends[0], ends[-1] + 1), np.arange(len(way))
-    own = np.linalg.norm(points[:, :2] - ([x, y] + (way[level] + 0.5) * edge - stray), axis=1) < 2.5 * edge
+    own = np.linalg.norm(beside - ((way[level] + 0.5) * edge - stray), axis=1) < 2.5 * edge
     weight = np.bincount(level[own], upright[own], len(way))
     middle = [np.bincount(level[own], upright[own] * p, len(way))[seen] / weight[seen] for p in points[own, :2].T]
     across = [gaussian_filter1d(np.interp(number[kept], ends, line), 2.0) for line in middle]

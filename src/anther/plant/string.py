@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
 from anther.core.choices import Crop
+from anther.core.errors import bad_input
 from anther.core.geometry import Array
 from anther.core.records import Range, Record, Spread
 from anther.perception.cloud import Cloud
@@ -30,6 +31,7 @@ class HeldString(Record):
 
     Attributes:
         hook: where it hangs, world [m]: by the map of the row.
+        foot: where the stem rises, world [m]: by the map, where strings slant; None: plumb below the hook.
         tension: of it [N].
         tension_spread: of that [-].
         stretching: EA [N], of twine of 2 mm: a guess.
@@ -37,15 +39,21 @@ class HeldString(Record):
 
     CALLED = "string"
     hook: Annotated[tuple[float, float, float], Range(-1e4, 1e4, "m")]
+    foot: tuple[float, float, float] | None = None
     tension: Annotated[float, Range(0, 1e3, "N")] = TENSION["tomato"].median
     tension_spread: Spread = TENSION["tomato"].spread
     stretching: Annotated[float, Range(1, 1e6, "N")] = 1500.0
 
+    def _check(self) -> None:
+        if self.foot is not None and not self.foot[2] < self.hook[2]:
+            given = f"a foot {self.foot[2]:g} m up, a hook {self.hook[2]:g} m up"
+            raise bad_input("string", given=given, allowed="a foot below its hook", do="Look at the map.")
+
     @classmethod
-    def of(cls, crop: Crop, hook: ArrayLike) -> Self:
-        """Return what is believed of the string of a crop's stem that hangs on a hook (3,) [m]."""
-        x, y, z = (float(value) for value in np.asarray(hook, dtype=np.float64))
-        return cls((x, y, z), TENSION[crop].median, TENSION[crop].spread)
+    def of(cls, crop: Crop, hook: ArrayLike, foot: ArrayLike | None = None) -> Self:
+        """Return what is believed of the string of a crop's stem: hook and foot (3,) [m], see there."""
+        ends = (None if end is None else tuple(np.asarray(end, dtype=np.float64).tolist()) for end in (hook, foot))
+        return cls(*ends, TENSION[crop].median, TENSION[crop].spread)  # type: ignore[arg-type]
 
     def support(self, node: int, nodes: Array, factor: float = 1.0) -> Support:
         """Return the pull on one of a stem's nodes (N, 3) [m], whose foot is the first, `factor` times as hard.

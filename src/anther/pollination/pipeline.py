@@ -160,7 +160,7 @@ def _hung(fused: Cloud, params: Params) -> tuple[Cloud, Params]:
     """
     if params.plant.string is None or params.skeleton.root is not None or params.skeleton.plant is not None:
         return fused, params
-    hung = find_hanging_stem(fused, params.plant.string.hook)
+    hung = find_hanging_stem(fused, params.plant.string.hook, params.plant.string.foot)
     root, tip = (tuple(hung.axis[end].tolist()) for end in (0, -1))
     own = params.stem if params.stem.tip is not None else replace(params.stem, tip=tip)
     return hung.completed(fused), replace(params, skeleton=replace(params.skeleton, root=root), stem=own)

@@ -22,6 +22,7 @@ def visit_row_stem(
     run: Run,
     params: Params | None = None,
     *,
+    foot: ArrayLike | None = None,
     material: Material | None = None,
     find_masks: FindMasks | None = None,
     earlier: EarlierShake | None = None,
@@ -34,6 +35,7 @@ def visit_row_stem(
         hook: (3,) where the stem's string hangs, by the map of the row, in the frame of the cell [m].
         run: keeps what each stage makes.
         params: of the stages.
+        foot: (3,) where the stem rises, by the map, in the frame of the cell [m]; None: plumb below its hook.
         material: what is believed of this plant, if it was visited before.
         find_masks, earlier: see `pollinate`.
 
@@ -41,6 +43,6 @@ def visit_row_stem(
         StageFailure: a stage before the execution cannot go on; its kind says why.
     """
     params = params or Params()
-    hung = replace(params, plant=replace(params.plant, string=HeldString.of(crop, hook)))
+    hung = replace(params, plant=replace(params.plant, string=HeldString.of(crop, hook, foot)))
     believed = material or (PEPPER if crop == "pepper" else TOMATO)
     return pollinate(cell, believed, run, hung, find_masks, earlier)

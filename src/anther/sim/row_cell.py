@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 
@@ -46,30 +47,44 @@ def before_arm(row: Row, arm: ArmModel = SAWYER) -> Row:
 
 
 HOOK_ERROR = 0.02
-"""Of a hook's place along and across the row in a map, standard deviation [m]: a guess."""
+"""Of the place of a hook or a foot along and across the row in a map, standard deviation [m]: a guess."""
 
 
-def mapped_hook(row: Row, arm: ArmModel = SAWYER) -> Array:
-    """Return where the map says that the string of the asked stem hangs (3,), in the arm's frame (`before_arm`) [m]."""
-    return _mapped_hooks(before_arm(row, arm))[row.asked]
+def mapped_string(row: Row, arm: ArmModel = SAWYER) -> tuple[Array, Array | None]:
+    """Return where the map says that the asked stem's string hangs (3,), and where that stem rises: None is plumb below.
+
+    In the arm's frame (`before_arm`) [m]. Strings of peppers slant from the middle of the holder to their line of hooks.
+    """
+    before = before_arm(row, arm)
+    hooks, feet = _mapped_strings(before)
+    return hooks[row.asked], feet[row.asked] if row.crop == "pepper" else None
 
 
-def _mapped_hooks(row: Row) -> Array:
-    """Return where the map says that every plant's string hangs (P, 3), in the frame that the row is in [m]."""
-    error = np.random.default_rng([row.seed, 16]).normal(0, HOOK_ERROR, (len(row.hooks), 2))
-    return row.hooks + np.pad(error, ((0, 0), (0, 1)))
+def _mapped_strings(row: Row) -> tuple[Array, Array]:
+    """Return where the map says that every plant's string hangs and its stem rises (P, 3), in the row's frame [m]."""
+    rng = np.random.default_rng([row.seed, 16])
+    plants = len(row.hooks)
+    hooks = row.hooks + np.pad(rng.normal(0, HOOK_ERROR, (plants, 2)), ((0, 0), (0, 1)))
+    feet = np.array([plant.pot.centre for plant in row.plants])
+    feet = feet + np.pad(rng.normal(0, HOOK_ERROR, (plants, 2)), ((0, 0), (0, 1)))
+    if row.crop == "tomato":
+        feet = np.column_stack([hooks[:, :2], feet[:, 2]])
+    return hooks, feet
 
 
 def _hung_kept(row: Row) -> list[Box]:
-    """Return what the map of hooks keeps clear: each hook with its spool, and a column below those of other stems."""
-    # m from the plumb line of its hook that a neighbour's stem is looked for; peppers part in two: guesses
+    """Return what the map keeps clear: hooks with their spools, and columns about the strings of other stems."""
+    # m from the line of its string that a neighbour's stem is looked for; peppers part in two: guesses
     beside = {"tomato": 0.06, "pepper": 0.12}[row.crop]
     spool = np.array([0.06, 0.15, 0.05])  # m: as far from its hook as `row_house` has it, and 0.04 more
-    column, hooks = np.array([beside, beside, 0.0]), _mapped_hooks(row)
-    others = np.delete(hooks, row.asked, axis=0)
-    below = np.where([True, True, False], others - column, -1.5)
-    spools = [Box(hook - spool, hook + spool) for hook in hooks]
-    return spools + [Box(lower, upper) for lower, upper in zip(below, others + column, strict=True)]
+    hooks, feet = _mapped_strings(row)
+    found = [Box(hook - spool, hook + spool) for hook in hooks]
+    for plant in np.delete(np.arange(len(hooks)), row.asked):
+        line = np.linspace(hooks[plant], feet[plant], 2 if row.crop == "tomato" else 6)
+        for upper, lower in pairwise(line):
+            low, high = np.minimum(lower, upper), np.maximum(lower, upper)
+            found.append(Box(low - [beside, beside, 0.0], high + [beside, beside, 0.0]))
+    return found
 
 
 def _fixed_kept(row: Row) -> list[Box]:
