@@ -3,9 +3,9 @@
     python -m evaluation.trials.rows --rows 20 --jobs 2
 
 Every row is drawn (`anther.sim.grow_row`), and its plants' truth is wide (`anther.sim.truth.WIDE`). The robot is told
-the hook, and of a pepper the foot, by the map alone, a few centimetres off. The judge is `anther.sim.judge`; besides, the pull of the stem's
-string is followed. Every trial ends in one JSON in --out and is not run again; those of the campaign, which takes more
-than a day's hours, are in docs/results/long/done/rows.jsonl (--done). Keys of --json:
+the hook, and of a pepper the foot, by the map alone, a few centimetres off. The judge is `anther.sim.judge`; besides,
+the pull of the stem's string is followed. Every trial ends in one JSON in --out and is not run again; those of the
+campaign, which takes more than a day's hours, are in docs/results/long/done/rows.jsonl (--done). Keys of --json:
 
 held_row         share of rows: the asked stem was held through the shake, nothing else was held, pushed or touched
 moved_row        share of these whose median flower felt 5 m/s2 or more

@@ -274,7 +274,7 @@ def test_leaves_around_the_arm_at_home_do_not_hold_it_there_and_all_others_are_k
     assert planner.world.free(q)
     with pytest.raises(StageFailure, match="not free"):
         planner.line(q, poses[7] @ transform(np.eye(3), [0, 0, 0.3]))
-    goal = q + [0.4, 0, 0, 0, 0, 0, 0]
+    goal = q + 0.4 * np.eye(7)[0]
     assert np.allclose(planner.move(q, goal).positions[-1], goal)
 
 

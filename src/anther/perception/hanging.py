@@ -64,7 +64,7 @@ def find_hanging_stem(cloud: Cloud, hook: ArrayLike, foot: ArrayLike | None = No
 
     def line(height: Array) -> Array:
         """Return where the string passes heights (N,): (N, 2) [m]."""
-        return [x, y] + np.multiply.outer((height - z) / down[2], down[:2])
+        return np.array([x, y]) + np.multiply.outer((height - z) / down[2], down[:2])
 
     def lean(height: ArrayLike) -> Array:
         """Return how far from that line a stem may be [m]: maps err by 0.02, stems sag; guesses."""

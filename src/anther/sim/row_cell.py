@@ -51,9 +51,9 @@ HOOK_ERROR = 0.02
 
 
 def mapped_string(row: Row, arm: ArmModel = SAWYER) -> tuple[Array, Array | None]:
-    """Return where the map says that the asked stem's string hangs (3,), and where that stem rises: None is plumb below.
+    """Return where the map says that the asked stem's string hangs and the stem rises, (3,) each; None: plumb below.
 
-    In the arm's frame (`before_arm`) [m]. Strings of peppers slant from the middle of the holder to their line of hooks.
+    In the arm's frame (`before_arm`) [m]. Peppers' strings slant from the middle of the holder to their line of hooks.
     """
     before = before_arm(row, arm)
     hooks, feet = _mapped_strings(before)
@@ -78,12 +78,11 @@ def _hung_kept(row: Row) -> list[Box]:
     beside = {"tomato": 0.06, "pepper": 0.12}[row.crop]
     spool = np.array([0.06, 0.15, 0.05])  # m: as far from its hook as `row_house` has it, and 0.04 more
     hooks, feet = _mapped_strings(row)
-    found = [Box(hook - spool, hook + spool) for hook in hooks]
+    around, found = np.array([beside, beside, 0.0]), [Box(hook - spool, hook + spool) for hook in hooks]
     for plant in np.delete(np.arange(len(hooks)), row.asked):
         line = np.linspace(hooks[plant], feet[plant], 2 if row.crop == "tomato" else 6)
         for upper, lower in pairwise(line):
-            low, high = np.minimum(lower, upper), np.maximum(lower, upper)
-            found.append(Box(low - [beside, beside, 0.0], high + [beside, beside, 0.0]))
+            found.append(Box(np.minimum(lower, upper) - around, np.maximum(lower, upper) + around))
     return found
 
 

@@ -286,7 +286,7 @@ def outline(arm: ArmModel, q: ArrayLike) -> Array:
 
 
 def touches(arm: ArmModel, q: ArrayLike, points: Array, within: float) -> NDArray[np.bool_]:
-    """Return (N,) which points (N, 3) in the base frame lie `within` [m] of links, gripper and camera at joints (J,)."""
+    """Return (N,) which points (N, 3) [m] lie `within` [m] of links, gripper and camera at joints (J,)."""
     poses, found = arm.link_poses(q), np.zeros(len(points), dtype=bool)
     for T, link in zip(poses, arm.links, strict=False):  # the last pose is the flange's
         own = (points - T[:3, 3]) @ T[:3, :3]
