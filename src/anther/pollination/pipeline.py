@@ -168,6 +168,8 @@ def _hung(fused: Cloud, params: Params) -> tuple[Cloud, Params]:
 
 def _main_stem(fused: Cloud, tree: Skeleton, flowers_at: Array, params: Params) -> Stem:
     main = stem.find_stem(tree, params.stem, flowers_at=flowers_at)
+    if params.plant.string is not None:  # each stem has a string of its own: what joins it beside is another's
+        main = replace(main, fork=-1)
     return replace(main, notes=(*main.notes, *notes_beside(fused, tree, main)))
 
 
