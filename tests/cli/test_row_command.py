@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from datetime import UTC, datetime
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -14,6 +15,7 @@ from anther.cli import row as command
 from anther.cli import row_visit, simulated_house
 from anther.cli.main import main
 from anther.core.errors import StageFailure
+from anther.core.runs import FILES
 from anther.history import Order, Report, count_trials, read_shift, read_stems
 from anther.history._jobs import Job
 from anther.plant import Visit
@@ -181,12 +183,16 @@ def test_a_stem_that_cannot_be_reached_is_a_visit_with_its_reason(tmp_path, monk
     monkeypatch.setattr(row_visit, "build_row", far)
     begin = datetime(2026, 6, 1, 10, tzinfo=UTC)
     order = Order(1, "simulated 1", "tomato", "north 1 left 1", "north", "1", "left", 0, 0.4, begin, enters)
-    report = row_visit.visit_stem(None, order, str(tmp_path / "h.sqlite"), tmp_path / "run")  # type: ignore[arg-type]
+    row: Any = SimpleNamespace(seed=3)
+    report = row_visit.visit_stem(row, order, str(tmp_path / "h.sqlite"), tmp_path / "run")
     visit = report.visit
     assert (visit.failure, visit.plant, visit.robot, visit.time) == ("unreachable", order.plant, order.robot, begin)
     assert report.stopped is None
     assert (report.ended - begin).total_seconds() == pytest.approx(120.0 if enters else 2.0, abs=0.5)
     assert Visit.load(tmp_path / "run" / "trial.json").failure == "unreachable"
+    page = (tmp_path / "run" / FILES["report"]).read_text()
+    assert "row 1 left, hook 1" in page
+    assert "the arm reaches two views" in page
 
 
 def test_many_houses_run_on_dask_each_with_its_history(call, capsys, monkeypatch) -> None:

@@ -2,19 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import timedelta
 from pathlib import Path
 
-from anther.cli.run_folder import judge_done
+from anther.cli.run_folder import finish, judge_done, note_parameters, note_times
 from anther.core.errors import StageFailure
+from anther.core.files import made_folder
 from anther.core.runs import Run
 from anther.history import Order, Report, earlier_shake, starting_material
 from anther.plant.visit import Visit
 from anther.pollination import visit_row_stem
-from anther.show.results import SUMMARY
+from anther.show.results import EXECUTED, SUMMARY
 from anther.show.summary import summarise
 from anther.sim import Row, build_row, mapped_string
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What a visit's folder says was asked for: crop, where its stem hangs, and the seed that the row grew from."""
+
+    plant: str
+    label: str
+    seed: int
+
 
 BY_THE_SIMULATOR = {"cell", "capture", "execution", "judge"}
 """Stages whose time is the simulator's, not this computer's."""
@@ -31,13 +42,15 @@ def visit_stem(row: Row, order: Order, history: str, folder: Path, *, quiet: boo
     earlier = earlier_shake(order.species, order.plant, history)
     visit = Visit(order.species, order.plant, held_unharmed=False, run=str(folder), robot=order.robot, time=order.begin)
     cell, done, verdict, failure = None, None, None, None
-    with Run(folder, quiet=quiet) as run:
+    with Run(made_folder(folder), quiet=quiet) as run:
+        note_parameters(run, Asked(order.species, f"row {order.row} {order.side}, hook {order.hook + 1}", row.seed))
         try:
             cell = run.timed("cell", lambda _: build_row(row, visit=int(order.begin.timestamp()) % 2**20))
             hook, foot = mapped_string(row)
             done = visit_row_stem(
                 cell.robot_side, row.crop, hook, run, foot=foot, material=belief.material, earlier=earlier
             )
+            done.shake.save(folder / EXECUTED)
             verdict = run.timed("judge", lambda _: judge_done(cell, done))
         except StageFailure as stopped:
             failure = stopped
@@ -46,6 +59,8 @@ def visit_stem(row: Row, order: Order, history: str, folder: Path, *, quiet: boo
         material_source=belief.source, material_reason=belief.reason, seconds=dict(run.seconds),
     )  # fmt: skip
     visit.save(folder / SUMMARY)
+    note_times(run)
+    finish(run)
     stages = run.seconds.keys() - BY_THE_SIMULATOR
     thought = sum(min(run.seconds[stage], run.cpu_seconds[stage]) for stage in stages)
     moved = (visit.simulated_capture_seconds or 0.0) + (visit.simulated_execution_seconds or 0.0)

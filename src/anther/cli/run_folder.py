@@ -102,13 +102,23 @@ def open_run(folder: Path, args: Any, same: tuple[str, ...]) -> Iterator[Run]:
     else:
         _make_room(folder, overwrite=args.overwrite)
     run = Run(folder, restart_from=args.restart_from)
-    write_json(folder / PARAMS, parameters(args))
+    note_parameters(run, args)
     with run:
         try:
             yield run
         finally:
-            names = ("seconds", "cpu_seconds", "peak_mb", "attempts")
-            write_json(folder / TIMING, {name: getattr(run, name) for name in names})
+            note_times(run)
+
+
+def note_parameters(run: Run, args: Any) -> None:
+    """Keep what a run was asked for in its folder: the fields of `args`, a dataclass, with versions and time."""
+    write_json(run.folder / PARAMS, parameters(args))
+
+
+def note_times(run: Run) -> None:
+    """Keep in a run's folder what its stages took."""
+    names = ("seconds", "cpu_seconds", "peak_mb", "attempts")
+    write_json(run.folder / TIMING, {name: getattr(run, name) for name in names})
 
 
 def parameters(args: Any) -> dict[str, Any]:

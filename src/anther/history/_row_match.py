@@ -65,7 +65,8 @@ def align(stored: Hooks, seen: Hooks, weeks: float) -> tuple[Array, float]:
     """Return (M, N) the probability that hook m of a pass is stem n of the map, and the evidence for this row.
 
     What a hook's probabilities lack to 1 is that of a stem that is not in the map. The evidence is the logarithm of
-    how much better the map explains the pass than a row of unknown stems does.
+    how much better the stems of the map explain the pass than others on the same hooks would: those of another row hang
+    as far apart, but look like any.
 
     Args:
         stored: of the map, N hooks.
@@ -80,11 +81,12 @@ def align(stored: Hooks, seen: Hooks, weeks: float) -> tuple[Array, float]:
     slides = np.linspace(-most, most, bins)
     low, high = _band(stored.position, seen.position, most + pitch)
     draws = 32  # a power of two, as Sobol's points want
-    evidence, shares = np.empty(draws), np.empty((draws, *moved.shape))
+    evidence, of_others, shares = np.empty(draws), np.empty(draws), np.empty((draws, *moved.shape))
     sweep, combine = cast(Any, _forward), cast(Any, _combined)
     for k, week in enumerate(_weeks(weeks, draws)):
         skip, add = _left_out(stored, seen, week, slide * weeks / 2, pitch)
-        weight = np.exp(_likeness(stored, seen, week)) * (1 - skip)[:, None]
+        there = np.repeat(1 - skip[:, None], len(seen.position), axis=1)
+        weight = np.exp(_likeness(stored, seen, week)) * there
         own = stored.variance[:, None] + seen.variance + week["scatter"] ** 2 + np.diff(slides)[0] ** 2 / 12
         kernel = _kernel(slides, np.sqrt(week["step"] ** 2 + 2 * seen.walk**2 * pitch), week["jump"])
         tables = moved, np.sqrt(own), weight
@@ -95,12 +97,12 @@ def align(stored: Hooks, seen: Hooks, weeks: float) -> tuple[Array, float]:
         backward = sweep(*flipped, skip[::-1].copy(), add[::-1].copy(), *ends, *given)
         shares[k] = combine(*tables, low, *forward, ends[0], *backward, slides, week["tails"])
         evidence[k] = forward[2]
+        of_others[k] = sweep(moved, tables[1], there, skip, add, low, high, *given)[2]
     if not np.isfinite(evidence).any():
         return np.zeros_like(shares[0].T), -np.inf
     total = float(np.logaddexp.reduce(evidence))
-    weight = np.exp(evidence - total)
-    strange = len(seen.position) * log(1 / pitch)
-    return np.tensordot(weight, shares, 1).T, total - log(draws) - strange
+    shared = np.tensordot(np.exp(evidence - total), shares, 1)
+    return shared.T, total - float(np.logaddexp.reduce(of_others))
 
 
 def _band(stored: Array, seen: Array, most: float) -> tuple[Array, Array]:

@@ -150,7 +150,7 @@ def _recognise(session: Session, seen: RowPass) -> Recognition:
         shares, evidence = align(before, now, weeks)
         other_row = 1e-3  # prior odds that another row was driven than the one that is named (a guess)
         if evidence < np.log(other_row):
-            given = f"stems that explain the pass e^{-evidence:.0f} times worse than strangers"
+            given = f"stems that explain the pass e^{-evidence:.0f} times worse than others would"
             do = "Check which row was driven; nothing was changed."
             raise bad_input("pass", given=given, allowed=f"the stems of {_name(seen)}", do=do)
     result = _update_map(session, side, stems, seen, now, shares)

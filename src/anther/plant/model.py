@@ -76,7 +76,7 @@ class PlantModel(Stored):
         notes: what the stage wants the user to know.
     """
 
-    KIND, SCHEMA = "plant model", 4
+    KIND, SCHEMA = "plant model", 5
     rods: Rods
     stem_nodes: Annotated[NDArray[np.int64], Shape("S")]
     arc_length: Annotated[Array, Shape("S"), Range(unit="m")]
