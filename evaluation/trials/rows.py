@@ -73,7 +73,7 @@ def one(row: Row, folder: Path) -> Row:
     found |= touched(log) | {"string_pull": string_pull(cell.world, log), "plants": len(grown.plants)}
     found |= {"views_s": cell.capture_seconds, "first": len(_begun) == 1, "notes": notes(run)}
     if done is not None:
-        found |= asked_times(found, run)
+        found |= {"thought_s": thought(found, run), "approach_s": approach(found.get("phases_s", {}))}
         found["flowers_seen"], found["flowers_there"] = (
             len(run.results["flowers"].positions),
             len(cell.plant.flower_segment),
@@ -83,17 +83,20 @@ def one(row: Row, folder: Path) -> Row:
     return asdict(case) | found
 
 
-def asked_times(row: Row, run: Brief) -> dict[str, float]:
-    """Return what thought and approach took [s].
+def thought(row: Row, run: Brief) -> float:
+    """Return what thought took while the arm waited [s].
 
-    Of wall and processor time the lesser counts as thought: other programs share the machine. What is thought while the
-    arm is on its way counts as approach alone.
+    Of wall and processor time the lesser counts: other programs share the machine. What is thought while the arm is on
+    its way counts as approach alone.
     """
-    thought = sum(min(run.total[name], run.cpu[name]) for name in COMPUTE if name in run.total)
-    return {
-        "thought_s": max(thought - overlap(row.get("phases_s", {}), run), 0.0),
-        "approach_s": row.get("reach_s", float("nan")),
-    }
+    seconds = sum(min(run.total[name], run.cpu[name]) for name in COMPUTE if name in run.total)
+    return max(seconds - overlap(row.get("phases_s", {}), run), 0.0)
+
+
+def approach(phases: dict[str, float]) -> float:
+    """Return how long the arm was on its way from the last view until it shook [s]; NaN if it did not."""
+    names = list(phases)
+    return sum(phases[name] for name in names[: names.index("shake")]) if "shake" in names else float("nan")
 
 
 def touched(log: CellLog) -> dict[str, float]:

@@ -291,7 +291,8 @@ class Cell:
         self._contacts.append((here, robot[:, 0], other[:, 1], other[:, 2], force, d.contact.pos.copy()))
 
     def forget(self) -> None:
-        """Begin the log anew: what was before is nobody's doing."""
+        """Begin clock and log anew: what was before is nobody's doing."""
+        self.data.time = 0.0
         self._samples, self._contacts = [], []
         self._note()
 
