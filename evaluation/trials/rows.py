@@ -40,7 +40,7 @@ from evaluation.trials.grasping_pictures import portrait
 from evaluation.trials.grasping_trial import COMPUTE, PICTURE, notes, overlap, performed, truth_of
 from evaluation.trials.shaking import Brief
 
-FIRST, DEVELOPMENT = 6130, 3
+FIRST, DEVELOPMENT = 6140, 3
 """Rows from the first seed on are in no other table; on those from the second on the visit was made."""
 PARTS = ("views_s", "thought_s", "approach_s", "shake_s", "retreat_s")
 ACCELERATION = "true_flower_acceleration_median_ms2"

@@ -10,7 +10,7 @@ import pytest
 from anther.core.errors import StageFailure
 from anther.core.geometry import Array
 from anther.perception.cloud import Cloud
-from anther.perception.hanging import find_hanging_stem
+from anther.perception.hanging import StringLine, find_hanging_stem
 from anther.perception.skeleton import skeletonize
 from anther.plant.string import HeldString
 from anther.pollination.pipeline import Params, _hung
@@ -48,7 +48,9 @@ def off(axis: Array) -> float:
 
 @pytest.mark.parametrize("error", [(0.0, 0.0), (0.02, -0.02), (-0.02, 0.02)])
 def test_a_stem_is_followed_below_a_hook_that_the_map_has_off_by_centimetres(error: tuple[float, float]) -> None:
-    found = find_hanging_stem(cloud_of(stem_seen(), blade(0.2), blade(0.35)), (0.705 + error[0], error[1], 1.2))
+    found = find_hanging_stem(
+        cloud_of(stem_seen(), blade(0.2), blade(0.35)), StringLine((0.705 + error[0], error[1], 1.2))
+    )
     assert found.seen.mean() > 0.9
     assert off(found.axis) < RADIUS + 0.004, "one side is seen: the axis lies in the surface"
     np.testing.assert_allclose(found.axis[[0, -1], 2], [0, 0.5], atol=0.02)
@@ -57,7 +59,7 @@ def test_a_stem_is_followed_below_a_hook_that_the_map_has_off_by_centimetres(err
 def test_a_stem_goes_on_behind_a_leaf() -> None:
     """Its skeleton is one stem and no way round through the leaf."""
     hidden = cloud_of(stem_seen(0, 0.2), stem_seen(0.28), blade(0.2), blade(0.28))
-    found = find_hanging_stem(hidden, (0.71, 0.01, 1.2))
+    found = find_hanging_stem(hidden, StringLine((0.71, 0.01, 1.2)))
     gap = found.axis[~found.seen, 2]
     assert gap.min() == pytest.approx(0.2, abs=0.025)
     assert gap.max() == pytest.approx(0.28, abs=0.025)
@@ -71,8 +73,8 @@ def test_a_stem_goes_on_behind_a_leaf() -> None:
 def test_of_two_stems_the_asked_one_is_that_below_the_hook() -> None:
     own, (points, normals) = stem_seen(), stem_seen(-0.1)
     both = cloud_of(own, (points + np.array([0, 0.12, 0]), normals))
-    assert abs(find_hanging_stem(both, (0.7, 0.02, 1.2)).axis[:, 1]).max() < 0.02
-    assert abs(find_hanging_stem(both, (0.7, 0.1, 1.2)).axis[:, 1] - 0.12).max() < 0.02
+    assert abs(find_hanging_stem(both, StringLine((0.7, 0.02, 1.2))).axis[:, 1]).max() < 0.02
+    assert abs(find_hanging_stem(both, StringLine((0.7, 0.1, 1.2))).axis[:, 1] - 0.12).max() < 0.02
 
 
 def test_a_stem_on_a_slanting_string_is_found_between_its_hook_and_its_foot() -> None:
@@ -80,15 +82,15 @@ def test_a_stem_on_a_slanting_string_is_found_between_its_hook_and_its_foot() ->
     slant = 0.2
     slanting = cloud_of((points + slant * points[:, 2:] * [1.0, 0.0, 0.0], normals))
     hook, foot = (0.705 + slant * 1.2, 0.0, 1.2), (0.705 - slant * 0.2, 0.0, -0.2)
-    found = find_hanging_stem(slanting, hook, foot)
+    found = find_hanging_stem(slanting, StringLine(hook, foot))
     assert off(found.axis - slant * found.axis[:, 2:] * [1.0, 0.0, 0.0]) < RADIUS + 0.004
     with pytest.raises(StageFailure, match="no stem hangs below the hook"):
-        find_hanging_stem(slanting, hook)
+        find_hanging_stem(slanting, StringLine(hook))
 
 
 def test_no_stem_below_the_hook_is_said() -> None:
     with pytest.raises(StageFailure, match=r"hook at 0\.70, 0\.40") as failure:
-        find_hanging_stem(cloud_of(stem_seen()), (0.7, 0.4, 1.2))
+        find_hanging_stem(cloud_of(stem_seen()), StringLine((0.7, 0.4, 1.2)))
     assert failure.value.kind == "no_stem_found"
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from anther.perception.cloud import SUPPORT, Cloud, Support
 from anther.perception.cloud.ply import read_ply
+from anther.perception.hanging import StringLine
 from anther.perception.skeleton import skeletonize
 from anther.perception.stem import find_stem
 from anther.perception.supports import Evidence, find_supports, log_odds, notes_beside
@@ -99,6 +100,16 @@ def test_a_bare_stem_that_stands_alone_is_taken_for_the_plant_and_a_note_says_wh
     assert found.supports == ()
     assert np.array_equal(found.points, alone.points)
     assert "looks like a stake of 10 mm" in found.notes[-1]
+
+
+def test_a_straight_stem_on_its_string_is_no_stake_and_the_stake_beside_it_is_one():
+    stem, stake = cylinder([0.2, 0, 0], [0.2, 0, 0.6], 0.005), cylinder([0.2, 0.08, 0], [0.2, 0.08, 0.6], 0.005)
+    scene = Cloud(np.concatenate([curved_plant(), stem, stake]))
+    assert len(find_supports(scene).supports) == 2
+    found = find_supports(scene, StringLine((0.21, 0.01, 1.4)))
+    (kept,) = found.supports
+    assert kept.axis[0, 1] == pytest.approx(0.08, abs=0.003)
+    assert len(found.points) > len(curved_plant()) + 0.95 * len(stem)
 
 
 def test_two_supports_are_told_apart():

@@ -16,7 +16,30 @@ from anther.core.geometry import Array
 from anther.perception.cloud import Cloud
 from anther.perception.masks import FLOWER, PLANT
 
-__all__ = ["HangingStem", "find_hanging_stem"]
+__all__ = ["HangingStem", "StringLine", "find_hanging_stem"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StringLine:
+    """The line of a taut string, by the map: stems follow it.
+
+    Attributes:
+        hook: (3,) where it hangs [m].
+        foot: (3,) where the stem rises, below the hook but not plumb where strings slant [m]; None: plumb.
+    """
+
+    hook: ArrayLike
+    foot: ArrayLike | None = None
+
+    def at(self, height: Array) -> Array:
+        """Return where the string passes heights (N,) [m]: (N, 2) [m]."""
+        hook = np.asarray(self.hook, dtype=np.float64)
+        down = np.array([0.0, 0.0, -1.0]) if self.foot is None else np.asarray(self.foot, dtype=np.float64) - hook
+        return hook[:2] + np.multiply.outer((height - hook[2]) / down[2], down[:2])
+
+    def stray(self, height: ArrayLike) -> Array:
+        """Return how far beside that line a stem may be at a height [m]: maps err by 0.02, stems sag; guesses."""
+        return np.maximum(0.05, 0.08 * (np.asarray(self.hook)[2] - np.asarray(height)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,34 +67,19 @@ class HangingStem:
         return replace(cloud, points=np.vstack([cloud.points, new]), labels=labels, normals=None, colors=None)
 
 
-def find_hanging_stem(cloud: Cloud, hook: ArrayLike, foot: ArrayLike | None = None) -> HangingStem:
-    """Return the axis of the stem that hangs on a hook (3,) [m].
+def find_hanging_stem(cloud: Cloud, string: StringLine) -> HangingStem:
+    """Return the axis of the stem that hangs on a string.
 
     Of all ways up near the line of its string it is the one along which most upright surface is seen, less what its
     distance from that line and its steps aside cost (dynamic programming over slices of height); the axis is the middle
     of what is seen there.
 
-    Args:
-        cloud: what was seen.
-        hook: (3,) where the string hangs [m].
-        foot: (3,) where the stem rises, below the hook but not plumb where strings slant [m]; None: plumb.
-
     Raises:
         StageFailure: "no_stem_found" where nothing hangs there.
     """
-    x, y, z = np.asarray(hook, dtype=np.float64)
-    down = np.array([x, y, z - 1.0] if foot is None else foot) - [x, y, z]
-
-    def line(height: Array) -> Array:
-        """Return where the string passes heights (N,): (N, 2) [m]."""
-        return np.array([x, y]) + np.multiply.outer((height - z) / down[2], down[:2])
-
-    def lean(height: ArrayLike) -> Array:
-        """Return how far from that line a stem may be [m]: maps err by 0.02, stems sag; guesses."""
-        return np.maximum(0.05, 0.08 * (z - np.asarray(height)))
-
-    stray = float(lean(cloud.points[:, 2].min(initial=z)))
-    beside = cloud.points[:, :2] - line(cloud.points[:, 2])
+    x, y, z = np.asarray(string.hook, dtype=np.float64)
+    stray = float(string.stray(cloud.points[:, 2].min(initial=z)))
+    beside = cloud.points[:, :2] - string.at(cloud.points[:, 2])
     near = (cloud.labels != FLOWER) & (np.abs(beside) < stray).all(axis=1)
     points, beside = cloud.points[near], beside[near]
     upright = np.ones(len(points)) if cloud.normals is None else 1 - np.abs(cloud.normals[near, 2])
@@ -87,7 +95,10 @@ def find_hanging_stem(cloud: Cloud, hook: ArrayLike, foot: ArrayLike | None = No
     np.add.at(count, (level, cell[:, 0], cell[:, 1]), upright)
     evidence = np.minimum(9 * uniform_filter(count, 3, axes=(1, 2), mode="constant") / enough, 1)
     middles = (np.arange(side) + 0.5) * edge - stray
-    away = np.hypot(*np.meshgrid(middles, middles)) / lean(low + (np.arange(len(count)) + 0.5) * slice_)[:, None, None]
+    away = (
+        np.hypot(*np.meshgrid(middles, middles))
+        / string.stray(low + (np.arange(len(count)) + 0.5) * slice_)[:, None, None]
+    )
     way, found = _best_way(evidence - 0.3 * away**2), evidence > 0.99
     seen = found[np.arange(len(way)), way[:, 0], way[:, 1]]
     ends = np.flatnonzero(seen)

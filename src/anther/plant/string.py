@@ -16,6 +16,7 @@ from anther.core.geometry import Array
 from anther.core.records import Range, Record, Spread
 from anther.perception.cloud import Cloud
 from anther.perception.flowers import Flowers
+from anther.perception.hanging import StringLine
 from anther.perception.skeleton import Skeleton
 from anther.perception.stem import Stem
 from anther.plant.limits import Believed
@@ -54,6 +55,11 @@ class HeldString(Record):
         """Return what is believed of the string of a crop's stem: hook and foot (3,) [m], see there."""
         ends = (None if end is None else tuple(np.asarray(end, dtype=np.float64).tolist()) for end in (hook, foot))
         return cls(*ends, TENSION[crop].median, TENSION[crop].spread)  # type: ignore[arg-type]
+
+    @property
+    def line(self) -> StringLine:
+        """Where it runs, by the map."""
+        return StringLine(self.hook, self.foot)
 
     def support(self, node: int, nodes: Array, factor: float = 1.0) -> Support:
         """Return the pull on one of a stem's nodes (N, 3) [m], whose foot is the first, `factor` times as hard.

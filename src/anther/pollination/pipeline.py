@@ -136,12 +136,15 @@ def perceive(
         StageFailure: no plant or no stem was found.
     """
     find_masks = find_masks or (lambda views, box, _: masks.segment(views, box, params.masks))
+    string = None if params.plant.string is None else params.plant.string.line
     with cause_named(capture):
         labels = run.stage("masks", Masks.load, lambda advance: find_masks(capture, workspace, advance))
         fused = run.stage(
             "cloud",
             Cloud.load,
-            lambda advance: find_supports(cloud.fuse(capture, labels, workspace, params.cloud, progress=advance)),
+            lambda advance: find_supports(
+                cloud.fuse(capture, labels, workspace, params.cloud, progress=advance), string
+            ),
         )
         middle = None if workspace is None else (workspace.lower + workspace.upper) / 2
         shown, named = _hung(fused, params)
@@ -160,7 +163,7 @@ def _hung(fused: Cloud, params: Params) -> tuple[Cloud, Params]:
     """
     if params.plant.string is None or params.skeleton.root is not None or params.skeleton.plant is not None:
         return fused, params
-    hung = find_hanging_stem(fused, params.plant.string.hook, params.plant.string.foot)
+    hung = find_hanging_stem(fused, params.plant.string.line)
     root, tip = (tuple(hung.axis[end].tolist()) for end in (0, -1))
     own = params.stem if params.stem.tip is not None else replace(params.stem, tip=tip)
     return hung.completed(fused), replace(params, skeleton=replace(params.skeleton, root=root), stem=own)

@@ -19,6 +19,7 @@ from scipy.spatial import KDTree
 from anther.core.geometry import Array
 from anther.perception.cloud import Cloud, Support
 from anther.perception.cloud._fusion import voxel_means
+from anther.perception.hanging import StringLine
 from anther.perception.skeleton import Skeleton
 from anther.perception.stem import Stem
 from anther.perception.supports._evidence import Evidence, log_odds
@@ -29,7 +30,7 @@ _PRICE = 3.0
 """Log-odds that a support must have, ln of 20: to cut a stem away is so much worse than to keep one (a judgement)."""
 
 
-def find_supports(cloud: Cloud) -> Cloud:
+def find_supports(cloud: Cloud, string: StringLine | None = None) -> Cloud:
     """Return the cloud with its supports set apart: out of the plant's points, into `Cloud.supports`.
 
     A string wound round a stem stays with the stem. A cloud that has supports already is returned as it is, and with a
@@ -37,12 +38,15 @@ def find_supports(cloud: Cloud) -> Cloud:
 
     Args:
         cloud: plant points, world frame, z up [m].
+        string: on which a stem hangs: the stake or pole nearest its line is that stem.
     """
     fewest = 200  # fewer points show no support beside a plant
     if cloud.supports or len(cloud.points) < fewest:
         return cloud
     scene = _Scene.of(cloud)
     rods = list(_rods(scene))
+    if string is not None:
+        rods = _without_hung(rods, string, scene.cell)
     if not rods:
         return cloud
     owner, supports = np.full(len(cloud.points), -1), list[Support]()
@@ -65,6 +69,18 @@ def find_supports(cloud: Cloud) -> Cloud:
     }
     notes = tuple(_note(support, rest["points"], scene.cell) for support in supports)
     return replace(cloud, **rest, supports=tuple(supports), notes=(*cloud.notes, *notes))
+
+
+def _without_hung(rods: list[_Rod], string: StringLine, cell: float) -> list[_Rod]:
+    """Return the rods but for that which follows a string's line best, if any does: that one is the stem on it."""
+    aside = []
+    for rod in rods:
+        ends = np.linspace(rod.start, rod.end, 5)
+        off = np.linalg.norm(ends[:, :2] - string.at(ends[:, 2]), axis=1) / string.stray(ends[:, 2])
+        rigid = _kind(rod, cell) in ("stake", "pole")
+        aside.append(float(off.max()) if rigid else np.inf)
+    best = int(np.argmin(aside)) if aside else 0
+    return [rod for k, rod in enumerate(rods) if k != best or aside[k] > 1]
 
 
 def notes_beside(cloud: Cloud, skeleton: Skeleton, stem: Stem) -> tuple[str, ...]:
