@@ -53,16 +53,18 @@ def test_failed_and_unmeasured_trials_teach_nothing(tmp_path: Path) -> None:
     assert starting_material("tomato", "a", where).source == "facts"
 
 
-def test_the_last_shake_that_was_held_and_seen_is_remembered(tmp_path: Path) -> None:
+def test_the_last_shake_that_held_and_was_seen_to_move_flowers_is_remembered(tmp_path: Path) -> None:
     where = tmp_path / "h.sqlite"
     assert earlier_shake("tomato", "a", where) is None
     way, grasp = (0.0, 1.0, 0.0), GraspRecord(arc_length=0.3)
     sine = ShakeRecord(5.0, 2e-3, 3.0, "sine", way)
-    first = replace(trial("a", TOMATO, TOMATO), grasp=grasp, shake=sine)
+    at_the_last_look = {"measured_amplitude": (float("nan"),), "measured_acceleration": (17.0,)}
+    first = replace(trial("a", TOMATO, TOMATO), grasp=grasp, shake=sine, **at_the_last_look)
     record_trial(first, where)
     later = [
         replace(first, held_unharmed=False, failure="slipped", shake=replace(sine, amplitude=9e-3)),
-        replace(first, measured_amplitude=(float("nan"),), shake=replace(sine, amplitude=8e-3)),
+        replace(first, measured_acceleration=(float("nan"),), shake=replace(sine, amplitude=8e-3)),
+        replace(first, measured_acceleration=(0.0,), shake=replace(sine, amplitude=6e-3)),
         replace(first, shake=None),
         replace(first, plant="b", shake=replace(sine, amplitude=7e-3)),
     ]

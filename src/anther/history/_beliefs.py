@@ -56,14 +56,14 @@ def starting_material(species: str, plant: str, where: Path | str = DEFAULT) -> 
 
 
 def earlier_shake(species: str, plant: str, where: Path | str = DEFAULT) -> EarlierShake | None:
-    """Return the last shake of a plant that succeeded and whose flowers were measured; None if there is none."""
+    """Return the last shake of a plant that succeeded and was seen to move flowers; None if there is none."""
     query = _visits_of(select(GraspRow.arc_length, ShakeRow), species, plant)
     query = query.join(GraspRow, GraspRow.visit_id == VisitRow.id).join(ShakeRow, ShakeRow.visit_id == VisitRow.id)
     query = query.where(
         GraspRow.arc_length.is_not(None),
         ShakeRow.direction.is_not(None),
         ShakeRow.waveform == "sine",
-        exists().where(ResponseRow.visit_id == VisitRow.id, ResponseRow.measured_amplitude.is_not(None)),
+        exists().where(ResponseRow.visit_id == VisitRow.id, ResponseRow.measured_acceleration > 0),
     )
     with open_reader(where) as session:
         found: Any = None if session is None else session.execute(query.limit(1)).first()

@@ -205,7 +205,8 @@ class Visit(Record):
         grasp, shake: None where it never came to that; the shake as it was carried out.
         flowers_moved: whether they moved enough to be pollinated (`limits.moved`); None if none was measured.
         predicted_amplitude, measured_amplitude, measured_amplitude_std: (F,) [m]; NaN where not measurable.
-        predicted_acceleration, measured_acceleration: (F,) peaks [m/s2].
+        predicted_acceleration, measured_acceleration: (F,) peaks [m/s2]; measured after the shake or, where that could
+            not be, at its last look; 0 where a flower was followed and moved less than can be told.
         believed: prior of the plant's material.
         material: its posterior. None if unknown.
         run: its run folder, or None.

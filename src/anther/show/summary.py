@@ -114,7 +114,7 @@ def _done(done: Done | None) -> dict[str, Any]:
         else {
             "measured_amplitude": tuple(answer.amplitude.tolist()),
             "measured_amplitude_std": tuple(answer.amplitude_std.tolist()),
-            "measured_acceleration": tuple(answer.acceleration_peak.tolist()),
+            "measured_acceleration": tuple(answer.flower_acceleration(done.trial.steps).tolist()),
         }
     )
     return (
