@@ -1,0 +1,118 @@
+"""A row whose tomatoes grew in Helios, a generator that shares nothing with Anther's own, for visits of whole rows.
+
+What Helios decides: every node, radius, organ and triangle of a plant, how many trusses flower, how heavy its fruit is.
+What is done to it, as growers do: side shoots are taken out each week; the lowest leaves have fallen; below 5 to 9
+trusses of fruit all is picked; the stem is bent, by up to some 20 cm, to where its string holds it, and what grows on
+it goes along unturned. What Helios does not know and Anther's own rows say instead (`anther.sim.row_plants.HABIT`,
+`anther.sim.growth`): the string and its clips, the piece of stem that lies before the holder, tissue's stiffness, mass
+of a leaf's area and of a fruit's volume, the frequency of flowers on their stalks.
+
+Helios's petals are about twice as long as a tomato's, its stalks 3 cm. Its peppers do not flower within a year, when
+trained to one stem: there is no row of them. Needs pyhelios3d: pip install 'anther[evaluation]'.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from anther.core.geometry import Array
+from anther.sim.growth import AREAL_DENSITY, Growth
+from anther.sim.mesh import unit
+from anther.sim.plant import Organ, Pot, SimPlant
+from anther.sim.row import Row, grow_row
+from anther.sim.tomato import SEPAL_GREEN
+from anther.sim.row_plants import FRUIT_DENSITY, HABIT, Place, axis_of, grow_flesh, grow_lying_stem, hanging_axis, hung
+from evaluation.perception.helios import Limb, Surface, train_helios
+
+SIDES = 7
+"""Of a tube of Helios's."""
+YOUNGEST = 0.01
+"""Leaves and trusses whose stalks are shorter are left out: they are buds [m]; a guess."""
+
+
+def grow_helios_row(seed: int, count: int | None = None) -> Row:
+    """Grow a row of Helios's tomatoes where `anther.sim.grow_row` has its own; all else that stands there is the same.
+
+    Raises:
+        MissingExtra: pyhelios3d is not installed.
+    """
+    return grow_row("tomato", seed, count, hanging_helios)
+
+
+def hanging_helios(seed: int, place: Place) -> SimPlant:
+    """Return a tomato of Helios's on its string. Its head hangs where a row's own tomato has its topmost open truss."""
+    rng = np.random.default_rng([seed, 18])
+    habit = {name: spread.draw(rng) for name, spread in HABIT["tomato"].items()}
+    grown = train_helios(seed, float(place.hook[2] - place.foot[2]) - habit["hook_to_flower"])
+    growth, raw = Growth(rng), axis_of(grown.stem.nodes)
+    axis = hanging_axis(place, rng, length=float(raw.arc[-1]), lifted=habit["lifted"])
+    straight, colour = axis.at(raw.arc), grown.stem.colour
+    stem = growth.chain(straight, grown.stem.radii, Organ.STEM, -1, colour, sides=SIDES)
+    segments = np.arange(stem[-1] + 1)
+    laden = sorted((limb for limb in grown.peduncles if limb.fruits), key=lambda limb: -limb.nodes[0, 2])
+    trusses = [limb for limb in grown.peduncles if not limb.fruits] + laden[: int(habit["fruit_trusses"])]
+    for grow, limbs in ((_grow_leaf, grown.petioles), (_grow_truss, trusses)):
+        for limb in limbs:
+            node = int(np.argmin(np.linalg.norm(grown.stem.nodes - limb.nodes[0], axis=1)))
+            grow(growth, limb, stem[max(node - 1, 0)], straight[node] - grown.stem.nodes[node])
+    grow_lying_stem(growth, place, float(grown.stem.radii[0]), habit)
+    plant = growth.plant("tomato", seed, np.eye(4), Pot(place.foot, 0.0))
+    return hung(plant, [(segments, place.hook)], habit, rng)
+
+
+def _grow_leaf(growth: Growth, limb: Limb, parent: int, way: Array) -> None:
+    """Grow a petiole with its leaflets, `way` (3,) from where Helios has it [m]."""
+    nodes, radii, tube = limb.nodes + way, limb.radii, {"colour": limb.colour, "sides": SIDES}
+    if np.linalg.norm(nodes[-1] - nodes[0]) < YOUNGEST:
+        return
+    petiole = growth.chain(nodes[:2], radii[:2], Organ.PETIOLE, parent, **tube, tip=False)
+    pieces = petiole + growth.chain(nodes[1:], radii[1:], Organ.RACHIS, petiole[-1], **tube)
+    line = axis_of(nodes)
+    for leaflet in limb.leaflets:
+        piece = pieces[min(int(np.searchsorted(line.arc[1:], leaflet.along)), len(pieces) - 1)]
+        segment = growth.beside(piece, line.at(leaflet.along))
+        vertices = leaflet.vertices + way
+        growth.surface((vertices, leaflet.faces), Organ.LEAF, leaflet.colour, segment)
+        growth.carry(segment, AREAL_DENSITY * leaflet.area, vertices.mean(axis=0))
+
+
+def _grow_truss(growth: Growth, limb: Limb, parent: int, way: Array) -> None:
+    """Grow a peduncle with its flowers and fruit, `way` (3,) from where Helios has it [m]."""
+    line, borne = axis_of(limb.nodes + way), (*limb.flowers, *limb.fruits)
+    if line.arc[-1] < YOUNGEST:
+        return
+    stops = np.unique(np.concatenate([line.arc[1:], [part.along for part in borne]]))
+    stops = stops[np.diff(stops, prepend=0.0) > 0.002]
+    radii = np.interp(np.concatenate([[0.0], stops]), line.arc, limb.radii)
+    woody = 1e9 if limb.fruits else None  # as what bears fruit is in `sim.row_plants`
+    points = line.at(np.concatenate([[0.0], stops]))
+    peduncle = growth.chain(points, radii, Organ.PEDUNCLE, parent, limb.colour, sides=SIDES, youngs=woody)
+    for part in borne:
+        holder = peduncle[min(int(np.searchsorted(stops, part.along - 0.002)), len(peduncle) - 1)]
+        out = part.middle + way - growth.end(holder)
+        (_grow_flower if part in limb.flowers else _grow_fruit)(growth, part, holder, out, way)
+
+
+def _grow_flower(growth: Growth, flower: Surface, holder: int, out: Array, way: Array) -> None:
+    """Grow a flower whose petals are about `out` (3,) from its peduncle [m]; its stalk swings as others do."""
+    far = float(np.linalg.norm(out))
+    kind = {"length": (far - 0.003, far - 0.003), "mass": (0.05e-3, 0.15e-3), "nod": (0.0, 0.0)}  # as `sim.tomato`
+    green = flower.colour[:, 0] < flower.colour[:, 1]
+    stalk = flower.colour[green][0]
+    pedicel, _, _ = growth.flower(holder, unit(out), stalk, **kind, parts=(0.55, 0.45), widths=(1.05, 1, 1))
+    for organ, chosen in ((Organ.PEDICEL, green), (Organ.FLOWER, ~green)):
+        faces = flower.faces[chosen[flower.faces[:, 0]]]
+        used, renamed = np.unique(faces, return_inverse=True)
+        mesh = flower.vertices[used] + way, renamed.reshape(-1, 3).astype(np.int32)
+        growth.surface(mesh, organ, flower.colour[used], pedicel)
+
+
+def _grow_fruit(growth: Growth, fruit: Surface, holder: int, out: Array, way: Array) -> None:
+    """Grow a fruit whose middle is `out` (3,) from its peduncle [m]."""
+    radius, along = (3 * fruit.volume / (4 * np.pi)) ** (1 / 3), unit(out)
+    base, colour = growth.end(holder), fruit.colour[np.argmax(fruit.colour[:, 0] > fruit.colour[:, 1])]
+    stalk = np.stack([base, base + out - radius * along])
+    pedicel = growth.chain(stalk, [0.0022, 0.0018], Organ.PEDICEL, holder, SEPAL_GREEN, sides=6, tip=False)[-1]
+    mass = FRUIT_DENSITY * fruit.volume
+    segment = grow_flesh(growth, pedicel, 1.2 * radius * along, radius, mass, base + out, colour)
+    growth.surface((fruit.vertices + way, fruit.faces), Organ.PEDUNCLE, fruit.colour, segment)
