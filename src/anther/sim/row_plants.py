@@ -498,7 +498,7 @@ def held_by_string(plant: SimPlant, cut: Params | None = None) -> SimPlant:
         StageFailure: "no_convergence": it does not hang as it grew, however stiff it is.
     """
     trunk, pedicel = np.isin(plant.organ, (Organ.STEM, Organ.BRANCH)), plant.organ == Organ.PEDICEL
-    rigid = replace(plant, youngs=np.where(trunk, 1e15, plant.youngs))
+    rigid = replace(plant, youngs=np.where(trunk, 1e15, plant.youngs), foot=np.inf)  # strings hold the stems
     factor = max(SELF_SUPPORT / buckling_factor(rigid), 1.0)
     plant = replace(plant, youngs=np.where(trunk | pedicel, plant.youngs, factor * plant.youngs))
     for _ in range(12):  # 1.25^12 is 15
