@@ -131,7 +131,8 @@ class Trained:
 def train_helios(seed: int, length: float) -> Trained:
     """Return a tomato of Helios (cherrytomato, the one that goes on growing), trained to one stem.
 
-    Its side shoots are taken out each week, as growers do, until the stem is as long as asked or half a year old.
+    Its side shoots are taken out each week, as growers do, until the stem is as long as asked and a truss flowers, or
+    the plant half a year old: then Helios lets it rest.
 
     Args:
         seed: of everything that is drawn.
@@ -141,10 +142,10 @@ def train_helios(seed: int, length: float) -> Trained:
         MissingExtra: pyhelios3d is not installed.
     """
     with _sown("cherrytomato", seed, 7.0) as (context, plants, plant):
-        for _ in range(52):
+        for _ in range(25):
             plants.removeShootVegetativeBuds(plant, 0)
             plants.advanceTime(7.0)
-            if plants.getPlantStemHeight(plant) > length:
+            if plants.getPlantStemHeight(plant) > length and plants.getPlantFlowerObjectIDs(plant):
                 break
         objects = {organ: list(getattr(plants, f"getPlant{organ}ObjectIDs")(plant)) for organ in ORGANS}
         nodes, radii = _main_stem(plants, plant)
@@ -231,7 +232,11 @@ def _surface(context: Any, part: int) -> Surface:
 
 @cache
 def _picture(path: str) -> NDArray[np.uint8]:
-    return np.asarray(Image.open(path).convert("RGB"))
+    """Return a picture's colours (h, w, 3); what is transparent has the mean colour of the rest."""
+    picture = np.array(Image.open(path).convert("RGBA"))
+    clear = picture[..., 3] < 128
+    picture[clear, :3] = picture[~clear, :3].mean(axis=0)
+    return picture[..., :3]
 
 
 def _looked_up(path: str, uv: Array) -> NDArray[np.uint8]:

@@ -29,6 +29,9 @@ SIDES = 7
 YOUNGEST = 0.01
 """Leaves and trusses whose stalks are shorter are left out: they are buds [m]; a guess."""
 
+WOODY = 1e9
+"""Young's modulus of what bears fruit [Pa]: as in `anther.sim.row_plants`, a guess."""
+
 
 def grow_helios_row(seed: int, count: int | None = None) -> Row:
     """Grow a row of Helios's tomatoes where `anther.sim.grow_row` has its own; all else that stands there is the same.
@@ -46,7 +49,7 @@ def hanging_helios(seed: int, place: Place) -> SimPlant:
     grown = train_helios(seed, float(place.hook[2] - place.foot[2]) - habit["hook_to_flower"])
     growth, raw = Growth(rng), axis_of(grown.stem.nodes)
     axis = hanging_axis(place, rng, length=float(raw.arc[-1]), lifted=habit["lifted"])
-    straight, colour = axis.at(raw.arc), grown.stem.colour
+    straight, colour = axis.at(raw.arc / raw.arc[-1] * axis.arc[-1]), grown.stem.colour
     stem = growth.chain(straight, grown.stem.radii, Organ.STEM, -1, colour, sides=SIDES)
     segments = np.arange(stem[-1] + 1)
     laden = sorted((limb for limb in grown.peduncles if limb.fruits), key=lambda limb: -limb.nodes[0, 2])
@@ -84,7 +87,9 @@ def _grow_truss(growth: Growth, limb: Limb, parent: int, way: Array) -> None:
     stops = np.unique(np.concatenate([line.arc[1:], [part.along for part in borne]]))
     stops = stops[np.diff(stops, prepend=0.0) > 0.002]
     radii = np.interp(np.concatenate([[0.0], stops]), line.arc, limb.radii)
-    woody = 1e9 if limb.fruits else None  # as what bears fruit is in `sim.row_plants`
+    woody = None
+    if limb.fruits:  # as in `sim.row_plants`: Helios has all peduncles 1.5 mm thin, which no fruit could hang on
+        woody, radii = WOODY, np.maximum(radii, growth.rng.uniform(0.0022, 0.0030))
     points = line.at(np.concatenate([[0.0], stops]))
     peduncle = growth.chain(points, radii, Organ.PEDUNCLE, parent, limb.colour, sides=SIDES, youngs=woody)
     for part in borne:
@@ -112,7 +117,7 @@ def _grow_fruit(growth: Growth, fruit: Surface, holder: int, out: Array, way: Ar
     radius, along = (3 * fruit.volume / (4 * np.pi)) ** (1 / 3), unit(out)
     base, colour = growth.end(holder), fruit.colour[np.argmax(fruit.colour[:, 0] > fruit.colour[:, 1])]
     stalk = np.stack([base, base + out - radius * along])
-    pedicel = growth.chain(stalk, [0.0022, 0.0018], Organ.PEDICEL, holder, SEPAL_GREEN, sides=6, tip=False)[-1]
+    pedicel = growth.chain(stalk, [0.0022, 0.0018], Organ.PEDICEL, holder, SEPAL_GREEN, youngs=WOODY, sides=6)[-1]
     mass = FRUIT_DENSITY * fruit.volume
     segment = grow_flesh(growth, pedicel, 1.2 * radius * along, radius, mass, base + out, colour)
     growth.surface((fruit.vertices + way, fruit.faces), Organ.PEDUNCLE, fruit.colour, segment)
