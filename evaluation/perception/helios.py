@@ -19,6 +19,7 @@ from scipy.spatial import KDTree
 
 from anther.core.errors import MissingExtra
 from anther.core.geometry import Array
+from anther.sim.row_plants import axis_of
 from evaluation.perception.scene_plants import OTHER, PETAL, STEM, Grown
 
 Model = Literal["tomato", "cherrytomato", "capsicum"]
@@ -154,34 +155,21 @@ def train_helios(seed: int, length: float) -> Trained:
         leaflets, flowers, fruits = ([_surface(context, k) for k in objects[o]] for o in ("Leaf", "Flower", "Fruit"))
         volumes = [context.getPolymeshObjectVolume(k) for k in objects["Fruit"]]
     fruits = [replace(fruit, volume=volume) for fruit, volume in zip(fruits, volumes, strict=True)]
-    return Trained(
-        stem,
-        tuple(replace(limb, leaflets=tuple(mine)) for limb, mine in zip(petioles, _dealt(leaflets, petioles), strict=True)),
-        tuple(
-            replace(limb, flowers=tuple(open_), fruits=tuple(laden))
-            for limb, open_, laden in zip(
-                peduncles, _dealt(flowers, peduncles), _dealt(fruits, peduncles), strict=True
-            )
-        ),
-    )
+    fruitful = _bearing(_bearing(peduncles, "flowers", flowers), "fruits", fruits)
+    return Trained(stem, tuple(_bearing(petioles, "leaflets", leaflets)), tuple(fruitful))
 
 
-def _dealt(surfaces: Sequence[Surface], limbs: Sequence[Limb]) -> list[list[Surface]]:
-    """Return what each limb bears, and where: each surface is on the limb that it touches."""
-    points, whose, along = [], [], []
-    for k, limb in enumerate(limbs):
-        arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(limb.nodes, axis=0), axis=1))])
-        at = np.linspace(0, arc[-1], 100)
-        points.append(np.stack([np.interp(at, arc, limb.nodes[:, i]) for i in range(3)], axis=1))
-        whose.append(np.full(100, k))
-        along.append(at)
-    tree, owner, arcs = KDTree(np.concatenate(points)), np.concatenate(whose), np.concatenate(along)
+def _bearing(limbs: Sequence[Limb], kind: str, surfaces: Sequence[Surface]) -> list[Limb]:
+    """Return the limbs with surfaces of one kind, each borne where it touches one of them."""
+    axes = [axis_of(limb.nodes) for limb in limbs]
+    arcs = [np.linspace(0, axis.arc[-1], 100) for axis in axes]
+    tree = KDTree(np.concatenate([axis.at(arc) for axis, arc in zip(axes, arcs, strict=True)]))
     found: list[list[Surface]] = [[] for _ in limbs]
     for surface in surfaces:
-        gap, point = tree.query(surface.vertices)
-        best = point[np.argmin(gap)]
-        found[owner[best]].append(replace(surface, along=float(arcs[best])))
-    return found
+        gap, point = map(np.asarray, tree.query(surface.vertices))
+        limb, place = divmod(int(point[np.argmin(gap)]), 100)
+        found[limb].append(replace(surface, along=float(arcs[limb][place])))
+    return [replace(limb, **{kind: tuple(borne)}) for limb, borne in zip(limbs, found, strict=True)]
 
 
 def _triangles(context: Any, objects: list[int]) -> NDArray[Any]:
@@ -220,8 +208,8 @@ def _surface(context: Any, part: int) -> Surface:
         colour[pictured] = _looked_up(str(files[pictured[0]]), np.asarray(flat).reshape(-1, 3, 2))
     area = np.linalg.norm(np.cross(*np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 0)), axis=1) / 2
     shown = solid > 0.5  # of a triangle more than half is there
-    flat = np.hstack([corners[shown].reshape(-1, 3), colour[shown].reshape(-1, 3)])
-    unique, faces = np.unique(flat, axis=0, return_inverse=True)
+    each: Array = np.hstack([corners[shown].reshape(-1, 3), colour[shown].reshape(-1, 3)]).astype(np.float64)
+    unique, faces = np.unique(each, axis=0, return_inverse=True)
     return Surface(
         unique[:, :3],
         faces.reshape(-1, 3).astype(np.int32),

@@ -20,8 +20,8 @@ from anther.sim.growth import AREAL_DENSITY, Growth
 from anther.sim.mesh import unit
 from anther.sim.plant import Organ, Pot, SimPlant
 from anther.sim.row import Row, grow_row
-from anther.sim.tomato import SEPAL_GREEN
 from anther.sim.row_plants import FRUIT_DENSITY, HABIT, Place, axis_of, grow_flesh, grow_lying_stem, hanging_axis, hung
+from anther.sim.tomato import SEPAL_GREEN
 from evaluation.perception.helios import Limb, Surface, train_helios
 
 SIDES = 7

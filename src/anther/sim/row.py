@@ -90,7 +90,9 @@ class Row:
         return found
 
 
-def grow_row(crop: Crop, seed: int, count: int | None = None, grown: Callable[[int, Place], SimPlant] | None = None) -> Row:
+def grow_row(
+    crop: Crop, seed: int, count: int | None = None, grown: Callable[[int, Place], SimPlant] | None = None
+) -> Row:
     """Grow a row of plants on both lines of its strings. The row frame is the world's; see `Row.at`.
 
     Args:
