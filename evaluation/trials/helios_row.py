@@ -1,17 +1,24 @@
 """A row whose tomatoes grew in Helios, a generator that shares nothing with Anther's own, for visits of whole rows.
 
-What Helios decides: every node, radius, organ and triangle of a plant, how many trusses flower, how heavy its fruit is.
-What is done to it, as growers do: side shoots are taken out each week; the lowest leaves have fallen; below 5 to 9
-trusses of fruit all is picked; the stem is bent, by up to some 20 cm, to where its string holds it, and what grows on
-it goes along unturned. What Helios does not know and Anther's own rows say instead (`anther.sim.row_plants.HABIT`,
-`anther.sim.growth`): the string and its clips, the piece of stem that lies before the holder, tissue's stiffness, mass
-of a leaf's area and of a fruit's volume, the frequency of flowers on their stalks.
+Helios decides every node, radius, organ and triangle of a plant, how many trusses flower, and how large its fruit is.
+What growers do to a plant is done to it: side shoots are taken out each week, fruit below the topmost 5 to 9 trusses of
+it is picked, a plant without a flower gives way to another. Helios's stems stand free and lean; here each is shifted to
+where its string holds it (its tip by 0.3 m in the median of 30 plants, by 0.9 m at most), and what grows on it is
+shifted along, not turned. Crops are half a year old at most and 2.0 to 2.6 m tall: where the wire is high, a metre of
+string hangs free above them. They weigh 1.3 to 4.4 kg, so strings pull with 13 to 47 N, less than the 40 to 60 N that
+the robot believes.
 
-Helios's petals are about twice as long as a tomato's, its stalks 3 cm. Its peppers do not flower within a year, when
-trained to one stem: there is no row of them. Needs pyhelios3d: pip install 'anther[evaluation]'.
+What Helios does not know is drawn as for Anther's own rows (`anther.sim.row_plants`, `anther.sim.growth`): string and
+clips, the stem that lies before the holder, the tissue's stiffness, mass per area of leaf and per volume of fruit, the
+thickness of peduncles that bear fruit (Helios's are 1.5 mm thin), and the frequency of flowers on their stalks.
+
+Helios's flowers are about twice as large as real ones, on stalks of 2 to 3 cm. Its peppers, trained to one stem, had no
+flower within half a year (two plants), so there is no row of them. Needs pyhelios3d: pip install 'anther[evaluation]'.
 """
 
 from __future__ import annotations
+
+from itertools import count
 
 import numpy as np
 
@@ -28,25 +35,26 @@ SIDES = 7
 """Of a tube of Helios's."""
 YOUNGEST = 0.01
 """Leaves and trusses whose stalks are shorter are left out: they are buds [m]; a guess."""
-
 WOODY = 1e9
 """Young's modulus of what bears fruit [Pa]: as in `anther.sim.row_plants`, a guess."""
 
 
-def grow_helios_row(seed: int, count: int | None = None) -> Row:
+def grow_helios_row(seed: int, plants: int | None = None) -> Row:
     """Grow a row of Helios's tomatoes where `anther.sim.grow_row` has its own; all else that stands there is the same.
 
     Raises:
         MissingExtra: pyhelios3d is not installed.
     """
-    return grow_row("tomato", seed, count, hanging_helios)
+    return grow_row("tomato", seed, plants, hanging_helios)
 
 
 def hanging_helios(seed: int, place: Place) -> SimPlant:
     """Return a tomato of Helios's on its string. Its head hangs where a row's own tomato has its topmost open truss."""
     rng = np.random.default_rng([seed, 18])
     habit = {name: spread.draw(rng) for name, spread in HABIT["tomato"].items()}
-    grown = train_helios(seed, float(place.hook[2] - place.foot[2]) - habit["hook_to_flower"])
+    length = float(place.hook[2] - place.foot[2]) - habit["hook_to_flower"]
+    sown = (train_helios(seed + 1_000_000 * k, length) for k in count())
+    grown = next(plant for plant in sown if any(limb.flowers for limb in plant.peduncles))
     growth, raw = Growth(rng), axis_of(grown.stem.nodes)
     axis = hanging_axis(place, rng, length=float(raw.arc[-1]), lifted=habit["lifted"])
     straight, colour = axis.at(raw.arc / raw.arc[-1] * axis.arc[-1]), grown.stem.colour
@@ -88,7 +96,7 @@ def _grow_truss(growth: Growth, limb: Limb, parent: int, way: Array) -> None:
     stops = stops[np.diff(stops, prepend=0.0) > 0.002]
     radii = np.interp(np.concatenate([[0.0], stops]), line.arc, limb.radii)
     woody = None
-    if limb.fruits:  # as in `sim.row_plants`: Helios has all peduncles 1.5 mm thin, which no fruit could hang on
+    if limb.fruits:  # as in `sim.row_plants`: Helios has all peduncles 1.5 mm thin, too thin for fruit
         woody, radii = WOODY, np.maximum(radii, growth.rng.uniform(0.0022, 0.0030))
     points = line.at(np.concatenate([[0.0], stops]))
     peduncle = growth.chain(points, radii, Organ.PEDUNCLE, parent, limb.colour, sides=SIDES, youngs=woody)
