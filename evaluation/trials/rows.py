@@ -13,15 +13,18 @@ neighbour_harm   share of rows: a neighbour, a string, a post, pipe or gutter wa
 cycle_s          median of the visits that shook [s]: the sum of its parts, views_s, thought_s, approach_s, shake_s,
                  retreat_s; the first visit of a process, which compiles, is left out of thought
 
-held_row_tomato and so on are of one crop; _low and _high are 95 % intervals. Rows of the second generator
-(held_row_helios) have no mechanics yet, so that there are none. Stems recognised again: `evaluation.house.row_map`.
+held_row_tomato and so on are of one crop; _low and _high are 95 % intervals. held_row_helios, moved_row_helios and
+neighbour_harm_helios are of tomatoes of a second generator (`helios_row`), which count in nothing else; left out where
+pyhelios3d is not installed. Stems recognised again: `evaluation.house.row_map`.
 """
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from rich.console import RenderableType
@@ -38,6 +41,7 @@ from evaluation.statistics import bootstrap, interval, median
 from evaluation.tables import by_number, by_part, markdown
 from evaluation.trials.grasping_pictures import portrait
 from evaluation.trials.grasping_trial import COMPUTE, PICTURE, notes, overlap, performed, truth_of
+from evaluation.trials.helios_row import grow_helios_row
 from evaluation.trials.shaking import Brief
 
 FIRST, DEVELOPMENT = 6140, 3
@@ -53,6 +57,7 @@ class Case:
     species: Crop
     seed: int
     truth: str = "wide"
+    generator: Literal["own", "helios"] = "own"
 
 
 _begun: list[Case] = []  # what this process has run: the first of it compiles
@@ -62,7 +67,8 @@ def one(row: Row, folder: Path) -> Row:
     """Return what became of a case, for a sweep; what the camera saw, with the grasp, is drawn into the folder."""
     case = Case(**row)
     _begun.append(case)
-    grown, run = grow_row(case.species, case.seed), Brief(folder)
+    grown = grow_helios_row(case.seed) if case.generator == "helios" else grow_row(case.species, case.seed)
+    run = Brief(folder)
     try:
         cell = build_row(grown, truth=truth_of(case.truth, case.seed))
     except StageFailure as failure:
@@ -131,10 +137,11 @@ def cycle(row: Row) -> float:
 
 def metrics(rows: Sequence[Row]) -> dict[str, float]:
     """Return the table's numbers; see the module."""
-    table: dict[str, float] = {"rows": float(len(rows))}
-    for crop in (None, *CROPS):
-        mine = [row for row in rows if crop in (None, row["species"])]
-        end = "" if crop is None else f"_{crop}"
+    helios = [row for row in rows if row.get("generator") == "helios"]
+    rows = [row for row in rows if row.get("generator") != "helios"]
+    table: dict[str, float] = {"rows": float(len(rows)), "rows_helios": float(len(helios))}
+    crops = {f"_{crop}": [row for row in rows if row["species"] == crop] for crop in CROPS}
+    for end, mine in ({"": rows} | crops | {"_helios": helios}).items():
         taken = [row for row in mine if held(row)]
         counts = {
             "held_row": (len(taken), len(mine)),
@@ -156,11 +163,14 @@ def report(rows: Sequence[Row], found: dict[str, float]) -> list[RenderableType]
     """Return tables of what was held, what the cycle took, and what became of each row."""
     words = {"held_row": "stem held, nothing else", "moved_row": "of these median flower ≥ 5 m/s²",
              "neighbour_harm": "something else touched, or string off"}  # fmt: skip
-    crops = {"": f"{len(rows)} rows (95 % interval)"} | {f"_{crop}": crop for crop in CROPS}
+    crops = {"": f"{found['rows']:.0f} rows (95 % interval)"} | {f"_{crop}": crop for crop in CROPS}
+    crops |= {"_helios": f"{found['rows_helios']:.0f} of Helios"} if found["rows_helios"] else {}
     shares = {text: f"{key}*:.0% ({key}*_low:.0% to {key}*_high:.0%)" for key, text in words.items()}
     parts = {part: part[:-2] for part in (*PARTS, "cycle_s")}
+    name = {"own": "", "helios": "Helios's "}
     each = [
-        (f"{row['species']} {row['seed']}", "yes" if held(row) else "no", f"{row.get(ACCELERATION) or 0:.1f}",
+        (f"{name[row.get('generator', 'own')]}{row['species']} {row['seed']}", "yes" if held(row) else "no",
+         f"{row.get(ACCELERATION) or 0:.1f}",
          f"{row.get('neighbour_force') or 0:.1f}", f"{row.get('part_force') or 0:.1f}",
          f"{row.get('string_pull') or 0:.2f}", str(row.get("message") or row.get("failure") or ""))
         for row in rows
@@ -187,13 +197,20 @@ def main() -> None:
     """Run what is missing and print the tables."""
     own = {
         "--rows": (20, "half tomatoes, half peppers"),
+        "--helios": (10, "rows of Helios's tomatoes besides"),
         "--truth": ("wide", "or nominal, or one group alone"),
         "--development": (False, "the rows on which the visit was made"),
     }
     seed = (0, "added to all seeds")
-    args = options(__doc__, quick="two rows", seed=seed, jobs="trials", out="runs/rows", done=True, own=own)
+    quick = "two rows, and one of Helios's"
+    args = options(__doc__, quick=quick, seed=seed, jobs="trials", out="runs/rows", done=True, own=own)
     first = (DEVELOPMENT if args.development else FIRST) + args.seed
-    cases = [asdict(Case(*row, args.truth)) for row in by_turns(2 if args.quick else args.rows, first)]
+    cases = [
+        {"species": crop, "seed": k, "truth": args.truth} for crop, k in by_turns(2 if args.quick else args.rows, first)
+    ]
+    if importlib.util.find_spec("pyhelios") is not None:
+        of_helios = range(first, first + (1 if args.quick else args.helios))
+        cases += [asdict(Case("tomato", k, args.truth, "helios")) for k in of_helios]
     rows = run_cases(one, cases, args.out, args.jobs, failed, args.done)
     found = metrics(rows)
     finish(args, found, *report(rows, found))

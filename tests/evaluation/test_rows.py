@@ -49,6 +49,17 @@ def test_shares_and_times_are_of_the_rows_that_they_are_of() -> None:
     say(report(rows, found))
 
 
+def test_rows_of_the_second_generator_count_by_themselves() -> None:
+    rows = [row(held=False), row(generator="helios"), row(generator="helios", **{ACCELERATION: 1.0}, thought_s=50.0)]
+    found = metrics(rows)
+    assert (found["rows"], found["rows_helios"]) == (1, 2)
+    assert (found["held_row"], found["held_row_tomato"], found["held_row_helios"]) == (0, 0, 1)
+    assert found["moved_row_helios"] == pytest.approx(1 / 2)
+    assert found["held_row_helios_low"] < 1 == pytest.approx(found["held_row_helios_high"])
+    assert found["thought_s"] == pytest.approx(5.0)
+    say(report(rows, found))
+
+
 def test_no_visit_at_all_is_no_share() -> None:
     found = metrics([row(species="tomato", held=False)])
     assert found["held_row"] == 0

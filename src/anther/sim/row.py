@@ -90,17 +90,23 @@ class Row:
         return found
 
 
-def grow_row(crop: Crop, seed: int, count: int | None = None) -> Row:
-    """Grow a row of `count` plants on both lines of its strings, 3 to 12 by the seed if not told.
+def grow_row(
+    crop: Crop, seed: int, count: int | None = None, grown: Callable[[int, Place], SimPlant] | None = None
+) -> Row:
+    """Grow a row of plants on both lines of its strings. The row frame is the world's; see `Row.at`.
 
-    The row frame is the world's; see `Row.at`.
+    Args:
+        crop: of the row.
+        seed: of everything that is drawn.
+        count: of plants; 3 to 12 by the seed if not told.
+        grown: what grows a plant from a seed and its place, if not the crop's own function of `row_plants`.
     """
     rng = np.random.default_rng([seed, 13])
     drawn = int(rng.integers(FEWEST, MOST + 1))
     count = int(check_range("plants of a row", drawn if count is None else count, FEWEST, MOST))
     measures = draw_measures(rng)
     near = -(-count * 3 // 5)
-    grown: Callable[[int, Place], SimPlant] = {"tomato": high_wire_tomato, "pepper": string_pepper}[crop]
+    grown = grown or {"tomato": high_wire_tomato, "pepper": string_pepper}[crop]
     places = [*_line(measures, crop, near, 0, rng), *_line(measures, crop, count - near, 1, rng)]
     plants = tuple(grown(100 * seed + i, place) for i, place in enumerate(places))
     hooks = np.array([twine.hook for plant in plants for twine in plant.twines])

@@ -171,7 +171,7 @@ def hanging_axis(place: Place, rng: np.random.Generator, *, length: float, lifte
     return axis_of(points)
 
 
-def _grow_lying_stem(growth: Growth, place: Place, radius: float, habit: Mapping[str, float]) -> None:
+def grow_lying_stem(growth: Growth, place: Place, radius: float, habit: Mapping[str, float]) -> None:
     """Grow what lies on the holder before the stem rises, and the bend between: it is woody, and stays where it is."""
     bend, way = habit["bend"], growth.rng.choice([-1.0, 1.0])
     angle = np.linspace(0, np.pi / 2, 16)
@@ -224,7 +224,7 @@ def high_wire_tomato(seed: int, place: Place) -> SimPlant:
     young = np.clip((axis.arc[-1] - np.concatenate([[0.0], stops])) / 0.5, 0, 1)  # grown 0.5 m from the tip: a guess
     radii = habit["radius"] * (0.4 + 0.6 * young)
     axis = grow_axis(growth, axis, stops, radii, Organ.STEM, -1, STEM_GREEN)
-    _grow_lying_stem(growth, place, habit["radius"], habit)
+    grow_lying_stem(growth, place, habit["radius"], habit)
     azimuth = _grow_tomato_leaves(growth, axis, nodes, habit)
     _grow_trusses(growth, axis, nodes, habit, azimuth)
     plant = growth.plant("tomato", seed, np.eye(4), Pot(place.foot, 0.0))
@@ -315,18 +315,27 @@ def grow_fruit(growth: Growth, parent: int, out: Array, mass: float, colour: Arr
     stalk = np.stack([base, base + growth.rng.uniform(0.012, 0.02) * out])
     pedicel = growth.chain(stalk, [0.0022, 0.0018], Organ.PEDICEL, parent, SEPAL_GREEN, sides=6, tip=False)[-1]
     down = unit(out + np.array([0, 0, -1.4]))
-    long = 1.2 * radius * stretch
-    line = stalk[1] + np.outer([0.0, long], down)
-    widths = radius * np.array([0.4, 0.85])
-    flesh = {"youngs": 1e7, "sides": 5}  # stiffer than all that holds it
-    segment = growth.chain(line, widths, Organ.PEDICEL, pedicel, colour, **flesh)[-1]  # type: ignore[arg-type]
     centre = stalk[1] + 0.93 * radius * stretch * down
-    core = FRUIT_DENSITY * np.pi * long * float(widths @ widths + widths.prod()) / 3
-    growth.carry(segment, max(mass - core, 0.1 * mass), centre)
+    segment = grow_flesh(growth, pedicel, 1.2 * radius * stretch * down, radius, mass, centre, colour)
     vertices, faces = _berry(radius, stretch)
     first, second, axis = _frame(down)
     vertices = centre + vertices[:, :1] * first + vertices[:, 1:2] * second + vertices[:, 2:] * axis
     growth.surface((vertices, faces), Organ.PEDUNCLE, np.asarray(colour), segment)
+
+
+def grow_flesh(
+    growth: Growth, pedicel: int, way: Array, radius: float, mass: float, centre: Array, colour: Array
+) -> int:
+    """Grow a segment nearly as thick as a fruit at the end of its pedicel, `way` (3,) long [m]; return it.
+
+    It carries what it lacks of `mass` [kg] at `centre` (3,) [m].
+    """
+    line, widths = growth.end(pedicel) + np.outer([0.0, 1.0], way), radius * np.array([0.4, 0.85])
+    flesh = {"youngs": 1e7, "sides": 5}  # stiffer than all that holds it
+    segment = growth.chain(line, widths, Organ.PEDICEL, pedicel, colour, **flesh)[-1]  # type: ignore[arg-type]
+    core = FRUIT_DENSITY * np.pi * float(np.linalg.norm(way)) * float(widths @ widths + widths.prod()) / 3
+    growth.carry(segment, max(mass - core, 0.1 * mass), centre)
+    return segment
 
 
 def _berry(radius: float, stretch: float) -> Mesh:
@@ -489,7 +498,7 @@ def held_by_string(plant: SimPlant, cut: Params | None = None) -> SimPlant:
         StageFailure: "no_convergence": it does not hang as it grew, however stiff it is.
     """
     trunk, pedicel = np.isin(plant.organ, (Organ.STEM, Organ.BRANCH)), plant.organ == Organ.PEDICEL
-    rigid = replace(plant, youngs=np.where(trunk, 1e15, plant.youngs))
+    rigid = replace(plant, youngs=np.where(trunk, 1e15, plant.youngs), foot=np.inf)  # strings hold the stems
     factor = max(SELF_SUPPORT / buckling_factor(rigid), 1.0)
     plant = replace(plant, youngs=np.where(trunk | pedicel, plant.youngs, factor * plant.youngs))
     for _ in range(12):  # 1.25^12 is 15
