@@ -20,8 +20,16 @@ from scipy.sparse import csr_array
 
 from anther.core.checks import check_array, check_range, check_room
 from anther.core.geometry import ComplexArray
-from anther.rods._assembly import new_blocks
-from anther.rods._linear import checked_hertz, linearise, moving_parts, set_dynamic
+from anther.rods._frequency_solver import (
+    eliminate_lanes,
+    factor_lanes,
+    flat,
+    new_buffer,
+    new_columns,
+    new_factors,
+    substitute_lanes,
+)
+from anther.rods._linear import Linear, checked_hertz, dynamic_parts, linearise
 from anther.rods._model import Model
 from anther.rods._motion import (
     RIGID,
@@ -33,11 +41,10 @@ from anther.rods._motion import (
     unit_direction,
 )
 from anther.rods._rods import GRAVITY, Array, Rods
-from anther.rods._tree_solver import eliminate_columns, factor, substitute_columns
-from anther.rods._vectors import compiled
+from anther.rods._vectors import LANES, compiled, filled, inlined
 
-COLUMNS = 128
-"""Loads solved side by side: enough for the vector units, few enough for cache and memory."""
+COLUMNS = 16
+"""Loads solved side by side: so many that a row of the factors is read seldom, few enough for the cache."""
 
 FINE = "Nodes a few millimetres apart are fine enough: thin them out, or ask for less at once."
 """What to do about rods that are divided too finely."""
@@ -197,53 +204,66 @@ def observed_response(
         StageFailure: kind "no_convergence" when there is no stable equilibrium.
     """
     system = linearise(rods, clamp, gravity, loss_factor)
-    parts = moving_parts(system)
     held = [_held_unknowns(rods.parent, pad) for pad in grip_nodes]
     loads = np.unique(np.concatenate(held))
     view = _view(system.model, loads, operator)
-    width = min(len(loads), COLUMNS)
-    threads = min(_cores(), len(frequencies))  # each has columns of its own, see below
     size = 16.0 * len(frequencies) * (len(loads) * len(view.wanted) + 8 * operator.shape[0])
-    size += 48.0 * len(frequencies) * len(held) * operator.shape[0] + 64.0 * threads * len(rods.nodes) * width
+    size += 48.0 * len(frequencies) * len(held) * operator.shape[0] + 1e4 * LANES * _cores() * len(rods.nodes)
     check_room(f"a skeleton of {len(rods.nodes)} nodes", size, FINE)
-    trunk = np.empty((len(frequencies), len(loads), len(view.wanted)), np.complex128)
-    branch = np.empty((len(frequencies), operator.shape[0], 8), np.complex128)
-
-    def solve_some(which: NDArray[Any]) -> None:
-        n, order, near, far = len(system.free), system.model.order, system.model.near, system.model.far
-        dynamic, columns, M = new_blocks(n, np.complex128), np.zeros((2, n, 4, width)), np.empty((2, 4, 4))
-        eight, motion = np.empty((2, n, 4, 8)), np.empty((n, 4, 8), np.complex128)
-        node, part = np.divmod(view.wanted, 4)
-        for q in which:
-            set_dynamic(parts, 2 * np.pi * float(frequencies[q]), dynamic)
-            factor(order, near, far, dynamic)
-            for first in range(0, len(loads), width):
-                loaded, way = np.divmod(loads[first : first + width], 4)
-                columns[:, view.trunk] = 0
-                columns[0, loaded, way, np.arange(len(loaded))] = 1
-                eliminate_columns(near, far, dynamic, view.trunk, *columns, M)
-                substitute_columns(near, far, dynamic, view.trunk, *columns, M)
-                some = trunk[q, first : first + width].T
-                some.real, some.imag = columns[:, node, part, : len(loaded)]
-            eight[0], eight[1] = view.preset, 0
-            substitute_columns(near, far, dynamic, view.branches, *eight, M)
-            motion.real, motion.imag = eight
-            branch[q] = view.beyond @ motion.reshape(4 * n, 8)
-
-    _on_all_cores(solve_some, len(frequencies))
+    trunk, branch = _solved(system, 2 * np.pi * frequencies, loads, view)
     shape = len(frequencies), len(held)
     vectors = np.empty((*shape, operator.shape[0] // 3, 3, 3), np.complex128)
-    seen = np.empty_like(vectors[:, 0], order="C")
-    wrench, moved = np.empty((2, *shape, 6, 3), np.complex128)
+    (wrench, moved), sums = np.empty((2, *shape, 6, 3), np.complex128), np.empty(6 * LANES)
     for g, (pad, unknowns) in enumerate(zip(grip_nodes, held, strict=True)):
         body = rigid_motion(rods.parent, system.state.x, np.asarray(pad))
         at, rows = np.searchsorted(view.wanted, unknowns), np.searchsorted(loads, unknowns)
         loaded = trunk[:, rows]
         forces, wrench[:, g], moved[:, g] = _grasped(loaded[:, :, at], body, springs)
-        moves = np.swapaxes(loaded, 1, 2) @ forces
-        _observe(branch, view.base, view.direct, np.ascontiguousarray(moves), seen)
-        vectors[:, g] = seen
+        _observe(branch, view.base, view.direct, _in_lanes(np.swapaxes(loaded, 1, 2) @ forces), vectors, g, sums)
     return Observed(vectors, wrench[:, :, :3], wrench[:, :, 3:], moved)
+
+
+def _solved(system: Linear, omega: Array, loads: NDArray[Any], view: _View) -> tuple[ComplexArray, Array]:
+    """Return (Q, L, W) what unit loads do to the wanted unknowns of the trunk, and T in lanes, see `_in_lanes`."""
+    n, (order, near, far) = len(system.free), (system.model.order, system.model.near, system.model.far)
+    parts, groups = dynamic_parts(system), -(-len(omega) // LANES)
+    trunk = np.empty((len(omega), len(loads), len(view.wanted)), np.complex128)
+    branch = np.empty((groups, view.beyond.shape[0], 16 * LANES))
+    begins = np.argsort(view.trunk)[np.searchsorted(np.sort(view.trunk), loads // 4)]
+
+    def solve_some(which: NDArray[Any]) -> None:
+        factors, buffer = new_factors(n), new_buffer()
+        columns, eight = new_columns(n, min(len(loads), COLUMNS)), new_columns(n, 8)
+        node, part = np.divmod(view.wanted, 4)
+        seen, way = np.divmod(view.unknown, 4)
+        eight[view.trunk, :, :, 0] = view.preset[..., None]
+        for group in which:
+            some = omega[group * LANES : (group + 1) * LANES]
+            factor_lanes(order, near, far, parts, np.resize(some, LANES), factors, buffer)
+            for first in range(0, len(loads), COLUMNS):
+                last = min(first + COLUMNS, len(loads))
+                loaded, axis = np.divmod(loads[first:last], 4)
+                columns[view.trunk] = 0
+                columns[loaded, np.arange(last - first), axis, 0] = 1
+                eliminate_lanes(near, far, factors, view.trunk, begins[first:last], flat(columns), buffer)
+                substitute_lanes(near, far, factors, view.trunk, 1.0, flat(columns), buffer)
+                answer = columns[node, : last - first, part, :, : len(some)]
+                q = slice(group * LANES, group * LANES + len(some))
+                trunk[q, first:last].real, trunk[q, first:last].imag = answer.transpose(2, 3, 1, 0)
+            substitute_lanes(near, far, factors, view.branches, 0.0, flat(eight), buffer)
+            branch[group] = view.beyond @ eight[seen, :, way].reshape(len(seen), -1)
+
+    _on_all_cores(solve_some, groups)
+    return trunk, branch
+
+
+def _in_lanes(values: ComplexArray) -> Array:
+    """Return (Q, ..., C) values as groups of frequencies (Q / LANES, ..., 2 C LANES), the last one filled up."""
+    groups = -(-len(values) // LANES)
+    filled = values[np.minimum(np.arange(groups * LANES), len(values) - 1)]
+    split = filled.reshape(groups, LANES, *values.shape[1:])
+    apart = np.stack([split.real, split.imag], axis=-1)
+    return np.ascontiguousarray(np.moveaxis(apart, 1, -1)).reshape(groups, *values.shape[1:-1], -1)
 
 
 def _cores() -> int:
@@ -252,8 +272,8 @@ def _cores() -> int:
 
 
 def _on_all_cores(solve_some: Callable[[NDArray[Any]], None], count: int) -> None:
-    """Share the numbers 0 to `count` - 1 out among the cores of this process; four are the least worth a thread."""
-    cores = min(_cores(), count // 4)
+    """Share the numbers 0 to `count` - 1 out among the cores of this process; two are the least worth a thread."""
+    cores = min(_cores(), count // 2)
     if cores <= 1:
         solve_some(np.arange(count))
         return
@@ -322,18 +342,20 @@ class _View(NamedTuple):
     trunk: NDArray[Any]  # (R,) rows, root outward
     wanted: NDArray[Any]  # (W,) unknowns of the trunk that are loaded, looked at, or move a branch that is
     branches: NDArray[Any]  # the other rows, root outward
-    preset: Array  # (N, 4, 8) the motions of the trunk that T answers
-    beyond: Any  # (3K, 4N) the part of the operator that looks at branches, sparse
+    preset: Array  # (R, 8, 4) the motions of the trunk that T answers
+    unknown: NDArray[Any]  # (U,) unknowns of branches that are looked at
+    beyond: Any  # (3K, U) the part of the operator that does, sparse
     base: NDArray[Any]  # (K, 8) which of the wanted unknowns move the branch, in the order of the columns
     direct: tuple[Any, Any, Any]  # (3K, W) the part that looks at the trunk: CSR
 
 
 def _view(model: Model, loads: NDArray[Any], operator: Any) -> _View:
     n, trunk = len(model.near), _towards_root(model, loads // 4)
-    on_trunk, odd, preset = np.isin(np.arange(n), trunk), np.zeros(n, dtype=int), np.zeros((n, 4, 8))
+    on_trunk, odd, preset = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=int), np.zeros((len(trunk), 8, 4))
+    on_trunk[trunk] = True
     for j in trunk[1:]:
         odd[j] = 1 - odd[model.near[j]]
-    preset[trunk[:, None], np.arange(4), 4 * odd[trunk, None] + np.arange(4)] = 1
+    preset[np.arange(len(trunk))[:, None], 4 * odd[trunk, None] + np.arange(4), np.arange(4)] = 1
     rootward = model.order[::-1]
     branches = rootward[~on_trunk[rootward]]
     hung = np.zeros((n, 2), dtype=int)  # on which nodes of the trunk each branch row does
@@ -346,25 +368,44 @@ def _view(model: Model, loads: NDArray[Any], operator: Any) -> _View:
     base[parts.row[off] // 3] = hung[parts.col[off] // 4]
     base = (4 * np.maximum(base, 0)[..., None] + np.arange(4)).reshape(-1, 8)
     wanted = np.unique(np.concatenate([loads, parts.col[~off], base.ravel()]))
-    column = np.where(off, parts.col, np.searchsorted(wanted, parts.col))
-    split = [csr_array((parts.data[s], (parts.row[s], column[s])), (len(base) * 3, 4 * n)) for s in (off, ~off)]
+    unknown = np.unique(parts.col[off])
+    split = [
+        csr_array((parts.data[s], (parts.row[s], np.searchsorted(among, parts.col[s]))), (3 * len(base), len(among)))
+        for s, among in ((off, unknown), (~off, wanted))
+    ]
     direct = split[1].indptr, split[1].indices, split[1].data
-    return _View(trunk, wanted, branches, preset, split[0], np.searchsorted(wanted, base), direct)
+    return _View(trunk, wanted, branches, preset, unknown, split[0], np.searchsorted(wanted, base), direct)
 
 
 @compiled
-def _observe(branch: Any, base: Any, direct: Any, moves: Any, out: Any) -> None:
-    """Write (Q, K, 3, 3) the observed vectors for the trunk's motion (Q, W, 3)."""
+def _observe(branch: Any, base: Any, direct: Any, moves: Any, out: Any, g: int, sums: Any) -> None:
+    """Write (Q, g, K, 3, 3) the observed vectors for the trunk's motion in lanes (Q / LANES, W, 6 LANES).
+
+    `sums` (6 LANES,) is scratch.
+    """
     start, unknown, share = direct
-    for q in range(len(out)):
+    for group in range(len(branch)):
         for row in range(branch.shape[1]):
-            k, i = row // 3, row % 3
-            for axis in range(3):
-                out[q, k, i, axis] = 0
+            k, r = row // 3, row % 3
+            for i in range(6 * LANES):
+                sums[i] = 0
             for c in range(8):
-                if branch[q, row, c] != 0:
-                    for axis in range(3):
-                        out[q, k, i, axis] += branch[q, row, c] * moves[q, base[k, c], axis]
+                _add_product(sums, branch[group, row, 2 * c * LANES :], moves[group, base[k, c]])
             for n in range(start[row], start[row + 1]):
+                move = moves[group, unknown[n]]
+                for i in range(6 * LANES):
+                    sums[i] += share[n] * move[i]
+            first = group * LANES
+            for i in range(filled(len(out), first)):
                 for axis in range(3):
-                    out[q, k, i, axis] += share[n] * moves[q, unknown[n], axis]
+                    out[first + i, g, k, r, axis] = complex(sums[2 * axis * LANES + i], sums[(2 * axis + 1) * LANES + i])
+
+
+@inlined
+def _add_product(sums: Any, factor: Any, move: Any) -> None:
+    for axis in range(3):
+        for i in range(LANES):
+            c, s = factor[i], factor[LANES + i]
+            x, y = move[2 * axis * LANES + i], move[(2 * axis + 1) * LANES + i]
+            sums[2 * axis * LANES + i] += c * x - s * y
+            sums[(2 * axis + 1) * LANES + i] += c * y + s * x

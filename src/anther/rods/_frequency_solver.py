@@ -1,0 +1,280 @@
+"""The linearised rods solved at several frequencies side by side, one in each lane of the processor's vector units.
+
+Elimination from the tips to the root as in `_tree_solver`, without pivoting. Row j of the factors is block j: the
+diagonal's upper triangle by rows, then the columns that join it to its near and far row, the far one's spin left out,
+as no spring reaches it. Every number is a row of real parts and one of imaginary parts, `LANES` long. One row more than
+there are blocks takes what rows without a near or far one would give to it.
+
+N blocks, C right-hand sides.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anther.rods._rods import Array
+from anther.rods._vectors import LANES, compiled, inlined, merged
+
+NEAR, FAR, NUMBERS = 10, 26, 38
+"""Where the columns of the near and of the far row begin, and how many numbers a block has."""
+
+
+def pack(diagonal: NDArray[Any], near: NDArray[Any], far: NDArray[Any]) -> NDArray[Any]:
+    """Return (N, NUMBERS) the numbers of blocks (N, 4, 4) in the order of the factors."""
+    n, (row, column) = len(near), np.triu_indices(4)
+    columns = (np.swapaxes(part, 1, 2) for part in (near, far[:, :, :3]))
+    return np.hstack([diagonal[:, row, column], *(part.reshape(n, -1) for part in columns)])
+
+
+def new_factors(n: int) -> Array:
+    """Return storage for the factors of N blocks."""
+    return np.zeros((n + 1, 2 * NUMBERS * LANES))
+
+
+def new_columns(n: int, count: int) -> Array:
+    """Return zeros (N + 1, C, 4, 2, LANES): of each right-hand side four unknowns a block, real and imaginary parts."""
+    return np.zeros((n + 1, count, 4, 2, LANES))
+
+
+def flat(X: Array) -> Array:
+    """Return such columns as the kernels take them, (N + 1, C, 8 LANES)."""
+    return X.reshape(*X.shape[:2], -1)
+
+
+def new_buffer() -> Array:
+    """Return the scratch of `factor_lanes`: a block, and what it gives to others."""
+    return np.zeros(2 * (NUMBERS + 30) * LANES)
+
+
+@inlined
+def _at(w: Any, number: int, i: int) -> complex:
+    return complex(w[2 * number * LANES + i], w[(2 * number + 1) * LANES + i])
+
+
+@inlined
+def _put(w: Any, number: int, i: int, z: complex) -> None:
+    w[2 * number * LANES + i], w[(2 * number + 1) * LANES + i] = z.real, z.imag
+
+
+@merged
+def _column(w: Any, first: int, i: int) -> Any:
+    return _at(w, first, i), _at(w, first + 1, i), _at(w, first + 2, i), _at(w, first + 3, i)
+
+
+@merged
+def _put_column(w: Any, first: int, i: int, z: Any) -> None:
+    _put(w, first, i, z[0])
+    _put(w, first + 1, i, z[1])
+    _put(w, first + 2, i, z[2])
+    _put(w, first + 3, i, z[3])
+
+
+@merged
+def _given(u: Any, t: Any) -> Any:
+    """Return -u . t."""
+    return -(u[0] * t[0] + u[1] * t[1] + (u[2] * t[2] + u[3] * t[3]))
+
+
+@merged
+def _inverse(z: complex) -> complex:
+    size = 1 / (z.real * z.real + z.imag * z.imag)
+    return complex(z.real * size, -z.imag * size)
+
+
+@merged
+def _solved(f: Any, u: Any) -> Any:
+    """Return the block's inverse times u; f are its pivots' inverses and unit factors, in the order of the triangle."""
+    x1 = u[1] - f[1] * u[0]
+    x2 = u[2] - f[2] * u[0] - f[5] * x1
+    x3 = (u[3] - f[3] * u[0] - f[6] * x1 - f[8] * x2) * f[9]
+    x2 = x2 * f[7] - f[8] * x3
+    x1 = x1 * f[4] - f[5] * x2 - f[6] * x3
+    return u[0] * f[0] - f[1] * x1 - f[2] * x2 - f[3] * x3, x1, x2, x3
+
+
+@compiled
+def factor_lanes(order: Any, near: Any, far: Any, parts: Any, omega: Any, W: Any, buffer: Any) -> None:
+    """Fill W with K + i omega C + i loss - omega^2 M, and factor it.
+
+    The columns of a block become what the block's inverse makes of them.
+
+    Args:
+        order, near, far: of the model.
+        parts: (N, NUMBERS, 4) K, C, loss and M, see `pack`.
+        omega: (LANES,) angular frequencies [rad/s].
+        W: see `new_factors`.
+        buffer: see `new_buffer`.
+    """
+    for j in range(len(W)):
+        for k in range(W.shape[1]):
+            W[j, k] = 0
+    for j in order:
+        a, b, w = near[j], far[j], W[j]
+        for k in range(NUMBERS):
+            for i in range(LANES):
+                stiffness = parts[j, k, 0] - omega[i] * omega[i] * parts[j, k, 3]
+                buffer[2 * k * LANES + i] = w[2 * k * LANES + i] + stiffness
+                loss = omega[i] * parts[j, k, 1] + parts[j, k, 2]
+                buffer[(2 * k + 1) * LANES + i] = w[(2 * k + 1) * LANES + i] + loss
+        _factor(buffer)
+        for k in range(2 * NUMBERS * LANES):
+            w[k] = buffer[k]
+        _add(W[a], 0, buffer, NUMBERS, 10)
+        if b >= 0:
+            _add(W[a], NEAR if near[a] == b else FAR, buffer, NUMBERS + 10, 12)
+            _add(W[b], 0, buffer, NUMBERS + 22, 8)
+
+
+@inlined
+def _add(w: Any, to: int, buffer: Any, first: int, count: int) -> None:
+    for k in range(2 * count * LANES):
+        w[2 * to * LANES + k] += buffer[2 * first * LANES + k]
+
+
+@inlined
+def _factor(w: Any) -> None:
+    for i in range(LANES):
+        d01, d02, d03 = _at(w, 1, i), _at(w, 2, i), _at(w, 3, i)
+        p0 = _inverse(_at(w, 0, i))
+        a, b, c = d01 * p0, d02 * p0, d03 * p0
+        d12, d13, d23 = _at(w, 5, i) - a * d02, _at(w, 6, i) - a * d03, _at(w, 8, i) - b * d03
+        p1 = _inverse(_at(w, 4, i) - a * d01)
+        d, e = d12 * p1, d13 * p1
+        d23 = d23 - d * d13
+        p2 = _inverse(_at(w, 7, i) - b * d02 - d * d12)
+        f = d23 * p2
+        p3 = _inverse(_at(w, 9, i) - c * d03 - e * d13 - f * d23)
+        g = (p0, a, b, c, p1, d, e, p2, f, p3)
+        u0, u1, u2, u3 = _column(w, 10, i), _column(w, 14, i), _column(w, 18, i), _column(w, 22, i)
+        v0, v1, v2 = _column(w, 26, i), _column(w, 30, i), _column(w, 34, i)
+        t0, t1, t2, t3 = _solved(g, u0), _solved(g, u1), _solved(g, u2), _solved(g, u3)
+        s0, s1, s2 = _solved(g, v0), _solved(g, v1), _solved(g, v2)
+        _put_column(w, 0, i, (p0, a, b, c))
+        _put_column(w, 4, i, (p1, d, e, p2))
+        _put(w, 8, i, f)
+        _put(w, 9, i, p3)
+        _put_column(w, 10, i, t0)
+        _put_column(w, 14, i, t1)
+        _put_column(w, 18, i, t2)
+        _put_column(w, 22, i, t3)
+        _put_column(w, 26, i, s0)
+        _put_column(w, 30, i, s1)
+        _put_column(w, 34, i, s2)
+        _put(w, 38, i, _given(u0, t0))
+        _put(w, 39, i, _given(u0, t1))
+        _put(w, 40, i, _given(u0, t2))
+        _put(w, 41, i, _given(u0, t3))
+        _put(w, 42, i, _given(u1, t1))
+        _put(w, 43, i, _given(u1, t2))
+        _put(w, 44, i, _given(u1, t3))
+        _put(w, 45, i, _given(u2, t2))
+        _put(w, 46, i, _given(u2, t3))
+        _put(w, 47, i, _given(u3, t3))
+        _put(w, 48, i, _given(u0, s0))
+        _put(w, 49, i, _given(u1, s0))
+        _put(w, 50, i, _given(u2, s0))
+        _put(w, 51, i, _given(u3, s0))
+        _put(w, 52, i, _given(u0, s1))
+        _put(w, 53, i, _given(u1, s1))
+        _put(w, 54, i, _given(u2, s1))
+        _put(w, 55, i, _given(u3, s1))
+        _put(w, 56, i, _given(u0, s2))
+        _put(w, 57, i, _given(u1, s2))
+        _put(w, 58, i, _given(u2, s2))
+        _put(w, 59, i, _given(u3, s2))
+        _put(w, 60, i, _given(v0, s0))
+        _put(w, 61, i, _given(v0, s1))
+        _put(w, 62, i, _given(v0, s2))
+        _put(w, 64, i, _given(v1, s1))
+        _put(w, 65, i, _given(v1, s2))
+        _put(w, 67, i, _given(v2, s2))
+
+
+@compiled
+def eliminate_lanes(near: Any, far: Any, W: Any, rows: Any, begins: Any, X: Any, buffer: Any) -> None:
+    """Begin the solution for the right-hand sides X, in their place.
+
+    Args:
+        near, far: of the model.
+        W: the factors.
+        rows: (R,) rows in rising elimination distance from the root, each after its near row. Other rows must be zero
+            on the right-hand sides, and are left alone.
+        begins: (C,) the last of `rows` on which a right-hand side is not zero.
+        X: see `new_columns`.
+        buffer: see `new_buffer`.
+    """
+    for k in range(len(rows) - 1, -1, -1):
+        j = rows[k]
+        a, b = near[j], far[j]
+        _copy(buffer, 0, W[j], 2 * NUMBERS)
+        for c in range(len(begins)):
+            if begins[c] >= k:
+                _copy(buffer, 2 * NUMBERS, X[j, c], 8)
+                _eliminate(buffer)
+                _copy(X[j, c], 0, buffer[2 * NUMBERS * LANES :], 8)
+                _add(X[a, c], 0, buffer, NUMBERS + 4, 4)
+                _add(X[b, c], 0, buffer, NUMBERS + 8, 4)
+
+
+@compiled
+def substitute_lanes(near: Any, far: Any, W: Any, rows: Any, own: float, X: Any, buffer: Any) -> None:
+    """End it; with `own` 0 instead of 1, fill the rows with what they do when those they hang on move as they stand."""
+    for k in range(len(rows)):
+        j = rows[k]
+        a, b = near[j], far[j]
+        _copy(buffer, 0, W[j], 2 * NUMBERS)
+        for c in range(X.shape[1]):
+            _copy(buffer, 2 * NUMBERS, X[a, c], 8)
+            _copy(buffer, 2 * NUMBERS + 8, X[b, c], 8)
+            _substitute(buffer)
+            x = X[j, c]
+            for i in range(8 * LANES):
+                x[i] = own * x[i] - buffer[(2 * NUMBERS + 16) * LANES + i]
+
+
+@inlined
+def _copy(target: Any, to: int, source: Any, count: int) -> None:
+    for k in range(count * LANES):
+        target[to * LANES + k] = source[k]
+
+
+@inlined
+def _eliminate(w: Any) -> None:
+    """Turn a block's right-hand side into what the inverse makes of it, and write what it gives to near and far row."""
+    for i in range(LANES):
+        r = _column(w, NUMBERS, i)
+        f = (
+            _at(w, 0, i),
+            _at(w, 1, i),
+            _at(w, 2, i),
+            _at(w, 3, i),
+            _at(w, 4, i),
+            _at(w, 5, i),
+            _at(w, 6, i),
+            _at(w, 7, i),
+            _at(w, 8, i),
+            _at(w, 9, i),
+        )
+        _put_column(w, NUMBERS, i, _solved(f, r))
+        _put(w, NUMBERS + 4, i, _given(_column(w, 10, i), r))
+        _put(w, NUMBERS + 5, i, _given(_column(w, 14, i), r))
+        _put(w, NUMBERS + 6, i, _given(_column(w, 18, i), r))
+        _put(w, NUMBERS + 7, i, _given(_column(w, 22, i), r))
+        _put(w, NUMBERS + 8, i, _given(_column(w, 26, i), r))
+        _put(w, NUMBERS + 9, i, _given(_column(w, 30, i), r))
+        _put(w, NUMBERS + 10, i, _given(_column(w, 34, i), r))
+
+
+@inlined
+def _substitute(w: Any) -> None:
+    """Write what the motions of near and far row do to a block, with the opposite sign."""
+    for i in range(LANES):
+        x, y = _column(w, NUMBERS, i), _column(w, NUMBERS + 4, i)
+        for row in range(4):
+            z = _at(w, 10 + row, i) * x[0] + _at(w, 14 + row, i) * x[1]
+            z += _at(w, 18 + row, i) * x[2] + _at(w, 22 + row, i) * x[3]
+            z += _at(w, 26 + row, i) * y[0] + _at(w, 30 + row, i) * y[1] + _at(w, 34 + row, i) * y[2]
+            _put(w, NUMBERS + 8 + row, i, z)
