@@ -20,13 +20,15 @@ from anther.rods._vectors import LANES, compiled, inlined, merged
 
 NEAR, FAR, NUMBERS = 10, 26, 38
 """Where the columns of the near and of the far row begin, and how many numbers a block has."""
+TRIANGLE = (0, 1, 2, 3, 5, 6, 7, 10, 11, 15)
+"""Where the upper triangle is in a block of 16 numbers."""
 
 
 def pack(diagonal: NDArray[Any], near: NDArray[Any], far: NDArray[Any]) -> NDArray[Any]:
-    """Return (N, NUMBERS) the numbers of blocks (N, 4, 4) in the order of the factors."""
-    n, (row, column) = len(near), np.triu_indices(4)
-    columns = (np.swapaxes(part, 1, 2) for part in (near, far[:, :, :3]))
-    return np.hstack([diagonal[:, row, column], *(part.reshape(n, -1) for part in columns)])
+    """Return (..., NUMBERS) the numbers of blocks (..., 4, 4) in the order of the factors."""
+    shape = (*near.shape[:-2], -1)
+    columns = (np.swapaxes(part, -1, -2).reshape(shape) for part in (near, far[..., :3]))
+    return np.concatenate([diagonal.reshape(shape)[..., TRIANGLE], *columns], axis=-1)
 
 
 def new_factors(n: int) -> Array:
@@ -216,7 +218,7 @@ def eliminate_lanes(near: Any, far: Any, W: Any, rows: Any, begins: Any, X: Any,
                 _eliminate(buffer)
                 _copy(X[j, c], 0, buffer[2 * NUMBERS * LANES :], 8)
                 _add(X[a, c], 0, buffer, NUMBERS + 4, 4)
-                _add(X[b, c], 0, buffer, NUMBERS + 8, 4)
+                _add(X[b, c], 0, buffer, NUMBERS + 8, 3)
 
 
 @compiled

@@ -20,6 +20,7 @@ from anther.core.geometry import ComplexArray
 from anther.rods._assembly import Blocks, add_supports, assemble, assemble_edges, new_blocks, on_nodes
 from anther.rods._equilibrium import Tangent, by_edges, loaded_state, tangent
 from anther.rods._frequency_solver import (
+    NEAR,
     eliminate_lanes,
     factor_lanes,
     flat,
@@ -89,7 +90,7 @@ def linearise(
         return faster
 
     stiffness = assembled(model, 0.0)
-    damping = per_rate(model)
+    damping = per_rate(model) if np.any(model.viscous) else new_blocks(n)
     _add_diagonal(damping, np.repeat(model.drag[:, None], 3, axis=1))
     loss = per_rate(model._replace(viscous=np.full(n, loss_factor))) if loss_factor > 0 else new_blocks(n)
     constrain(model.near, model.far, free, stiffness)
@@ -116,10 +117,14 @@ def dynamic_parts(system: Linear) -> Array:
     """
     free, model = system.free, system.model
     moves = [free[:, :, None] & free[other][:, None] for other in (slice(None), model.near, model.far)]
-    free_parts = pack(*moves)
-    found = (pack(b.diagonal, b.near, b.far) for b in (system.stiffness, system.damping, system.loss, system.mass))
-    stiffness, *others = found
-    return np.stack([stiffness, *(np.where(free_parts, one, 0) for one in others)], axis=-1)
+    for block, other in zip(moves[1:], (model.near, model.far), strict=True):
+        block[other < 0] = False
+    parts = (system.stiffness, system.damping, system.loss, system.mass)
+    found = pack(*(np.stack([getattr(part, name) for part in parts]) for name in MATRIX))
+    packed = pack(*moves)
+    found[1:] *= packed
+    found[0, :, NEAR:] *= packed[:, NEAR:]
+    return np.ascontiguousarray(np.moveaxis(found, 0, -1))
 
 
 def product(model: Model, blocks: Blocks, vectors: Array) -> Array:

@@ -228,14 +228,13 @@ def _solved(system: Linear, omega: Array, loads: NDArray[Any], view: _View) -> t
     n, (order, near, far) = len(system.free), (system.model.order, system.model.near, system.model.far)
     parts, groups = dynamic_parts(system), -(-len(omega) // LANES)
     trunk = np.empty((len(omega), len(loads), len(view.wanted)), np.complex128)
-    branch = np.empty((groups, view.beyond.shape[0], 16 * LANES))
+    branch = np.empty((groups, len(view.beyond[0]) - 1, 16 * LANES))
     begins = np.argsort(view.trunk)[np.searchsorted(np.sort(view.trunk), loads // 4)]
 
     def solve_some(which: NDArray[Any]) -> None:
         factors, buffer = new_factors(n), new_buffer()
         columns, eight = new_columns(n, min(len(loads), COLUMNS)), new_columns(n, 8)
         node, part = np.divmod(view.wanted, 4)
-        seen, way = np.divmod(view.unknown, 4)
         eight[view.trunk, :, :, 0] = view.preset[..., None]
         for group in which:
             some = omega[group * LANES : (group + 1) * LANES]
@@ -251,7 +250,7 @@ def _solved(system: Linear, omega: Array, loads: NDArray[Any], view: _View) -> t
                 q = slice(group * LANES, group * LANES + len(some))
                 trunk[q, first:last].real, trunk[q, first:last].imag = answer.transpose(2, 3, 1, 0)
             substitute_lanes(near, far, factors, view.branches, 0.0, flat(eight), buffer)
-            branch[group] = view.beyond @ eight[seen, :, way].reshape(len(seen), -1)
+            _look(view.beyond, flat(eight), branch[group])
 
     _on_all_cores(solve_some, groups)
     return trunk, branch
@@ -333,6 +332,10 @@ def _grasped(
     return forces, wrench, asked - springs.compliance[:, None] * wrench
 
 
+Rows = tuple[NDArray[Any], NDArray[Any], Array]
+"""Of a sparse matrix: where each row begins, the columns, and the values."""
+
+
 class _View(NamedTuple):
     """Where the observed vectors look: at the trunk itself, and at branches.
 
@@ -343,38 +346,61 @@ class _View(NamedTuple):
     wanted: NDArray[Any]  # (W,) unknowns of the trunk that are loaded, looked at, or move a branch that is
     branches: NDArray[Any]  # the other rows, root outward
     preset: Array  # (R, 8, 4) the motions of the trunk that T answers
-    unknown: NDArray[Any]  # (U,) unknowns of branches that are looked at
-    beyond: Any  # (3K, U) the part of the operator that does, sparse
+    beyond: Rows  # (3K, 4N) the part of the operator that looks at branches
     base: NDArray[Any]  # (K, 8) which of the wanted unknowns move the branch, in the order of the columns
-    direct: tuple[Any, Any, Any]  # (3K, W) the part that looks at the trunk: CSR
+    direct: Rows  # (3K, W) the part that looks at the trunk
 
 
 def _view(model: Model, loads: NDArray[Any], operator: Any) -> _View:
     n, trunk = len(model.near), _towards_root(model, loads // 4)
-    on_trunk, odd, preset = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=int), np.zeros((len(trunk), 8, 4))
+    on_trunk, preset, (odd, top) = np.zeros(n, np.bool_), np.zeros((len(trunk), 8, 4)), _ways(model, trunk)
     on_trunk[trunk] = True
-    for j in trunk[1:]:
-        odd[j] = 1 - odd[model.near[j]]
     preset[np.arange(len(trunk))[:, None], 4 * odd[trunk, None] + np.arange(4), np.arange(4)] = 1
     rootward = model.order[::-1]
-    branches = rootward[~on_trunk[rootward]]
-    hung = np.zeros((n, 2), dtype=int)  # on which nodes of the trunk each branch row does
-    for j in branches:
-        a, b = int(model.near[j]), int(model.far[j])
-        hung[j] = ([b, a] if odd[a] else [a, b]) if on_trunk[a] else hung[a]
-    parts = operator.tocoo()
-    off = ~on_trunk[parts.col // 4]
-    base = np.zeros((operator.shape[0] // 3, 2), dtype=int)
-    base[parts.row[off] // 3] = hung[parts.col[off] // 4]
-    base = (4 * np.maximum(base, 0)[..., None] + np.arange(4)).reshape(-1, 8)
-    wanted = np.unique(np.concatenate([loads, parts.col[~off], base.ravel()]))
-    unknown = np.unique(parts.col[off])
-    split = [
-        csr_array((parts.data[s], (parts.row[s], np.searchsorted(among, parts.col[s]))), (3 * len(base), len(among)))
-        for s, among in ((off, unknown), (~off, wanted))
-    ]
-    direct = split[1].indptr, split[1].indices, split[1].data
-    return _View(trunk, wanted, branches, preset, unknown, split[0], np.searchsorted(wanted, base), direct)
+    off, row = ~on_trunk[operator.indices // 4], np.repeat(np.arange(operator.shape[0]), np.diff(operator.indptr))
+    base = np.zeros((operator.shape[0] // 3, 2), dtype=np.int64)
+    base[row[off] // 3] = np.maximum(np.stack([model.near, model.far], axis=1)[top[operator.indices[off] // 4]], 0)
+    base = np.where(odd[base[:, :1]] > 0, base[:, ::-1], base)
+    base = (4 * base[..., None] + np.arange(4)).reshape(-1, 8)
+    place = np.zeros(4 * n, dtype=np.int64)
+    place[loads] = place[operator.indices[~off]] = place[base] = 1
+    wanted = np.flatnonzero(place)
+    place[wanted] = np.arange(len(wanted))
+
+    def part(chosen: NDArray[np.bool_], column: NDArray[Any]) -> Rows:
+        counts = np.bincount(row[chosen], minlength=operator.shape[0])
+        return np.concatenate([[0], np.cumsum(counts)]), column, operator.data[chosen]
+
+    beyond = part(off, operator.indices[off].astype(np.int64))
+    direct = part(~off, place[operator.indices[~off]])
+    return _View(trunk, wanted, rootward[~on_trunk[rootward]], preset, beyond, place[base], direct)
+
+
+def _ways(model: Model, trunk: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return (N,) 1 where a row is an odd number of near rows away from the root, and which row of the branch that a
+    row is on hangs on the trunk; each time twice as far towards the root."""
+    rows, up = np.arange(len(model.near)), np.maximum(model.near, 0)
+    odd, hangs = (model.near >= 0).astype(np.int64), np.zeros(len(up), np.bool_)
+    hangs[trunk] = True
+    top = np.where(hangs | hangs[up], rows, up)
+    while up.any():
+        odd, top, up = odd ^ odd[up], top[top], up[up]
+    return odd, top
+
+
+@compiled
+def _look(beyond: Any, motion: Any, out: Any) -> None:
+    """Write (3K, 16 LANES) what is seen of the branches' motion (N + 1, 8, 8 LANES)."""
+    start, unknown, share = beyond
+    for row in range(len(out)):
+        seen = out[row]
+        for i in range(16 * LANES):
+            seen[i] = 0
+        for n in range(start[row], start[row + 1]):
+            node, first = unknown[n] // 4, 2 * (unknown[n] % 4) * LANES
+            for c in range(8):
+                for i in range(2 * LANES):
+                    seen[2 * c * LANES + i] += share[n] * motion[node, c, first + i]
 
 
 @compiled
