@@ -214,20 +214,23 @@ def observed_response(
     shape = len(frequencies), len(held)
     vectors = np.empty((*shape, operator.shape[0] // 3, 3, 3), np.complex128)
     (wrench, moved), sums = np.empty((2, *shape, 6, 3), np.complex128), np.empty(6 * LANES)
+    moves = np.empty((*trunk.shape[:2], 6 * LANES))
     for g, (pad, unknowns) in enumerate(zip(grip_nodes, held, strict=True)):
         body = rigid_motion(rods.parent, system.state.x, np.asarray(pad))
         at, rows = np.searchsorted(view.wanted, unknowns), np.searchsorted(loads, unknowns)
-        loaded = trunk[:, rows]
-        forces, wrench[:, g], moved[:, g] = _grasped(loaded[:, :, at], body, springs)
-        _observe(branch, view.base, view.direct, _in_lanes(np.swapaxes(loaded, 1, 2) @ forces), vectors, g, sums)
+        receptance = _in_turn(trunk[:, at[:, None], rows], len(frequencies))
+        forces, wrench[:, g], moved[:, g] = _grasped(receptance, body, springs)
+        _move(trunk, rows, _in_lanes(forces), moves)
+        _observe(branch, view.beyond[0], view.base, view.direct, moves, vectors, g, sums)
     return Observed(vectors, wrench[:, :, :3], wrench[:, :, 3:], moved)
 
 
-def _solved(system: Linear, omega: Array, loads: NDArray[Any], view: _View) -> tuple[ComplexArray, Array]:
-    """Return (Q, L, W) what unit loads do to the wanted unknowns of the trunk, and T in lanes, see `_in_lanes`."""
+def _solved(system: Linear, omega: Array, loads: NDArray[Any], view: _View) -> tuple[Array, Array]:
+    """Return what unit loads do to the wanted unknowns of the trunk, (Q / LANES, W, L, 2 LANES), and of branches what
+    is seen of T, (Q / LANES, 3K, 16 LANES)."""
     n, (order, near, far) = len(system.free), (system.model.order, system.model.near, system.model.far)
     parts, groups = dynamic_parts(system), -(-len(omega) // LANES)
-    trunk = np.empty((len(omega), len(loads), len(view.wanted)), np.complex128)
+    trunk = np.empty((groups, len(view.wanted), len(loads), 2 * LANES))
     branch = np.empty((groups, len(view.beyond[0]) - 1, 16 * LANES))
     begins = np.argsort(view.trunk)[np.searchsorted(np.sort(view.trunk), loads // 4)]
 
@@ -237,8 +240,8 @@ def _solved(system: Linear, omega: Array, loads: NDArray[Any], view: _View) -> t
         node, part = np.divmod(view.wanted, 4)
         eight[view.trunk, :, :, 0] = view.preset[..., None]
         for group in which:
-            some = omega[group * LANES : (group + 1) * LANES]
-            factor_lanes(order, near, far, parts, np.resize(some, LANES), factors, buffer)
+            some = np.resize(omega[group * LANES : (group + 1) * LANES], LANES)
+            factor_lanes(order, near, far, parts, some, factors, buffer)
             for first in range(0, len(loads), COLUMNS):
                 last = min(first + COLUMNS, len(loads))
                 loaded, axis = np.divmod(loads[first:last], 4)
@@ -246,9 +249,8 @@ def _solved(system: Linear, omega: Array, loads: NDArray[Any], view: _View) -> t
                 columns[loaded, np.arange(last - first), axis, 0] = 1
                 eliminate_lanes(near, far, factors, view.trunk, begins[first:last], flat(columns), buffer)
                 substitute_lanes(near, far, factors, view.trunk, 1.0, flat(columns), buffer)
-                answer = columns[node, : last - first, part, :, : len(some)]
-                q = slice(group * LANES, group * LANES + len(some))
-                trunk[q, first:last].real, trunk[q, first:last].imag = answer.transpose(2, 3, 1, 0)
+                answer = columns[node, : last - first, part]
+                trunk[group, :, first:last] = answer.reshape(*answer.shape[:2], -1)
             substitute_lanes(near, far, factors, view.branches, 0.0, flat(eight), buffer)
             _look(view.beyond, flat(eight), branch[group])
 
@@ -257,12 +259,17 @@ def _solved(system: Linear, omega: Array, loads: NDArray[Any], view: _View) -> t
 
 
 def _in_lanes(values: ComplexArray) -> Array:
-    """Return (Q, ..., C) values as groups of frequencies (Q / LANES, ..., 2 C LANES), the last one filled up."""
-    groups = -(-len(values) // LANES)
-    filled = values[np.minimum(np.arange(groups * LANES), len(values) - 1)]
-    split = filled.reshape(groups, LANES, *values.shape[1:])
-    apart = np.stack([split.real, split.imag], axis=-1)
-    return np.ascontiguousarray(np.moveaxis(apart, 1, -1)).reshape(groups, *values.shape[1:-1], -1)
+    """Return (Q, R, C) values as groups of frequencies (Q / LANES, R, 2 C LANES), the last one filled up."""
+    q, rows, columns = values.shape
+    out = np.zeros((-(-q // LANES), LANES, rows, columns, 2))
+    out.reshape(-1, rows, columns, 2)[:q] = values.view(np.float64).reshape(q, rows, columns, 2)
+    return np.ascontiguousarray(np.moveaxis(out, 1, -1)).reshape(len(out), rows, -1)
+
+
+def _in_turn(lanes: Array, q: int) -> ComplexArray:
+    """Return values (Q / LANES, R, C, 2 LANES) in lanes as (Q, R, C)."""
+    apart = np.moveaxis(lanes.reshape(*lanes.shape[:3], 2, LANES), 4, 1)
+    return np.ascontiguousarray(apart).view(np.complex128).reshape(-1, *lanes.shape[1:3])[:q]
 
 
 def _cores() -> int:
@@ -404,10 +411,22 @@ def _look(beyond: Any, motion: Any, out: Any) -> None:
 
 
 @compiled
-def _observe(branch: Any, base: Any, direct: Any, moves: Any, out: Any, g: int, sums: Any) -> None:
-    """Write (Q, g, K, 3, 3) the observed vectors for the trunk's motion in lanes (Q / LANES, W, 6 LANES).
+def _move(trunk: Any, rows: Any, forces: Any, moves: Any) -> None:
+    """Write (Q / LANES, W, 6 LANES) what forces (Q / LANES, H, 6 LANES) on some of the loaded unknowns do."""
+    for group in range(len(moves)):
+        for w in range(moves.shape[1]):
+            move = moves[group, w]
+            for i in range(6 * LANES):
+                move[i] = 0
+            for h in range(len(rows)):
+                _add_product(move, trunk[group, w, rows[h]], forces[group, h])
 
-    `sums` (6 LANES,) is scratch.
+
+@compiled
+def _observe(branch: Any, begins: Any, base: Any, direct: Any, moves: Any, out: Any, g: int, sums: Any) -> None:
+    """Write (Q, g, K, 3, 3) the observed vectors for the trunk's motion, see `_move`.
+
+    `begins` are those of the rows that look at branches; `sums` (6 LANES,) is scratch.
     """
     start, unknown, share = direct
     for group in range(len(branch)):
@@ -415,7 +434,7 @@ def _observe(branch: Any, base: Any, direct: Any, moves: Any, out: Any, g: int, 
             k, r = row // 3, row % 3
             for i in range(6 * LANES):
                 sums[i] = 0
-            for c in range(8):
+            for c in range(8 if begins[row + 1] > begins[row] else 0):
                 _add_product(sums, branch[group, row, 2 * c * LANES :], moves[group, base[k, c]])
             for n in range(start[row], start[row + 1]):
                 move = moves[group, unknown[n]]
