@@ -20,6 +20,8 @@ from anther.rods._vectors import LANES, compiled, inlined, merged
 
 NEAR, FAR, NUMBERS = 10, 26, 38
 """Where the columns of the near and of the far row begin, and how many numbers a block has."""
+TO_NEAR, BETWEEN, TO_FAR = NUMBERS, NUMBERS + 10, NUMBERS + 22
+"""Behind a block in the scratch, what it gives to the triangles of near and far row and to what joins those."""
 TRIANGLE = (0, 1, 2, 3, 5, 6, 7, 10, 11, 15)
 """Where the upper triangle is in a block of 16 numbers."""
 
@@ -48,7 +50,7 @@ def flat(X: Array) -> Array:
 
 def new_buffer() -> Array:
     """Return the scratch of `factor_lanes`: a block, and what it gives to others."""
-    return np.zeros(2 * (NUMBERS + 30) * LANES)
+    return np.zeros(2 * (NUMBERS + 33) * LANES)
 
 
 @inlined
@@ -61,40 +63,43 @@ def _put(w: Any, number: int, i: int, z: complex) -> None:
     w[2 * number * LANES + i], w[(2 * number + 1) * LANES + i] = z.real, z.imag
 
 
-@merged
+@inlined
 def _column(w: Any, first: int, i: int) -> Any:
     return _at(w, first, i), _at(w, first + 1, i), _at(w, first + 2, i), _at(w, first + 3, i)
 
 
-@merged
-def _put_column(w: Any, first: int, i: int, z: Any) -> None:
-    _put(w, first, i, z[0])
-    _put(w, first + 1, i, z[1])
-    _put(w, first + 2, i, z[2])
-    _put(w, first + 3, i, z[3])
-
-
-@merged
-def _given(u: Any, t: Any) -> Any:
-    """Return -u . t."""
-    return -(u[0] * t[0] + u[1] * t[1] + (u[2] * t[2] + u[3] * t[3]))
-
-
-@merged
+@inlined
 def _inverse(z: complex) -> complex:
     size = 1 / (z.real * z.real + z.imag * z.imag)
     return complex(z.real * size, -z.imag * size)
 
 
 @merged
-def _solved(f: Any, u: Any) -> Any:
-    """Return the block's inverse times u; f are its pivots' inverses and unit factors, in the order of the triangle."""
+def _solve_column(w: Any, first: int, i: int, f: Any) -> Any:
+    """Turn four numbers u into the block's inverse times u, and return both.
+
+    f are the pivots' inverses and the unit factors, in the order of the triangle.
+    """
+    u = _column(w, first, i)
     x1 = u[1] - f[1] * u[0]
     x2 = u[2] - f[2] * u[0] - f[5] * x1
     x3 = (u[3] - f[3] * u[0] - f[6] * x1 - f[8] * x2) * f[9]
     x2 = x2 * f[7] - f[8] * x3
     x1 = x1 * f[4] - f[5] * x2 - f[6] * x3
-    return u[0] * f[0] - f[1] * x1 - f[2] * x2 - f[3] * x3, x1, x2, x3
+    x0 = u[0] * f[0] - f[1] * x1 - f[2] * x2 - f[3] * x3
+    _put(w, first, i, x0)
+    _put(w, first + 1, i, x1)
+    _put(w, first + 2, i, x2)
+    _put(w, first + 3, i, x3)
+    return u, (x0, x1, x2, x3)
+
+
+@merged
+def _give(w: Any, first: int, i: int, columns: Any, r: Any) -> None:
+    """Write four numbers: minus the products of the columns with r."""
+    for k in range(4):
+        u = columns[k]
+        _put(w, first + k, i, -(u[0] * r[0] + u[1] * r[1] + (u[2] * r[2] + u[3] * r[3])))
 
 
 @compiled
@@ -124,10 +129,10 @@ def factor_lanes(order: Any, near: Any, far: Any, parts: Any, omega: Any, W: Any
         _factor(buffer)
         for k in range(2 * NUMBERS * LANES):
             w[k] = buffer[k]
-        _add(W[a], 0, buffer, NUMBERS, 10)
+        _add(W[a], 0, buffer, TO_NEAR, 10)
         if b >= 0:
-            _add(W[a], NEAR if near[a] == b else FAR, buffer, NUMBERS + 10, 12)
-            _add(W[b], 0, buffer, NUMBERS + 22, 8)
+            _add(W[a], NEAR if near[a] == b else FAR, buffer, BETWEEN, 12)
+            _add(W[b], 0, buffer, TO_FAR, 8)
 
 
 @inlined
@@ -150,62 +155,40 @@ def _factor(w: Any) -> None:
         f = d23 * p2
         p3 = _inverse(_at(w, 9, i) - c * d03 - e * d13 - f * d23)
         g = (p0, a, b, c, p1, d, e, p2, f, p3)
-        u0, u1, u2, u3 = _column(w, 10, i), _column(w, 14, i), _column(w, 18, i), _column(w, 22, i)
-        v0, v1, v2 = _column(w, 26, i), _column(w, 30, i), _column(w, 34, i)
-        t0, t1, t2, t3 = _solved(g, u0), _solved(g, u1), _solved(g, u2), _solved(g, u3)
-        s0, s1, s2 = _solved(g, v0), _solved(g, v1), _solved(g, v2)
-        _put_column(w, 0, i, (p0, a, b, c))
-        _put_column(w, 4, i, (p1, d, e, p2))
-        _put(w, 8, i, f)
-        _put(w, 9, i, p3)
-        _put_column(w, 10, i, t0)
-        _put_column(w, 14, i, t1)
-        _put_column(w, 18, i, t2)
-        _put_column(w, 22, i, t3)
-        _put_column(w, 26, i, s0)
-        _put_column(w, 30, i, s1)
-        _put_column(w, 34, i, s2)
-        _put(w, 38, i, _given(u0, t0))
-        _put(w, 39, i, _given(u0, t1))
-        _put(w, 40, i, _given(u0, t2))
-        _put(w, 41, i, _given(u0, t3))
-        _put(w, 42, i, _given(u1, t1))
-        _put(w, 43, i, _given(u1, t2))
-        _put(w, 44, i, _given(u1, t3))
-        _put(w, 45, i, _given(u2, t2))
-        _put(w, 46, i, _given(u2, t3))
-        _put(w, 47, i, _given(u3, t3))
-        _put(w, 48, i, _given(u0, s0))
-        _put(w, 49, i, _given(u1, s0))
-        _put(w, 50, i, _given(u2, s0))
-        _put(w, 51, i, _given(u3, s0))
-        _put(w, 52, i, _given(u0, s1))
-        _put(w, 53, i, _given(u1, s1))
-        _put(w, 54, i, _given(u2, s1))
-        _put(w, 55, i, _given(u3, s1))
-        _put(w, 56, i, _given(u0, s2))
-        _put(w, 57, i, _given(u1, s2))
-        _put(w, 58, i, _given(u2, s2))
-        _put(w, 59, i, _given(u3, s2))
-        _put(w, 60, i, _given(v0, s0))
-        _put(w, 61, i, _given(v0, s1))
-        _put(w, 62, i, _given(v0, s2))
-        _put(w, 64, i, _given(v1, s1))
-        _put(w, 65, i, _given(v1, s2))
-        _put(w, 67, i, _given(v2, s2))
+        for k in range(10):
+            _put(w, k, i, g[k])
+        u0, t0 = _solve_column(w, NEAR, i, g)
+        u1, t1 = _solve_column(w, NEAR + 4, i, g)
+        u2, t2 = _solve_column(w, NEAR + 8, i, g)
+        u3, t3 = _solve_column(w, NEAR + 12, i, g)
+        v0, s0 = _solve_column(w, FAR, i, g)
+        v1, s1 = _solve_column(w, FAR + 4, i, g)
+        v2, s2 = _solve_column(w, FAR + 8, i, g)
+        none = (0j, 0j, 0j, 0j)
+        _give(w, TO_NEAR, i, (t0, t1, t2, t3), u0)  # what goes too far is written over by the next
+        _give(w, TO_NEAR + 4, i, (t1, t2, t3, none), u1)
+        _give(w, TO_NEAR + 7, i, (t2, t3, none, none), u2)
+        _give(w, TO_NEAR + 9, i, (t3, none, none, none), u3)
+        _give(w, BETWEEN, i, (u0, u1, u2, u3), s0)
+        _give(w, BETWEEN + 4, i, (u0, u1, u2, u3), s1)
+        _give(w, BETWEEN + 8, i, (u0, u1, u2, u3), s2)
+        _give(w, TO_FAR, i, (s0, s1, s2, none), v0)
+        _give(w, TO_FAR + 4, i, (s1, s2, none, none), v1)
+        _give(w, TO_FAR + 7, i, (s2, none, none, none), v2)
 
 
 @compiled
-def eliminate_lanes(near: Any, far: Any, W: Any, rows: Any, begins: Any, X: Any, buffer: Any) -> None:
-    """Begin the solution for the right-hand sides X, in their place.
+def solve_lanes(near: Any, far: Any, W: Any, rows: Any, begins: Any, X: Any, buffer: Any) -> None:
+    """Overwrite right-hand sides with their solutions.
 
     Args:
         near, far: of the model.
         W: the factors.
-        rows: (R,) rows in rising elimination distance from the root, each after its near row. Other rows must be zero
-            on the right-hand sides, and are left alone.
-        begins: (C,) the last of `rows` on which a right-hand side is not zero.
-        X: see `new_columns`.
+        rows: (R,) rows in rising elimination distance from the root, each after its near row, where that is among them.
+            Other rows are left alone: `rows` follow them.
+        begins: (C,) the last of `rows` on which a right-hand side is not zero; -1 where it is on none. What stands on
+            those after it does not count.
+        X: (N + 1, C, 8 LANES), see `new_columns`.
         buffer: see `new_buffer`.
     """
     for k in range(len(rows) - 1, -1, -1):
@@ -219,20 +202,15 @@ def eliminate_lanes(near: Any, far: Any, W: Any, rows: Any, begins: Any, X: Any,
                 _copy(X[j, c], 0, buffer[2 * NUMBERS * LANES :], 8)
                 _add(X[a, c], 0, buffer, NUMBERS + 4, 4)
                 _add(X[b, c], 0, buffer, NUMBERS + 8, 3)
-
-
-@compiled
-def substitute_lanes(near: Any, far: Any, W: Any, rows: Any, own: float, X: Any, buffer: Any) -> None:
-    """End it; with `own` 0 instead of 1, fill the rows with what they do when those they hang on move as they stand."""
     for k in range(len(rows)):
         j = rows[k]
         a, b = near[j], far[j]
         _copy(buffer, 0, W[j], 2 * NUMBERS)
-        for c in range(X.shape[1]):
+        for c in range(len(begins)):
             _copy(buffer, 2 * NUMBERS, X[a, c], 8)
             _copy(buffer, 2 * NUMBERS + 8, X[b, c], 8)
             _substitute(buffer)
-            x = X[j, c]
+            x, own = X[j, c], 1.0 if begins[c] >= k else 0.0
             for i in range(8 * LANES):
                 x[i] = own * x[i] - buffer[(2 * NUMBERS + 16) * LANES + i]
 
@@ -247,27 +225,12 @@ def _copy(target: Any, to: int, source: Any, count: int) -> None:
 def _eliminate(w: Any) -> None:
     """Turn a block's right-hand side into what the inverse makes of it, and write what it gives to near and far row."""
     for i in range(LANES):
-        r = _column(w, NUMBERS, i)
-        f = (
-            _at(w, 0, i),
-            _at(w, 1, i),
-            _at(w, 2, i),
-            _at(w, 3, i),
-            _at(w, 4, i),
-            _at(w, 5, i),
-            _at(w, 6, i),
-            _at(w, 7, i),
-            _at(w, 8, i),
-            _at(w, 9, i),
-        )
-        _put_column(w, NUMBERS, i, _solved(f, r))
-        _put(w, NUMBERS + 4, i, _given(_column(w, 10, i), r))
-        _put(w, NUMBERS + 5, i, _given(_column(w, 14, i), r))
-        _put(w, NUMBERS + 6, i, _given(_column(w, 18, i), r))
-        _put(w, NUMBERS + 7, i, _given(_column(w, 22, i), r))
-        _put(w, NUMBERS + 8, i, _given(_column(w, 26, i), r))
-        _put(w, NUMBERS + 9, i, _given(_column(w, 30, i), r))
-        _put(w, NUMBERS + 10, i, _given(_column(w, 34, i), r))
+        f = _column(w, 0, i) + _column(w, 4, i) + (_at(w, 8, i), _at(w, 9, i))
+        r, _ = _solve_column(w, NUMBERS, i, f)
+        u0, u1, u2 = _column(w, NEAR, i), _column(w, NEAR + 4, i), _column(w, NEAR + 8, i)
+        v0, v1, v2 = _column(w, FAR, i), _column(w, FAR + 4, i), _column(w, FAR + 8, i)
+        _give(w, NUMBERS + 4, i, (u0, u1, u2, _column(w, NEAR + 12, i)), r)
+        _give(w, NUMBERS + 8, i, (v0, v1, v2, v2), r)
 
 
 @inlined
@@ -276,7 +239,7 @@ def _substitute(w: Any) -> None:
     for i in range(LANES):
         x, y = _column(w, NUMBERS, i), _column(w, NUMBERS + 4, i)
         for row in range(4):
-            z = _at(w, 10 + row, i) * x[0] + _at(w, 14 + row, i) * x[1]
-            z += _at(w, 18 + row, i) * x[2] + _at(w, 22 + row, i) * x[3]
-            z += _at(w, 26 + row, i) * y[0] + _at(w, 30 + row, i) * y[1] + _at(w, 34 + row, i) * y[2]
+            z = _at(w, NEAR + row, i) * x[0] + _at(w, NEAR + 4 + row, i) * x[1]
+            z += _at(w, NEAR + 8 + row, i) * x[2] + _at(w, NEAR + 12 + row, i) * x[3]
+            z += _at(w, FAR + row, i) * y[0] + _at(w, FAR + 4 + row, i) * y[1] + _at(w, FAR + 8 + row, i) * y[2]
             _put(w, NUMBERS + 8 + row, i, z)

@@ -21,14 +21,13 @@ from anther.rods._assembly import Blocks, add_supports, assemble, assemble_edges
 from anther.rods._equilibrium import Tangent, by_edges, loaded_state, tangent
 from anther.rods._frequency_solver import (
     NEAR,
-    eliminate_lanes,
     factor_lanes,
     flat,
     new_buffer,
     new_columns,
     new_factors,
     pack,
-    substitute_lanes,
+    solve_lanes,
 )
 from anther.rods._loads import Loads
 from anther.rods._model import Model, build_model
@@ -314,8 +313,7 @@ def base_response(
         factor_lanes(*tree, parts, np.resize(omega, LANES), factors, buffer)
         relative = np.moveaxis(moves[:n, 0, :, :, : len(omega)], 3, 0)
         relative[..., 0], relative[..., 1] = pull.real, pull.imag
-        eliminate_lanes(*tree[1:], factors, rows, begins, flat(moves), buffer)
-        substitute_lanes(*tree[1:], factors, rows, 1.0, flat(moves), buffer)
+        solve_lanes(*tree[1:], factors, rows, begins, flat(moves), buffer)
         out[first : first + LANES] = (carried + relative[..., 0] + 1j * relative[..., 1])[:, :, :3]
     return out
 

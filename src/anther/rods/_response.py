@@ -20,15 +20,7 @@ from scipy.sparse import csr_array
 
 from anther.core.checks import check_array, check_range, check_room
 from anther.core.geometry import ComplexArray
-from anther.rods._frequency_solver import (
-    eliminate_lanes,
-    factor_lanes,
-    flat,
-    new_buffer,
-    new_columns,
-    new_factors,
-    substitute_lanes,
-)
+from anther.rods._frequency_solver import factor_lanes, flat, new_buffer, new_columns, new_factors, solve_lanes
 from anther.rods._linear import Linear, checked_hertz, dynamic_parts, linearise
 from anther.rods._model import Model
 from anther.rods._motion import (
@@ -213,15 +205,14 @@ def observed_response(
     trunk, branch = _solved(system, 2 * np.pi * frequencies, loads, view)
     shape = len(frequencies), len(held)
     vectors = np.empty((*shape, operator.shape[0] // 3, 3, 3), np.complex128)
-    (wrench, moved), sums = np.empty((2, *shape, 6, 3), np.complex128), np.empty(6 * LANES)
-    moves = np.empty((*trunk.shape[:2], 6 * LANES))
+    (wrench, moved), scratch = np.empty((2, *shape, 6, 3), np.complex128), np.empty((len(view.wanted) + 1, 6 * LANES))
     for g, (pad, unknowns) in enumerate(zip(grip_nodes, held, strict=True)):
         body = rigid_motion(rods.parent, system.state.x, np.asarray(pad))
         at, rows = np.searchsorted(view.wanted, unknowns), np.searchsorted(loads, unknowns)
         receptance = _in_turn(trunk[:, at[:, None], rows], len(frequencies))
         forces, wrench[:, g], moved[:, g] = _grasped(receptance, body, springs)
-        _move(trunk, rows, _in_lanes(forces), moves)
-        _observe(branch, view.beyond[0], view.base, view.direct, moves, vectors, g, sums)
+        moving = trunk, rows, _in_lanes(forces)
+        _observe(moving, branch, view.beyond.indptr, view.base, view.direct, scratch, vectors, g)
     return Observed(vectors, wrench[:, :, :3], wrench[:, :, 3:], moved)
 
 
@@ -231,13 +222,13 @@ def _solved(system: Linear, omega: Array, loads: NDArray[Any], view: _View) -> t
     n, (order, near, far) = len(system.free), (system.model.order, system.model.near, system.model.far)
     parts, groups = dynamic_parts(system), -(-len(omega) // LANES)
     trunk = np.empty((groups, len(view.wanted), len(loads), 2 * LANES))
-    branch = np.empty((groups, len(view.beyond[0]) - 1, 16 * LANES))
+    branch = np.empty((groups, view.beyond.shape[0], 16 * LANES))
     begins = np.argsort(view.trunk)[np.searchsorted(np.sort(view.trunk), loads // 4)]
 
     def solve_some(which: NDArray[Any]) -> None:
         factors, buffer = new_factors(n), new_buffer()
         columns, eight = new_columns(n, min(len(loads), COLUMNS)), new_columns(n, 8)
-        node, part = np.divmod(view.wanted, 4)
+        (node, part), (seen, way) = np.divmod(view.wanted, 4), np.divmod(view.unknown, 4)
         eight[view.trunk, :, :, 0] = view.preset[..., None]
         for group in which:
             some = np.resize(omega[group * LANES : (group + 1) * LANES], LANES)
@@ -247,12 +238,11 @@ def _solved(system: Linear, omega: Array, loads: NDArray[Any], view: _View) -> t
                 loaded, axis = np.divmod(loads[first:last], 4)
                 columns[view.trunk] = 0
                 columns[loaded, np.arange(last - first), axis, 0] = 1
-                eliminate_lanes(near, far, factors, view.trunk, begins[first:last], flat(columns), buffer)
-                substitute_lanes(near, far, factors, view.trunk, 1.0, flat(columns), buffer)
+                solve_lanes(near, far, factors, view.trunk, begins[first:last], flat(columns), buffer)
                 answer = columns[node, : last - first, part]
                 trunk[group, :, first:last] = answer.reshape(*answer.shape[:2], -1)
-            substitute_lanes(near, far, factors, view.branches, 0.0, flat(eight), buffer)
-            _look(view.beyond, flat(eight), branch[group])
+            solve_lanes(near, far, factors, view.branches, np.full(8, -1), flat(eight), buffer)
+            branch[group] = view.beyond @ eight[seen, :, way].reshape(len(seen), -1)
 
     _on_all_cores(solve_some, groups)
     return trunk, branch
@@ -353,7 +343,8 @@ class _View(NamedTuple):
     wanted: NDArray[Any]  # (W,) unknowns of the trunk that are loaded, looked at, or move a branch that is
     branches: NDArray[Any]  # the other rows, root outward
     preset: Array  # (R, 8, 4) the motions of the trunk that T answers
-    beyond: Rows  # (3K, 4N) the part of the operator that looks at branches
+    unknown: NDArray[Any]  # (U,) of branches, that are looked at
+    beyond: Any  # (3K, U) the part of the operator that does, sparse
     base: NDArray[Any]  # (K, 8) which of the wanted unknowns move the branch, in the order of the columns
     direct: Rows  # (3K, W) the part that looks at the trunk
 
@@ -369,18 +360,23 @@ def _view(model: Model, loads: NDArray[Any], operator: Any) -> _View:
     base[row[off] // 3] = np.maximum(np.stack([model.near, model.far], axis=1)[top[operator.indices[off] // 4]], 0)
     base = np.where(odd[base[:, :1]] > 0, base[:, ::-1], base)
     base = (4 * base[..., None] + np.arange(4)).reshape(-1, 8)
-    place = np.zeros(4 * n, dtype=np.int64)
-    place[loads] = place[operator.indices[~off]] = place[base] = 1
-    wanted = np.flatnonzero(place)
-    place[wanted] = np.arange(len(wanted))
+    of_branch, of_trunk = operator.indices[off], operator.indices[~off]
+    unknown, of_branch = _numbered(4 * n, of_branch)
+    wanted, at = _numbered(4 * n, np.concatenate([loads, base.ravel(), of_trunk]))
+    starts = [np.append(0, np.cumsum(np.bincount(row[part], minlength=operator.shape[0]))) for part in (off, ~off)]
+    beyond = csr_array((operator.data[off], of_branch, starts[0]), (operator.shape[0], len(unknown)))
+    direct = starts[1], at[len(loads) + base.size :], operator.data[~off]
+    base = at[len(loads) :][: base.size].reshape(base.shape)
+    return _View(trunk, wanted, rootward[~on_trunk[rootward]], preset, unknown, beyond, base, direct)
 
-    def part(chosen: NDArray[np.bool_], column: NDArray[Any]) -> Rows:
-        counts = np.bincount(row[chosen], minlength=operator.shape[0])
-        return np.concatenate([[0], np.cumsum(counts)]), column, operator.data[chosen]
 
-    beyond = part(off, operator.indices[off].astype(np.int64))
-    direct = part(~off, place[operator.indices[~off]])
-    return _View(trunk, wanted, rootward[~on_trunk[rootward]], preset, beyond, place[base], direct)
+def _numbered(count: int, numbers: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return the different ones among numbers below `count`, rising, and which of them each is."""
+    place = np.zeros(count, dtype=np.int64)
+    place[numbers] = 1
+    found = np.flatnonzero(place)
+    place[found] = np.arange(len(found))
+    return found, place[numbers]
 
 
 def _ways(model: Model, trunk: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -396,54 +392,41 @@ def _ways(model: Model, trunk: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]
 
 
 @compiled
-def _look(beyond: Any, motion: Any, out: Any) -> None:
-    """Write (3K, 16 LANES) what is seen of the branches' motion (N + 1, 8, 8 LANES)."""
-    start, unknown, share = beyond
-    for row in range(len(out)):
-        seen = out[row]
-        for i in range(16 * LANES):
-            seen[i] = 0
-        for n in range(start[row], start[row + 1]):
-            node, first = unknown[n] // 4, 2 * (unknown[n] % 4) * LANES
-            for c in range(8):
-                for i in range(2 * LANES):
-                    seen[2 * c * LANES + i] += share[n] * motion[node, c, first + i]
+def _observe(moving: Any, branch: Any, begins: Any, base: Any, direct: Any, scratch: Any, out: Any, g: int) -> None:
+    """Write (Q, g, K, 3, 3) the observed vectors for forces on some of the loaded unknowns.
 
-
-@compiled
-def _move(trunk: Any, rows: Any, forces: Any, moves: Any) -> None:
-    """Write (Q / LANES, W, 6 LANES) what forces (Q / LANES, H, 6 LANES) on some of the loaded unknowns do."""
-    for group in range(len(moves)):
-        for w in range(moves.shape[1]):
-            move = moves[group, w]
+    Args:
+        moving: the trunk's answer (Q / LANES, W, L, 2 LANES), which H of its loads, forces (Q / LANES, H, 6 LANES).
+        branch: (Q / LANES, 3K, 16 LANES) what is seen of T.
+        begins: of the rows that look at branches.
+        base, direct: see `_View`.
+        scratch: (W + 1, 6 LANES).
+        out: (Q, G, K, 3, 3).
+        g: which grip.
+    """
+    (trunk, rows, forces), (start, unknown, share), sums = moving, direct, scratch[len(scratch) - 1]
+    for group in range(len(branch)):
+        first = group * LANES
+        for w in range(trunk.shape[1]):
+            move = scratch[w]
             for i in range(6 * LANES):
                 move[i] = 0
             for h in range(len(rows)):
                 _add_product(move, trunk[group, w, rows[h]], forces[group, h])
-
-
-@compiled
-def _observe(branch: Any, begins: Any, base: Any, direct: Any, moves: Any, out: Any, g: int, sums: Any) -> None:
-    """Write (Q, g, K, 3, 3) the observed vectors for the trunk's motion, see `_move`.
-
-    `begins` are those of the rows that look at branches; `sums` (6 LANES,) is scratch.
-    """
-    start, unknown, share = direct
-    for group in range(len(branch)):
         for row in range(branch.shape[1]):
             k, r = row // 3, row % 3
             for i in range(6 * LANES):
                 sums[i] = 0
             for c in range(8 if begins[row + 1] > begins[row] else 0):
-                _add_product(sums, branch[group, row, 2 * c * LANES :], moves[group, base[k, c]])
+                _add_product(sums, branch[group, row, 2 * c * LANES :], scratch[base[k, c]])
             for n in range(start[row], start[row + 1]):
-                move = moves[group, unknown[n]]
+                move = scratch[unknown[n]]
                 for i in range(6 * LANES):
                     sums[i] += share[n] * move[i]
-            first = group * LANES
-            for i in range(filled(len(out), first)):
-                for axis in range(3):
-                    out[first + i, g, k, r, axis] = complex(sums[2 * axis * LANES + i], sums[(2 * axis + 1) * LANES + i])
+            for axis in range(3):
+                x, y = sums[2 * axis * LANES :], sums[(2 * axis + 1) * LANES :]
+                for i in range(filled(len(out), first)):
+                    out[first + i, g, k, r, axis] = complex(x[i], y[i])
 
 
 @inlined
