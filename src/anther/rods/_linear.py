@@ -309,7 +309,7 @@ def base_response(
     factors, moves, begins = new_factors(n), new_columns(n, 1), np.array([n - 1])
     for first in range(0, len(hertz), LANES):
         omega = 2 * np.pi * hertz[first : first + LANES, None, None]
-        pull = np.where(system.free, omega**2 * inertia - 1j * omega * air - held, 0)
+        pull: Any = np.where(system.free, omega**2 * inertia - 1j * omega * air - held, 0)
         factor_lanes(*tree, parts, np.resize(omega, LANES), factors, buffer)
         relative = np.moveaxis(moves[:n, 0, :, :, : len(omega)], 3, 0)
         relative[..., 0], relative[..., 1] = pull.real, pull.imag

@@ -20,7 +20,15 @@ from scipy.sparse import csr_array
 
 from anther.core.checks import check_array, check_range, check_room
 from anther.core.geometry import ComplexArray
-from anther.rods._frequency_solver import factor_lanes, flat, new_buffer, new_columns, new_factors, solve_lanes
+from anther.rods._frequency_solver import (
+    NUMBERS,
+    factor_lanes,
+    flat,
+    new_buffer,
+    new_columns,
+    new_factors,
+    solve_lanes,
+)
 from anther.rods._linear import Linear, checked_hertz, dynamic_parts, linearise
 from anther.rods._model import Model
 from anther.rods._motion import (
@@ -188,8 +196,8 @@ def observed_response(
         gravity: (3,) [m/s^2].
         springs: between the gripper, which follows the shake and does not turn, and the pads.
 
-    Each frequency is factored once, without any grip; what a grip then takes is in `_grasped`. All cores share the
-    frequencies.
+    Each frequency is factored once, without any grip; what a grip then takes is in `_grasped`. `LANES` frequencies go
+    side by side, and all cores share such groups.
 
     Raises:
         InputError: the rods are divided so finely that the memory does not suffice.
@@ -200,7 +208,8 @@ def observed_response(
     loads = np.unique(np.concatenate(held))
     view = _view(system.model, loads, operator)
     size = 16.0 * len(frequencies) * (len(loads) * len(view.wanted) + 8 * operator.shape[0])
-    size += 48.0 * len(frequencies) * len(held) * operator.shape[0] + 1e4 * LANES * _cores() * len(rods.nodes)
+    size += 48.0 * len(frequencies) * len(held) * operator.shape[0]
+    size += 16.0 * LANES * _cores() * len(rods.nodes) * (NUMBERS + 4 * (COLUMNS + 8))  # see below, each core its own
     check_room(f"a skeleton of {len(rods.nodes)} nodes", size, FINE)
     trunk, branch = _solved(system, 2 * np.pi * frequencies, loads, view)
     shape = len(frequencies), len(held)
@@ -242,7 +251,7 @@ def _solved(system: Linear, omega: Array, loads: NDArray[Any], view: _View) -> t
                 answer = columns[node, : last - first, part]
                 trunk[group, :, first:last] = answer.reshape(*answer.shape[:2], -1)
             solve_lanes(near, far, factors, view.branches, np.full(8, -1), flat(eight), buffer)
-            branch[group] = view.beyond @ eight[seen, :, way].reshape(len(seen), -1)
+            branch[group] = view.beyond @ eight[seen, :, way].reshape(len(seen), 16 * LANES)
 
     _on_all_cores(solve_some, groups)
     return trunk, branch
