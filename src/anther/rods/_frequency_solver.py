@@ -106,7 +106,7 @@ def _give(w: Any, first: int, i: int, columns: Any, r: Any) -> None:
 def factor_lanes(order: Any, near: Any, far: Any, parts: Any, omega: Any, W: Any, buffer: Any) -> None:
     """Fill W with K + i omega C + i loss - omega^2 M, and factor it.
 
-    The columns of a block become what the block's inverse makes of them.
+    Each block becomes its own factors, and its columns become the block's inverse times them.
 
     Args:
         order, near, far: of the model.
@@ -191,7 +191,10 @@ def solve_lanes(near: Any, far: Any, W: Any, rows: Any, begins: Any, X: Any, buf
         X: (N + 1, C, 8 LANES), see `new_columns`.
         buffer: see `new_buffer`.
     """
-    for k in range(len(rows) - 1, -1, -1):
+    last = -1
+    for c in range(len(begins)):
+        last = begins[c] if begins[c] > last else last
+    for k in range(last, -1, -1):
         j = rows[k]
         a, b = near[j], far[j]
         _copy(buffer, 0, W[j], 2 * NUMBERS)
@@ -223,7 +226,7 @@ def _copy(target: Any, to: int, source: Any, count: int) -> None:
 
 @inlined
 def _eliminate(w: Any) -> None:
-    """Turn a block's right-hand side into what the inverse makes of it, and write what it gives to near and far row."""
+    """Turn a block's right-hand side into the inverse times it, and write what it gives to near and far row."""
     for i in range(LANES):
         f = _column(w, 0, i) + _column(w, 4, i) + (_at(w, 8, i), _at(w, 9, i))
         r, _ = _solve_column(w, NUMBERS, i, f)
