@@ -70,6 +70,15 @@ def test_loads_that_are_solved_in_portions_give_the_same(plant: PlantModel, monk
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
 
 
+def test_frequencies_that_are_solved_side_by_side_give_what_each_gives_alone(plant: PlantModel) -> None:
+    grips, seen, hertz = pad_nodes(plant, np.array([5, 12]), width=0.034), observables(plant).operator, np.arange(1, 20)
+    together = observed_response(plant.rods, plant.clamp, grips, seen, hertz.astype(float), loss_factor=0.1)
+    for q in (0, 7, 8, 18):
+        alone = observed_response(plant.rods, plant.clamp, grips, seen, hertz[q : q + 1].astype(float), loss_factor=0.1)
+        for one, other in zip(together, alone, strict=True):
+            np.testing.assert_allclose(one[q], other[0], rtol=1e-9, atol=1e-12)
+
+
 @pytest.mark.parametrize("springs", [RIGID, SOFT])
 def test_a_small_shake_that_begins_in_the_steady_state_stays_in_it(plant: PlantModel, springs: Springs) -> None:
     """The midpoint rule's own steady state is that of the warped frequency, exactly."""

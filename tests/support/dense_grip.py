@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from anther.rods import GRAVITY, Clamp, Rods, Springs
-from anther.rods._assembly import new_blocks
-from anther.rods._linear import dense, linearise, moving_parts, set_dynamic
+from anther.rods._linear import dense, linearise
 
 
 def dense_answer(rods: Rods, pad: list[int], springs: Springs, hertz: float, ways: Any, loss: float = 0.0) -> Any:
@@ -17,9 +16,11 @@ def dense_answer(rods: Rods, pad: list[int], springs: Springs, hertz: float, way
     The gripped unknowns are replaced by a body on springs, all in one matrix.
     """
     system, omega = linearise(rods, Clamp.root(rods), GRAVITY, loss), 2 * np.pi * hertz
-    blocks, held = new_blocks(len(rods.nodes), np.complex128), np.array(pad)
-    set_dynamic(moving_parts(system), omega, blocks)
-    matrix = dense(system.model, blocks)
+    stiffness, damping, lossy, mass = (
+        dense(system.model, part) for part in (system.stiffness, system.damping, system.loss, system.mass)
+    )
+    moves, held = np.outer(system.free, system.free), np.array(pad)
+    matrix = stiffness + np.where(moves, 1j * (omega * damping + lossy) - omega**2 * mass, 0)
     edges = [j for j in pad if rods.parent[j] in pad]
     rows = np.concatenate([(4 * held[:, None] + np.arange(3)).ravel(), 4 * np.array(edges) + 3])
     others = np.setdiff1d(np.arange(len(matrix)), rows)

@@ -20,7 +20,7 @@ YOUNGS = 5e9  # Pa, at which 1.3 m can stand
 
 def main(room: str, path: str) -> None:
     """Solve one plant, which compiles, then all."""
-    rods, batch = importlib.import_module(room), np.load(path)
+    rods, batch = importlib.import_module(room), dict(np.load(path))
 
     def solve(factor: float) -> None:
         parts = (batch["nodes"], batch["parent"], 3e-3, factor * YOUNGS, 1000.0)

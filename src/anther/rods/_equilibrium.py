@@ -256,14 +256,14 @@ def static_state(model: Model, frames: Frames, x: Array, free: Any) -> State:
         StageFailure: kind "no_convergence" when none is found, or it is not stable (buckling).
     """
     state, blocks = new_state(x, frames), new_blocks(len(x))
-    residual, correction, shift = _descend(model, free, state, blocks)
+    residual, correction, shift, stable = _descend(model, free, state, blocks)
     if not (correction < SETTLED and (shift == 0 or residual < 1e-3 * np.abs(model.weight).sum() + 1e-6)):
         raise StageFailure(
             "no_convergence",
             f"rods: no static equilibrium found; residual {residual:.3g} N after {NEWTON_LIMIT} Newton iterations. "
             "They may be too soft or thin for their weight, or swing about a pin: check radius, stiffness and clamp.",
         )
-    if tangent(model, free, state.x, state.frames, blocks).unstable:
+    if not stable and tangent(model, free, state.x, state.frames, blocks).unstable:
         raise StageFailure(
             "no_convergence",
             "rods: the equilibrium under gravity is not stable: they buckle under their own weight (the tangent "
@@ -277,10 +277,11 @@ def _potential(model: Model, x: Array, frames: Frames) -> float:
     return elastic_energy(model, x, frames) - float(np.sum(model.weight[:, :3] * x))
 
 
-def _descend(model: Model, free: Any, state: State, blocks: Blocks) -> tuple[float, float, float]:
+def _descend(model: Model, free: Any, state: State, blocks: Blocks) -> tuple[float, float, float, bool]:
     """Minimise the potential energy by Newton's method with a shift where needed and a backtracking line search.
 
-    Returns the last residual [N], the last correction [m] and the shift that it was made with.
+    Returns the last residual [N], the last correction [m], the shift that it was made with, and whether the tangent
+    stiffness is known to be positive definite there.
     """
     shift, floor, weight = 0.0, 1e-12 * model.stretch.max(), model.weight
     residual, correction, unshifted = np.inf, np.inf, False
@@ -291,7 +292,7 @@ def _descend(model: Model, free: Any, state: State, blocks: Blocks) -> tuple[flo
         residual = float(np.linalg.norm(gradient))
         if stiffness.unstable:
             if residual <= floor and shift == 0:
-                return residual, 0.0, shift  # balanced but unstable: the caller tells
+                return residual, 0.0, shift, False  # balanced but unstable: the caller tells
             shift = max(4 * shift, 1e-3)
             continue
         step = gradient.copy()
@@ -302,12 +303,12 @@ def _descend(model: Model, free: Any, state: State, blocks: Blocks) -> tuple[flo
         rounding = shift == 0 and SETTLED > correction > before / 2
         if correction < POSITION_FLOOR or rounding or (residual <= floor and correction < SETTLED):
             if shift == 0 or unshifted:
-                return residual, correction, shift
+                return residual, correction, shift, shift == 0
             shift, unshifted = 0.0, True
             continue
         _line_search(model, state, stiffness, step, float(np.sum(step * gradient)), correction)
         shift = shift / 8 if shift > 1e-9 else 0.0
-    return residual, correction, shift
+    return residual, correction, shift, False
 
 
 def _line_search(model: Model, state: State, stiffness: Tangent, step: Array, slope: float, size: float) -> None:

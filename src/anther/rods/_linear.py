@@ -19,12 +19,23 @@ from anther.core.errors import StageFailure, bad_input
 from anther.core.geometry import ComplexArray
 from anther.rods._assembly import Blocks, add_supports, assemble, assemble_edges, new_blocks, on_nodes
 from anther.rods._equilibrium import Tangent, by_edges, loaded_state, tangent
+from anther.rods._frequency_solver import (
+    NEAR,
+    factor_lanes,
+    flat,
+    new_buffer,
+    new_columns,
+    new_factors,
+    pack,
+    solve_lanes,
+)
 from anther.rods._loads import Loads
 from anther.rods._model import Model, build_model
 from anther.rods._motion import Clamp, unit_direction
 from anther.rods._rods import GRAVITY, Array, Rods
 from anther.rods._stepping import State
-from anther.rods._tree_solver import constrain, factor, solve
+from anther.rods._tree_solver import constrain
+from anther.rods._vectors import LANES
 
 MATRIX = ("diagonal", "near", "far")
 
@@ -78,7 +89,7 @@ def linearise(
         return faster
 
     stiffness = assembled(model, 0.0)
-    damping = per_rate(model)
+    damping = per_rate(model) if np.any(model.viscous) else new_blocks(n)
     _add_diagonal(damping, np.repeat(model.drag[:, None], 3, axis=1))
     loss = per_rate(model._replace(viscous=np.full(n, loss_factor))) if loss_factor > 0 else new_blocks(n)
     constrain(model.near, model.far, free, stiffness)
@@ -98,28 +109,21 @@ def _add_diagonal(blocks: Blocks, values: Array) -> None:
     blocks.diagonal[:, range(3), range(3)] += values
 
 
-Moving = tuple[tuple[Array, Array, Array, Array], ...]
-"""Of the diagonal, near and far blocks K, C, the loss and M."""
+def dynamic_parts(system: Linear) -> Array:
+    """Return (N, NUMBERS, 4) K, C, the loss and M for `factor_lanes`.
 
-
-def moving_parts(system: Linear) -> Moving:
-    """Return the matrices without what couples held unknowns, but for the ones of `stiffness`."""
-    found, free = [], system.free
-    for name, other in zip(MATRIX, (slice(None), system.model.near, system.model.far), strict=True):
-        moves = free[:, :, None] & free[other][:, None]
-        damping, loss, mass = (
-            np.where(moves, getattr(blocks, name), 0) for blocks in (system.damping, system.loss, system.mass)
-        )
-        found.append((getattr(system.stiffness, name), damping, loss, mass))
-    return tuple(found)
-
-
-def set_dynamic(parts: Moving, omega: float, dynamic: Blocks) -> None:
-    """Fill `dynamic` (complex) with K + i omega C + i loss - omega^2 M, held unknowns as in the identity."""
-    for name, (stiffness, damping, loss, mass) in zip(MATRIX, parts, strict=True):
-        out = getattr(dynamic, name)
-        np.subtract(stiffness, omega**2 * mass, out=out.real)
-        np.add(omega * damping, loss, out=out.imag)
+    The last three are without what couples held unknowns, of which K has the ones.
+    """
+    free, model = system.free, system.model
+    moves = [free[:, :, None] & free[other][:, None] for other in (slice(None), model.near, model.far)]
+    for block, other in zip(moves[1:], (model.near, model.far), strict=True):
+        block[other < 0] = False
+    parts = (system.stiffness, system.damping, system.loss, system.mass)
+    found = pack(*(np.stack([getattr(part, name) for part in parts]) for name in MATRIX))
+    packed = pack(*moves)
+    found[1:] *= packed
+    found[0, :, NEAR:] *= packed[:, NEAR:]
+    return np.ascontiguousarray(np.moveaxis(found, 0, -1))
 
 
 def product(model: Model, blocks: Blocks, vectors: Array) -> Array:
@@ -301,14 +305,16 @@ def base_response(
     add_supports(model.supports, system.state.x, springs)
     held = product(system.model, springs, carried[..., None])[..., 0]
     out = np.empty((len(hertz), len(rods.nodes), 3), np.complex128)
-    dynamic = new_blocks(len(system.free), np.complex128)
-    parts = moving_parts(system)
-    for q, omega in enumerate(2 * np.pi * hertz):
-        set_dynamic(parts, float(omega), dynamic)
-        factor(*tree, dynamic)
-        relative = np.where(system.free, omega**2 * inertia - 1j * omega * air - held, 0)
-        solve(*tree, dynamic, relative)
-        out[q] = (carried + relative)[:, :3]
+    n, parts, rows, buffer = len(rods.nodes), dynamic_parts(system), system.model.order[::-1].copy(), new_buffer()
+    factors, moves, begins = new_factors(n), new_columns(n, 1), np.array([n - 1])
+    for first in range(0, len(hertz), LANES):
+        omega = 2 * np.pi * hertz[first : first + LANES, None, None]
+        pull: Any = np.where(system.free, omega**2 * inertia - 1j * omega * air - held, 0)
+        factor_lanes(*tree, parts, np.resize(omega, LANES), factors, buffer)
+        relative = np.moveaxis(moves[:n, 0, :, :, : len(omega)], 3, 0)
+        relative[..., 0], relative[..., 1] = pull.real, pull.imag
+        solve_lanes(*tree[1:], factors, rows, begins, flat(moves), buffer)
+        out[first : first + LANES] = (carried + relative[..., 0] + 1j * relative[..., 1])[:, :, :3]
     return out
 
 

@@ -20,8 +20,16 @@ from scipy.sparse import csr_array
 
 from anther.core.checks import check_array, check_range, check_room
 from anther.core.geometry import ComplexArray
-from anther.rods._assembly import new_blocks
-from anther.rods._linear import checked_hertz, linearise, moving_parts, set_dynamic
+from anther.rods._frequency_solver import (
+    NUMBERS,
+    factor_lanes,
+    flat,
+    new_buffer,
+    new_columns,
+    new_factors,
+    solve_lanes,
+)
+from anther.rods._linear import Linear, checked_hertz, dynamic_parts, linearise
 from anther.rods._model import Model
 from anther.rods._motion import (
     RIGID,
@@ -33,11 +41,10 @@ from anther.rods._motion import (
     unit_direction,
 )
 from anther.rods._rods import GRAVITY, Array, Rods
-from anther.rods._tree_solver import eliminate_columns, factor, substitute_columns
-from anther.rods._vectors import compiled
+from anther.rods._vectors import LANES, compiled, filled, inlined
 
-COLUMNS = 128
-"""Loads solved side by side: enough for the vector units, few enough for cache and memory."""
+COLUMNS = 16
+"""Loads solved side by side: so many that a row of the factors is read seldom, few enough for the cache."""
 
 FINE = "Nodes a few millimetres apart are fine enough: thin them out, or ask for less at once."
 """What to do about rods that are divided too finely."""
@@ -189,61 +196,79 @@ def observed_response(
         gravity: (3,) [m/s^2].
         springs: between the gripper, which follows the shake and does not turn, and the pads.
 
-    Each frequency is factored once, without any grip; what a grip then takes is in `_grasped`. All cores share the
-    frequencies.
+    Each frequency is factored once, without any grip; what a grip then takes is in `_grasped`. `LANES` frequencies go
+    side by side, and all cores share such groups.
 
     Raises:
         InputError: the rods are divided so finely that the memory does not suffice.
         StageFailure: kind "no_convergence" when there is no stable equilibrium.
     """
     system = linearise(rods, clamp, gravity, loss_factor)
-    parts = moving_parts(system)
     held = [_held_unknowns(rods.parent, pad) for pad in grip_nodes]
     loads = np.unique(np.concatenate(held))
     view = _view(system.model, loads, operator)
-    width = min(len(loads), COLUMNS)
-    threads = min(_cores(), len(frequencies))  # each has columns of its own, see below
     size = 16.0 * len(frequencies) * (len(loads) * len(view.wanted) + 8 * operator.shape[0])
-    size += 48.0 * len(frequencies) * len(held) * operator.shape[0] + 64.0 * threads * len(rods.nodes) * width
+    size += 48.0 * len(frequencies) * len(held) * operator.shape[0]
+    size += 16.0 * LANES * _cores() * len(rods.nodes) * (NUMBERS + 4 * (COLUMNS + 8))  # see below, each core its own
     check_room(f"a skeleton of {len(rods.nodes)} nodes", size, FINE)
-    trunk = np.empty((len(frequencies), len(loads), len(view.wanted)), np.complex128)
-    branch = np.empty((len(frequencies), operator.shape[0], 8), np.complex128)
-
-    def solve_some(which: NDArray[Any]) -> None:
-        n, order, near, far = len(system.free), system.model.order, system.model.near, system.model.far
-        dynamic, columns, M = new_blocks(n, np.complex128), np.zeros((2, n, 4, width)), np.empty((2, 4, 4))
-        eight, motion = np.empty((2, n, 4, 8)), np.empty((n, 4, 8), np.complex128)
-        node, part = np.divmod(view.wanted, 4)
-        for q in which:
-            set_dynamic(parts, 2 * np.pi * float(frequencies[q]), dynamic)
-            factor(order, near, far, dynamic)
-            for first in range(0, len(loads), width):
-                loaded, way = np.divmod(loads[first : first + width], 4)
-                columns[:, view.trunk] = 0
-                columns[0, loaded, way, np.arange(len(loaded))] = 1
-                eliminate_columns(near, far, dynamic, view.trunk, *columns, M)
-                substitute_columns(near, far, dynamic, view.trunk, *columns, M)
-                some = trunk[q, first : first + width].T
-                some.real, some.imag = columns[:, node, part, : len(loaded)]
-            eight[0], eight[1] = view.preset, 0
-            substitute_columns(near, far, dynamic, view.branches, *eight, M)
-            motion.real, motion.imag = eight
-            branch[q] = view.beyond @ motion.reshape(4 * n, 8)
-
-    _on_all_cores(solve_some, len(frequencies))
+    trunk, branch = _solved(system, 2 * np.pi * frequencies, loads, view)
     shape = len(frequencies), len(held)
     vectors = np.empty((*shape, operator.shape[0] // 3, 3, 3), np.complex128)
-    seen = np.empty_like(vectors[:, 0], order="C")
-    wrench, moved = np.empty((2, *shape, 6, 3), np.complex128)
+    (wrench, moved), scratch = np.empty((2, *shape, 6, 3), np.complex128), np.empty((len(view.wanted) + 1, 6 * LANES))
     for g, (pad, unknowns) in enumerate(zip(grip_nodes, held, strict=True)):
         body = rigid_motion(rods.parent, system.state.x, np.asarray(pad))
         at, rows = np.searchsorted(view.wanted, unknowns), np.searchsorted(loads, unknowns)
-        loaded = trunk[:, rows]
-        forces, wrench[:, g], moved[:, g] = _grasped(loaded[:, :, at], body, springs)
-        moves = np.swapaxes(loaded, 1, 2) @ forces
-        _observe(branch, view.base, view.direct, np.ascontiguousarray(moves), seen)
-        vectors[:, g] = seen
+        receptance = _in_turn(trunk[:, at[:, None], rows], len(frequencies))
+        forces, wrench[:, g], moved[:, g] = _grasped(receptance, body, springs)
+        moving = trunk, rows, _in_lanes(forces)
+        _observe(moving, branch, view.beyond.indptr, view.base, view.direct, scratch, vectors, g)
     return Observed(vectors, wrench[:, :, :3], wrench[:, :, 3:], moved)
+
+
+def _solved(system: Linear, omega: Array, loads: NDArray[Any], view: _View) -> tuple[Array, Array]:
+    """Return what unit loads do to the wanted unknowns of the trunk, (Q / LANES, W, L, 2 LANES), and of branches what
+    is seen of T, (Q / LANES, 3K, 16 LANES)."""
+    n, (order, near, far) = len(system.free), (system.model.order, system.model.near, system.model.far)
+    parts, groups = dynamic_parts(system), -(-len(omega) // LANES)
+    trunk = np.empty((groups, len(view.wanted), len(loads), 2 * LANES))
+    branch = np.empty((groups, view.beyond.shape[0], 16 * LANES))
+    begins = np.argsort(view.trunk)[np.searchsorted(np.sort(view.trunk), loads // 4)]
+
+    def solve_some(which: NDArray[Any]) -> None:
+        factors, buffer = new_factors(n), new_buffer()
+        columns, eight = new_columns(n, min(len(loads), COLUMNS)), new_columns(n, 8)
+        (node, part), (seen, way) = np.divmod(view.wanted, 4), np.divmod(view.unknown, 4)
+        eight[view.trunk, :, :, 0] = view.preset[..., None]
+        for group in which:
+            some = np.resize(omega[group * LANES : (group + 1) * LANES], LANES)
+            factor_lanes(order, near, far, parts, some, factors, buffer)
+            for first in range(0, len(loads), COLUMNS):
+                last = min(first + COLUMNS, len(loads))
+                loaded, axis = np.divmod(loads[first:last], 4)
+                columns[view.trunk] = 0
+                columns[loaded, np.arange(last - first), axis, 0] = 1
+                solve_lanes(near, far, factors, view.trunk, begins[first:last], flat(columns), buffer)
+                answer = columns[node, : last - first, part]
+                trunk[group, :, first:last] = answer.reshape(*answer.shape[:2], -1)
+            solve_lanes(near, far, factors, view.branches, np.full(8, -1), flat(eight), buffer)
+            branch[group] = view.beyond @ eight[seen, :, way].reshape(len(seen), 16 * LANES)
+
+    _on_all_cores(solve_some, groups)
+    return trunk, branch
+
+
+def _in_lanes(values: ComplexArray) -> Array:
+    """Return (Q, R, C) values as groups of frequencies (Q / LANES, R, 2 C LANES), the last one filled up."""
+    q, rows, columns = values.shape
+    out = np.zeros((-(-q // LANES), LANES, rows, columns, 2))
+    out.reshape(-1, rows, columns, 2)[:q] = values.view(np.float64).reshape(q, rows, columns, 2)
+    return np.ascontiguousarray(np.moveaxis(out, 1, -1)).reshape(len(out), rows, -1)
+
+
+def _in_turn(lanes: Array, q: int) -> ComplexArray:
+    """Return values (Q / LANES, R, C, 2 LANES) in lanes as (Q, R, C)."""
+    apart = np.moveaxis(lanes.reshape(*lanes.shape[:3], 2, LANES), 4, 1)
+    return np.ascontiguousarray(apart).view(np.complex128).reshape(-1, *lanes.shape[1:3])[:q]
 
 
 def _cores() -> int:
@@ -252,8 +277,8 @@ def _cores() -> int:
 
 
 def _on_all_cores(solve_some: Callable[[NDArray[Any]], None], count: int) -> None:
-    """Share the numbers 0 to `count` - 1 out among the cores of this process; four are the least worth a thread."""
-    cores = min(_cores(), count // 4)
+    """Share the numbers 0 to `count` - 1 out among the cores of this process; two are the least worth a thread."""
+    cores = min(_cores(), count // 2)
     if cores <= 1:
         solve_some(np.arange(count))
         return
@@ -313,6 +338,10 @@ def _grasped(
     return forces, wrench, asked - springs.compliance[:, None] * wrench
 
 
+Rows = tuple[NDArray[Any], NDArray[Any], Array]
+"""Of a sparse matrix: where each row begins, the columns, and the values."""
+
+
 class _View(NamedTuple):
     """Where the observed vectors look: at the trunk itself, and at branches.
 
@@ -322,49 +351,98 @@ class _View(NamedTuple):
     trunk: NDArray[Any]  # (R,) rows, root outward
     wanted: NDArray[Any]  # (W,) unknowns of the trunk that are loaded, looked at, or move a branch that is
     branches: NDArray[Any]  # the other rows, root outward
-    preset: Array  # (N, 4, 8) the motions of the trunk that T answers
-    beyond: Any  # (3K, 4N) the part of the operator that looks at branches, sparse
+    preset: Array  # (R, 8, 4) the motions of the trunk that T answers
+    unknown: NDArray[Any]  # (U,) of branches, that are looked at
+    beyond: Any  # (3K, U) the part of the operator that does, sparse
     base: NDArray[Any]  # (K, 8) which of the wanted unknowns move the branch, in the order of the columns
-    direct: tuple[Any, Any, Any]  # (3K, W) the part that looks at the trunk: CSR
+    direct: Rows  # (3K, W) the part that looks at the trunk
 
 
 def _view(model: Model, loads: NDArray[Any], operator: Any) -> _View:
     n, trunk = len(model.near), _towards_root(model, loads // 4)
-    on_trunk, odd, preset = np.isin(np.arange(n), trunk), np.zeros(n, dtype=int), np.zeros((n, 4, 8))
-    for j in trunk[1:]:
-        odd[j] = 1 - odd[model.near[j]]
-    preset[trunk[:, None], np.arange(4), 4 * odd[trunk, None] + np.arange(4)] = 1
+    on_trunk, preset, (odd, top) = np.zeros(n, np.bool_), np.zeros((len(trunk), 8, 4)), _ways(model, trunk)
+    on_trunk[trunk] = True
+    preset[np.arange(len(trunk))[:, None], 4 * odd[trunk, None] + np.arange(4), np.arange(4)] = 1
     rootward = model.order[::-1]
-    branches = rootward[~on_trunk[rootward]]
-    hung = np.zeros((n, 2), dtype=int)  # on which nodes of the trunk each branch row does
-    for j in branches:
-        a, b = int(model.near[j]), int(model.far[j])
-        hung[j] = ([b, a] if odd[a] else [a, b]) if on_trunk[a] else hung[a]
-    parts = operator.tocoo()
-    off = ~on_trunk[parts.col // 4]
-    base = np.zeros((operator.shape[0] // 3, 2), dtype=int)
-    base[parts.row[off] // 3] = hung[parts.col[off] // 4]
-    base = (4 * np.maximum(base, 0)[..., None] + np.arange(4)).reshape(-1, 8)
-    wanted = np.unique(np.concatenate([loads, parts.col[~off], base.ravel()]))
-    column = np.where(off, parts.col, np.searchsorted(wanted, parts.col))
-    split = [csr_array((parts.data[s], (parts.row[s], column[s])), (len(base) * 3, 4 * n)) for s in (off, ~off)]
-    direct = split[1].indptr, split[1].indices, split[1].data
-    return _View(trunk, wanted, branches, preset, split[0], np.searchsorted(wanted, base), direct)
+    off, row = ~on_trunk[operator.indices // 4], np.repeat(np.arange(operator.shape[0]), np.diff(operator.indptr))
+    base = np.zeros((operator.shape[0] // 3, 2), dtype=np.int64)
+    base[row[off] // 3] = np.maximum(np.stack([model.near, model.far], axis=1)[top[operator.indices[off] // 4]], 0)
+    base = np.where(odd[base[:, :1]] > 0, base[:, ::-1], base)
+    base = (4 * base[..., None] + np.arange(4)).reshape(-1, 8)
+    of_branch, of_trunk = operator.indices[off], operator.indices[~off]
+    unknown, of_branch = _numbered(4 * n, of_branch)
+    wanted, at = _numbered(4 * n, np.concatenate([loads, base.ravel(), of_trunk]))
+    starts = [np.append(0, np.cumsum(np.bincount(row[part], minlength=operator.shape[0]))) for part in (off, ~off)]
+    beyond = csr_array((operator.data[off], of_branch, starts[0]), (operator.shape[0], len(unknown)))
+    direct = starts[1], at[len(loads) + base.size :], operator.data[~off]
+    base = at[len(loads) :][: base.size].reshape(base.shape)
+    return _View(trunk, wanted, rootward[~on_trunk[rootward]], preset, unknown, beyond, base, direct)
+
+
+def _numbered(count: int, numbers: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return the different ones among numbers below `count`, rising, and which of them each is."""
+    place = np.zeros(count, dtype=np.int64)
+    place[numbers] = 1
+    found = np.flatnonzero(place)
+    place[found] = np.arange(len(found))
+    return found, place[numbers]
+
+
+def _ways(model: Model, trunk: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return (N,) 1 where a row is an odd number of near rows away from the root, and which row of the branch that a
+    row is on hangs on the trunk; each time twice as far towards the root."""
+    rows, up = np.arange(len(model.near)), np.maximum(model.near, 0)
+    odd, hangs = (model.near >= 0).astype(np.int64), np.zeros(len(up), np.bool_)
+    hangs[trunk] = True
+    top = np.where(hangs | hangs[up], rows, up)
+    while up.any():
+        odd, top, up = odd ^ odd[up], top[top], up[up]
+    return odd, top
 
 
 @compiled
-def _observe(branch: Any, base: Any, direct: Any, moves: Any, out: Any) -> None:
-    """Write (Q, K, 3, 3) the observed vectors for the trunk's motion (Q, W, 3)."""
-    start, unknown, share = direct
-    for q in range(len(out)):
+def _observe(moving: Any, branch: Any, begins: Any, base: Any, direct: Any, scratch: Any, out: Any, g: int) -> None:
+    """Write (Q, g, K, 3, 3) the observed vectors for forces on some of the loaded unknowns.
+
+    Args:
+        moving: the trunk's answer (Q / LANES, W, L, 2 LANES), which H of its loads, forces (Q / LANES, H, 6 LANES).
+        branch: (Q / LANES, 3K, 16 LANES) what is seen of T.
+        begins: of the rows that look at branches.
+        base, direct: see `_View`.
+        scratch: (W + 1, 6 LANES).
+        out: (Q, G, K, 3, 3).
+        g: which grip.
+    """
+    (trunk, rows, forces), (start, unknown, share), sums = moving, direct, scratch[len(scratch) - 1]
+    for group in range(len(branch)):
+        first = group * LANES
+        for w in range(trunk.shape[1]):
+            move = scratch[w]
+            for i in range(6 * LANES):
+                move[i] = 0
+            for h in range(len(rows)):
+                _add_product(move, trunk[group, w, rows[h]], forces[group, h])
         for row in range(branch.shape[1]):
-            k, i = row // 3, row % 3
-            for axis in range(3):
-                out[q, k, i, axis] = 0
-            for c in range(8):
-                if branch[q, row, c] != 0:
-                    for axis in range(3):
-                        out[q, k, i, axis] += branch[q, row, c] * moves[q, base[k, c], axis]
+            k, r = row // 3, row % 3
+            for i in range(6 * LANES):
+                sums[i] = 0
+            for c in range(8 if begins[row + 1] > begins[row] else 0):
+                _add_product(sums, branch[group, row, 2 * c * LANES :], scratch[base[k, c]])
             for n in range(start[row], start[row + 1]):
-                for axis in range(3):
-                    out[q, k, i, axis] += share[n] * moves[q, unknown[n], axis]
+                move = scratch[unknown[n]]
+                for i in range(6 * LANES):
+                    sums[i] += share[n] * move[i]
+            for axis in range(3):
+                x, y = sums[2 * axis * LANES :], sums[(2 * axis + 1) * LANES :]
+                for i in range(filled(len(out), first)):
+                    out[first + i, g, k, r, axis] = complex(x[i], y[i])
+
+
+@inlined
+def _add_product(sums: Any, factor: Any, move: Any) -> None:
+    for axis in range(3):
+        for i in range(LANES):
+            c, s = factor[i], factor[LANES + i]
+            x, y = move[2 * axis * LANES + i], move[(2 * axis + 1) * LANES + i]
+            sums[2 * axis * LANES + i] += c * x - s * y
+            sums[(2 * axis + 1) * LANES + i] += c * y + s * x

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from anther.rods._assembly import Blocks
-from anther.rods._vectors import compiled, inlined, inner
+from anther.rods._vectors import compiled, inlined
 
 
 @compiled
@@ -113,113 +113,6 @@ def solve(order: Any, near: Any, far: Any, blocks: Blocks, r: Any) -> None:
         if b >= 0:
             _less_known(r, j, V, b)
         _substitute(D, r, j)
-
-
-@compiled
-def eliminate_columns(near: Any, far: Any, blocks: Blocks, rows: Any, real: Any, imaginary: Any, M: Any) -> None:
-    """Begin the solution of a factored complex system for (N, 4, C) right-hand sides, side by side, in their place.
-
-    Real and imaginary parts lie apart, so that the loops over columns reach the processor's vector units.
-
-    Args:
-        near, far: of the model.
-        blocks: factored, complex.
-        rows: (R,) rows in rising elimination distance from the root, each after its near row. Other rows must be zero
-            on the right-hand side, and are left alone.
-        real, imaginary: (N, 4, C).
-        M: (2, 4, 4) scratch.
-    """
-    D, U, V = blocks.diagonal, blocks.near, blocks.far
-    for k in range(len(rows) - 1, -1, -1):
-        j = rows[k]
-        a, b = near[j], far[j]
-        _eliminate_columns(D, j, real, imaginary)
-        if a >= 0:
-            _transposed(U, j, M)
-            _less_matrix(real, imaginary, a, M, j)
-        if b >= 0:
-            _transposed(V, j, M)
-            _less_matrix(real, imaginary, b, M, j)
-
-
-@compiled
-def substitute_columns(near: Any, far: Any, blocks: Blocks, rows: Any, real: Any, imaginary: Any, M: Any) -> None:
-    """End it; alone, do what the rows do when those they hang on move as they stand there."""
-    D, U, V = blocks.diagonal, blocks.near, blocks.far
-    for k in range(len(rows)):
-        j = rows[k]
-        a, b = near[j], far[j]
-        if a >= 0:
-            _with_pivots(U, D, j, M)
-            _less_matrix(real, imaginary, j, M, a)
-        if b >= 0:
-            _with_pivots(V, D, j, M)
-            _less_matrix(real, imaginary, j, M, b)
-        _substitute_columns(D, j, real, imaginary)
-
-
-@inlined
-def _transposed(B: Any, j: Any, M: Any) -> None:
-    for i in range(4):
-        for m in range(4):
-            M[0, m, i], M[1, m, i] = B[j, i, m].real, B[j, i, m].imag
-
-
-@inlined
-def _with_pivots(B: Any, D: Any, j: Any, M: Any) -> None:
-    for i in range(4):
-        for m in range(4):
-            value = B[j, i, m] * D[j, i, i]
-            M[0, i, m], M[1, i, m] = value.real, value.imag
-
-
-@inner
-def _less_matrix(real: Any, imaginary: Any, at: Any, M: Any, source: Any) -> None:
-    """Subtract M (real and imaginary part) times the rows of block `source` from those of block `at`."""
-    for m in range(4):
-        c0, c1, c2, c3 = M[0, m, 0], M[0, m, 1], M[0, m, 2], M[0, m, 3]
-        s0, s1, s2, s3 = M[1, m, 0], M[1, m, 1], M[1, m, 2], M[1, m, 3]
-        for k in range(real.shape[2]):
-            x0, x1, x2, x3 = real[source, 0, k], real[source, 1, k], real[source, 2, k], real[source, 3, k]
-            y0, y1, y2, y3 = (
-                imaginary[source, 0, k],
-                imaginary[source, 1, k],
-                imaginary[source, 2, k],
-                imaginary[source, 3, k],
-            )
-            real[at, m, k] -= c0 * x0 - s0 * y0 + c1 * x1 - s1 * y1 + c2 * x2 - s2 * y2 + c3 * x3 - s3 * y3
-            imaginary[at, m, k] -= c0 * y0 + s0 * x0 + c1 * y1 + s1 * x1 + c2 * y2 + s2 * x2 + c3 * y3 + s3 * x3
-
-
-@inlined
-def _eliminate_columns(D: Any, j: Any, real: Any, imaginary: Any) -> None:
-    """Apply L^-1 and the inverse pivots to the rows of block j."""
-    for i in range(4):
-        for m in range(i + 1, 4):
-            _take(real, imaginary, j, m, D[j, i, m], i)
-    for i in range(4):
-        c, s = D[j, i, i].real, D[j, i, i].imag
-        for k in range(real.shape[2]):
-            x, y = real[j, i, k], imaginary[j, i, k]
-            real[j, i, k], imaginary[j, i, k] = c * x - s * y, c * y + s * x
-
-
-@inlined
-def _substitute_columns(D: Any, j: Any, real: Any, imaginary: Any) -> None:
-    """Apply L^-T to the rows of block j."""
-    for i in range(2, -1, -1):
-        for m in range(i + 1, 4):
-            _take(real, imaginary, j, i, D[j, i, m], m)
-
-
-@inlined
-def _take(real: Any, imaginary: Any, j: Any, i: int, size: complex, m: int) -> None:
-    """Subtract size times row m of block j from its row i."""
-    c, s = size.real, size.imag
-    for k in range(real.shape[2]):
-        x, y = real[j, m, k], imaginary[j, m, k]
-        real[j, i, k] -= c * x - s * y
-        imaginary[j, i, k] -= c * y + s * x
 
 
 @inlined

@@ -254,22 +254,25 @@ def _flower_motion(plant: PlantModel, grips: Sequence[NDArray[Any]], vectors: Co
 
 def _sizes(vectors: ComplexArray, directions: Array) -> Array:
     """Return (Q, G, D, K) the `semi_major` of V d for V (Q, G, K, 3, 3) and directions d (G, D, 3)."""
-    sizes = np.empty((*vectors.shape[:2], directions.shape[1], vectors.shape[2]))
-    _fill_sizes(read_only(vectors), read_only(directions), sizes)
-    return sizes
+    sizes = np.empty((*vectors.shape[:3], directions.shape[1]))
+    _fill_sizes(read_only(vectors), read_only(np.swapaxes(directions, 1, 2)), sizes)
+    return np.swapaxes(sizes, 2, 3)
 
 
 @compiled
 def _fill_sizes(vectors: Any, directions: Any, sizes: Any) -> None:
+    """Fill (Q, G, K, D) for directions (G, 3, D): side by side, which the vector units take at once."""
     for q in range(len(sizes)):
         for g in range(sizes.shape[1]):
-            for k in range(sizes.shape[3]):
-                for d in range(sizes.shape[2]):
-                    x, y, z = directions[g, d, 0], directions[g, d, 1], directions[g, d, 2]
-                    square, product = 0.0, 0.0j
-                    for i in range(3):
-                        one = vectors[q, g, k, i, 0] * x + vectors[q, g, k, i, 1] * y + vectors[q, g, k, i, 2] * z
-                        square += one.real * one.real + one.imag * one.imag
-                        product += one * one
+            x, y, z = directions[g, 0], directions[g, 1], directions[g, 2]
+            for k in range(sizes.shape[2]):
+                v, out = vectors[q, g, k], sizes[q, g, k]
+                for d in range(sizes.shape[3]):
+                    a = v[0, 0] * x[d] + v[0, 1] * y[d] + v[0, 2] * z[d]
+                    b = v[1, 0] * x[d] + v[1, 1] * y[d] + v[1, 2] * z[d]
+                    c = v[2, 0] * x[d] + v[2, 1] * y[d] + v[2, 2] * z[d]
+                    square = a.real * a.real + b.real * b.real + c.real * c.real
+                    square += a.imag * a.imag + b.imag * b.imag + c.imag * c.imag
+                    product = a * a + b * b + c * c
                     size = math.sqrt(product.real * product.real + product.imag * product.imag)
-                    sizes[q, g, d, k] = math.sqrt(0.5 * (square + size))
+                    out[d] = math.sqrt(0.5 * (square + size))
