@@ -2,7 +2,8 @@
 
     python -m evaluation.house.shift --stems 1000 --kills 20
 
-Robots visit the stems of a house of several rows; outcomes and times are drawn (`RATES`).
+Robots visit the stems of a house of several rows. What becomes of a visit and how long it takes are those of a whole
+visit that was carried out in a simulated row, drawn from all that were (docs/results/long/done/rows.jsonl).
 Injected: visits that fail, robots that stop for good, one after another; people in rows; humid air about noon; and
 programs that are killed with SIGKILL at any moment and started again. At the end every stem must be visited or left
 with its reason, no visit be lost, and none be recorded twice. Robots a hectare follow from the stems a robot did.
@@ -10,15 +11,18 @@ with its reason, no visit be lost, and none be recorded twice. Robots a hectare 
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta, timezone
 from itertools import pairwise
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -43,17 +47,44 @@ from anther.history import (
 from anther.plant import Visit
 from evaluation.harness import finish, options
 from evaluation.tables import measured
+from evaluation.trials.rows import cycle
 
 BEGIN = datetime(2026, 6, 1, 8, tzinfo=timezone(timedelta(hours=2)))
 PITCH = 0.36
 """Stems on one side of a row: 3.5 a square metre, rows 1.6 m apart (facts: rows, D) [m]."""
 STEMS_HA = 35_000
+TO_STEM = 2.0
+"""From a stem to the next until the cart stands [s]: a guess."""
 WAITED = 400.0
 """A longer way from stem to stem is a wait or a charge: entering a row takes up to 180 s [s]."""
-WORKED, SPREAD = 12.0, 0.3
-"""Median time at a stem [s] and spread of its ln, drawn: what is asked for, not what was timed."""
-RATES = {"pollinated": 0.9, "no_grasp_found": 0.05, "slipped": 0.03}
-"""Outcomes of a visit, until full trials in a row give theirs (a guess); the rest moves the flowers too little."""
+DONE = Path("docs/results/long/done/rows.jsonl")
+
+
+class Worked(NamedTuple):
+    """A visit that was carried out: its seconds, whether it held and harmed nothing, whether flowers moved; or why not."""
+
+    seconds: float
+    held: bool
+    moved: bool
+    failure: str | None
+
+
+def worked(path: Path = DONE) -> list[Worked]:
+    """Return the visits of a campaign in rows; one that crashed or found no way to its views is none."""
+    rows = [json.loads(line)["row"] for line in path.read_text().splitlines()]
+    return [
+        Worked(visit_seconds(row), bool(row["held_unharmed"]), bool(row["flowers_moved"]), row["failure"])
+        for row in rows
+        if np.isfinite(visit_seconds(row))
+    ]
+
+
+def visit_seconds(row: Mapping[str, Any]) -> float:
+    """Return how long a visit took: its parts, or where it did not shake, its views and what the arm did then [s]."""
+    whole = cycle(row)
+    if np.isfinite(whole):
+        return whole
+    return float(row.get("views_s", np.nan)) + float(row.get("simulated_execution_seconds") or 0.0)
 
 
 def built_house(stems: int, rows: int) -> House:
@@ -77,10 +108,11 @@ def asked_shift(robots: int) -> Shift:
     )  # fmt: skip
 
 
-def drawn_work(seed: int, stops: float, slow: float = 0.0) -> Work:
+def drawn_work(visits: Sequence[Worked], seed: int, stops: float, slow: float = 0.0) -> Work:
     """Return what draws the outcome of an order from a seed, its plant and its time, as the same order is given again.
 
     Args:
+        visits: that it draws from.
         seed: of everything.
         stops: probability that the robot stops for good at a stem.
         slow: real time that a visit takes [s], so that a kill can hit it.
@@ -90,17 +122,14 @@ def drawn_work(seed: int, stops: float, slow: float = 0.0) -> Work:
         key = [seed, int(order.begin.timestamp()), *order.plant.encode(), *order.robot.encode()]
         rng = np.random.default_rng(key)
         time.sleep(slow)
-        seconds = rng.lognormal(np.log(WORKED), SPREAD) + (rng.uniform(60, 180) if order.enters else 0.0)
-        ended = order.begin + timedelta(seconds=seconds)
+        drawn = visits[rng.integers(len(visits))]
+        to_stem = rng.uniform(60, 180) if order.enters else TO_STEM
+        ended = order.begin + timedelta(seconds=drawn.seconds + to_stem)
         common = {"species": order.species, "plant": order.plant, "robot": order.robot, "time": order.begin}
         if rng.uniform() < stops:
             return Report(Visit(held_unharmed=False, failure="device_fault", **common), ended, "a motor's fault")
-        drawn = rng.choice([*RATES, "held"], p=[*RATES.values(), 1 - sum(RATES.values())])
-        held = drawn in ("pollinated", "held")
-        failure = None if held else str(drawn)
-        return Report(
-            Visit(held_unharmed=held, flowers_moved=bool(drawn == "pollinated"), failure=failure, **common), ended
-        )
+        told = {"held_unharmed": drawn.held, "flowers_moved": drawn.moved, "failure": drawn.failure}
+        return Report(Visit(**told, **common), ended)
 
     return work
 
@@ -150,7 +179,7 @@ def main() -> None:
     }  # fmt: skip
     args = options(__doc__, quick="120 stems, 2 kills", seed=(0, "of outcomes, times and kills"), own=own)
     if args.run:
-        run_shift(args.run, drawn_work(args.seed, args.stops, slow=0.002), args.history, simulated=True)
+        run_shift(args.run, drawn_work(worked(), args.seed, args.stops, slow=0.002), args.history, simulated=True)
         return
     stems, kills = (120, 2) if args.quick else (args.stems, args.kills)
     with tempfile.TemporaryDirectory() as folder:
@@ -159,7 +188,7 @@ def main() -> None:
         shift = asked_shift(args.robots)
         number = begin_shift(shift, where)
         hit = run_killed(number, where, args.seed, args.stops, kills)
-        found, visits, seconds = read_shift(number, where), count_trials(where), seconds_per_stem(where)
+        found, visits, gap = read_shift(number, where), count_trials(where), seconds_per_stem(where)
     by = {state: [s for s in found if s.state == state] for state in ("visited", "left", "waiting", "working")}
     numbers = [s.visit for s in found if s.visit is not None]
     reasons = {s.reason for s in by["left"]}
@@ -168,13 +197,16 @@ def main() -> None:
         "unaccounted": len(by["waiting"]) + len(by["working"]) + sum(s.reason is None for s in found),
         "kills": hit, "visits": visits, "doubled": len(numbers) - len(set(numbers)),
         "lost": sum(s.visit is None for s in by["visited"]),
-        "seconds_per_stem": seconds,
-        "robots_per_ha": robots_per_ha(shift, seconds),
+        "trials": len(worked()), "at_a_stem_s": float(np.mean([visit.seconds for visit in worked()])),
+        "seconds_per_stem": gap,
+        "robots_per_ha": robots_per_ha(shift, gap),
     }  # fmt: skip
     words = {
         "stems": "stems of the house", "visited": "visited", "left": "left, each with its reason",
         "unaccounted": "unaccounted for", "kills": "kills of the program", "visits": "visits recorded",
-        "doubled": "doubled", "lost": "lost", "seconds_per_stem": "from stem to stem, entering rows included (s)",
+        "doubled": "doubled", "lost": "lost", "trials": "visits carried out in rows, which were drawn from",
+        "at_a_stem_s": "at a stem, mean of these (s)",
+        "seconds_per_stem": "from stem to stem, entering rows included (s)",
         "robots_per_ha": "robots a hectare, by these times and charging",
     }  # fmt: skip
     finish(args, metrics, measured(metrics, words), "Left because: " + "; ".join(sorted(map(str, reasons))) + ".")

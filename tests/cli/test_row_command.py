@@ -19,7 +19,7 @@ from anther.core.runs import FILES
 from anther.history import Order, Report, count_trials, read_shift, read_stems
 from anther.history._jobs import Job
 from anther.plant import Visit
-from evaluation.house.shift import drawn_work
+from evaluation.house.shift import Worked, drawn_work
 
 HOUSE = ("row", "--simulate", "tomato", "--plants", "4", "--seed", "3")
 FILE = """[[row]]
@@ -48,7 +48,7 @@ class Drawn:
         self.asked.append(row.asked)
         if len(self.orders) in self.dies:
             raise Killed
-        return drawn_work(0, 0.0)(order)
+        return drawn_work([Worked(12.0, True, True, None), Worked(20.0, False, False, "slipped")], 0, 0.0)(order)
 
 
 @pytest.fixture
