@@ -61,7 +61,7 @@ DONE = Path("docs/results/long/done/rows.jsonl")
 
 
 class Worked(NamedTuple):
-    """A visit that was carried out: its seconds, whether it held and harmed nothing, whether flowers moved; or why not."""
+    """A visit that was carried out: its seconds, whether it held and harmed nothing, whether flowers moved, why not."""
 
     seconds: float
     held: bool
