@@ -7,7 +7,7 @@ Dimensions: V views, H x W pixels, N points.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 

@@ -250,10 +250,10 @@ def _step(
 
 @compiled
 def _accumulate(pairs, points, along, view, world, normals, poses, scale, sums, block, row):
-    """Add the Hessian of the pairs' squared distances, and in the last column their gradient, to `sums` (6V + 2, 6V + 2).
+    """Add the Hessian of the pairs' squared distances to `sums` (6V + 2, 6V + 2), in the last column their gradient.
 
-    They are weighted by exp(-(r / scale)^2), Welsch (Holland 1977). The pairs of two views follow each other: what they add
-    is gathered in `block` (13, 14), zeros; `row` (14,) holds a pair's derivatives and its distance.
+    They are weighted by exp(-(r / scale)^2), Welsch (Holland 1977). The pairs of two views follow each other: what they
+    add is gathered in `block` (13, 14), zeros; `row` (14,) holds a pair's derivatives and its distance.
     """
     for p in range(pairs.shape[0]):
         a, b = pairs[p, 0], pairs[p, 1]

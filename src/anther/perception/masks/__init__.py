@@ -8,6 +8,7 @@ pixels. Without colour, whatever rises above the ground is plant.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -75,7 +76,7 @@ def segment(
     capture: Capture,
     workspace: Box | None = None,
     params: Params | None = None,
-    observations: list[Observation] | None = None,
+    observations: Sequence[Observation] = (),
 ) -> Masks:
     """Return the plant and flower pixels of every view.
 
@@ -84,7 +85,7 @@ def segment(
         workspace: where the plant may be, world frame [m]; None means around the point where the optical
             axes meet (`capture.viewed_box`).
         params: see `Params`.
-        observations: of each view in this workspace, where they were `observed` as they came.
+        observations: of each view in this workspace, where they were made as it came; none: they are made now.
 
     Raises:
         StageFailure: `no_plant_found` when the views show too little plant.

@@ -7,6 +7,7 @@ Dimensions: V views, H x W pixels, X x Y x Z cells, z up.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -45,7 +46,7 @@ class Survey:
     Attributes:
         grid: the cells.
         observed: of each view, what it shows of the cells.
-        classes: of each view, the colour classes (N,) of the pixels in the cells, see `_light.OUTSIDE` and what follows.
+        classes: of each view, the colour classes (N,) of its pixels in the cells (`_light.OUTSIDE` and what follows).
         rule: which classed the colours; None without colour.
         votes: (LAYERS, X, Y, Z) uint16, or (1, X, Y, Z) without colour.
         total: (X, Y, Z) votes of every colour.
@@ -55,7 +56,7 @@ class Survey:
     """
 
     grid: Grid
-    observed: list[Observation]
+    observed: Sequence[Observation]
     classes: list[NDArray[np.uint8]]
     rule: ColourRule | None
     votes: NDArray[Any]
@@ -80,11 +81,11 @@ def grid_over(workspace: Box, *, coloured: bool) -> Grid:
 
 
 def survey(
-    capture: Capture, workspace: Box | None, params: Params, observed: list[Observation] | None = None
+    capture: Capture, workspace: Box | None, params: Params, observations: Sequence[Observation] = ()
 ) -> Survey:
-    """Let all views vote, and find the ground in the votes; what was `observed` of the views is not looked for again."""
+    """Let all views vote, and find the ground in the votes; without `observations` of the views, these are made."""
     grid = grid_over(workspace or viewed_box(capture), coloured=capture.rgb is not None)
-    observed = observed or in_threads(lambda view: observe(capture.view(view), grid), range(capture.views))
+    observed = observations or in_threads(lambda view: observe(capture.view(view), grid), range(capture.views))
     rule = None
     if capture.rgb is not None:
         light = Light.on(capture.rgb, params.green)
