@@ -37,6 +37,7 @@ __all__ = [
     "viewed_box",
 ]
 
+
 class View(NamedTuple):
     """One RGB-D view, which does not change.
 

@@ -80,9 +80,7 @@ def grid_over(workspace: Box, *, coloured: bool) -> Grid:
     return Grid.over(workspace, VOXEL, 2.5e9 / (2 * layers + 16))  # bytes in all
 
 
-def survey(
-    capture: Capture, workspace: Box | None, params: Params, observations: Sequence[Observation] = ()
-) -> Survey:
+def survey(capture: Capture, workspace: Box | None, params: Params, observations: Sequence[Observation] = ()) -> Survey:
     """Let all views vote, and find the ground in the votes; without `observations` of the views, these are made."""
     grid = grid_over(workspace or viewed_box(capture), coloured=capture.rgb is not None)
     observed = observations or in_threads(lambda view: observe(capture.view(view), grid), range(capture.views))
