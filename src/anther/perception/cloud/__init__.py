@@ -7,6 +7,7 @@ against what other views see, and reduced to the plant (`_fusion.py`). What is n
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -236,14 +237,14 @@ def fuse(
     fused = fused.only(agreeing_points(fused.points, seen, capture.intrinsics, poses[used]))
     report()
     refuse_ground(fused.points, box)
-    kept = attached_points(fused.points)
-    notes += warn_of_cloud(fused.points, kept, box) + warn_of_coverage(fused.points[kept].mean(axis=0), poses[used])
-    fused = fused.only(kept)
-    _require(len(fused.points), "connected points")
-    report()
-    obstacles = _background_cells(
-        capture, labels, poses, box, plant=fused.points, voxel=obstacle_voxel, used=np.flatnonzero(used)
-    )
+    with ThreadPoolExecutor(1) as beside:
+        rest = beside.submit(_background, capture, labels, poses, box, np.flatnonzero(used))
+        kept = attached_points(fused.points)
+        notes += warn_of_cloud(fused.points, kept, box) + warn_of_coverage(fused.points[kept].mean(axis=0), poses[used])
+        fused = fused.only(kept)
+        _require(len(fused.points), "connected points")
+        report()
+        obstacles = occupied_cells(*rest.result(), fused.points, obstacle_voxel)
     report()
     return Cloud(
         fused.points,
@@ -321,10 +322,10 @@ def _registered(
     return found.T_world_cam, in_threads(corrected, range(len(pixels))), found
 
 
-def _background_cells(
-    capture: Capture, labels: NDArray[Any], poses: Array, box: Box, *, plant: Array, voxel: float, used: NDArray[Any]
-) -> Array:
-    """Return coarse points of surfaces that are not plant: cells with many background pixels, seen in several views."""
+def _background(
+    capture: Capture, labels: NDArray[Any], poses: Array, box: Box, used: NDArray[Any]
+) -> tuple[Array, NDArray[Any]]:
+    """Return coarse points (N, 3) [m] of what is not plant within the box, and the view (N,) that each is of."""
     k, step = capture.intrinsics, max(1, round(capture.intrinsics.fx / 160))
     rows = np.s_[::step, ::step]
     height, width = capture.depth[0][rows].shape
@@ -336,8 +337,7 @@ def _background_cells(
         return world[box.contains(world)]
 
     points = in_threads(background, used.tolist())
-    views = np.repeat(used, [len(p) for p in points])
-    return occupied_cells(np.concatenate(points), views, plant, voxel)
+    return np.concatenate(points), np.repeat(used, [len(p) for p in points])
 
 
 def _require(count: int, what: str) -> None:

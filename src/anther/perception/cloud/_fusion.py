@@ -232,18 +232,16 @@ def _add_to_voxels(values, weights, scale, slots, group, keys, sums, voxels):
 def fuse_voxels(pixels: list[SurfacePoints], poses: Array, box: Box, voxel: float) -> SurfacePoints:
     """Return the mean point, normal, label and colour of every occupied voxel within the box."""
     halves = np.array_split(np.arange(len(poses)), 2)
+    count = [sum(len(pixels[view].points) for view in half) for half in halves]
+    first, second = _Voxels(sum(count), voxel, columns=10), _Voxels(count[1], voxel, columns=10)
 
-    def fused(half: int) -> _Voxels:
-        voxels = _Voxels(sum(len(pixels[view].points) for view in halves[half]), voxel, columns=10)
+    def fill(half: int) -> None:
         for view in halves[half]:
-            voxels.add(_placed(pixels[view], poses[view], box))
-        return voxels
+            (first, second)[half].add(_placed(pixels[view], poses[view], box))
 
-    first, second = in_threads(fused, range(2))
-    voxels = _Voxels(len(first.counts) + len(second.counts), voxel, columns=10)
-    for part in (first, second):
-        voxels.add(part.means, part.counts)
-    means = voxels.means
+    in_threads(fill, range(2))
+    first.add(second.means, second.counts)
+    means = first.means
     facing = means[:, 3:6] / np.maximum(np.linalg.norm(means[:, 3:6], axis=1, keepdims=True), 1e-9)
     majority = np.where(means[:, 6] >= 0.5, FLOWER, PLANT).astype(np.uint8)
     return SurfacePoints(means[:, :3].copy(), facing, majority, np.round(means[:, 7:]).astype(np.uint8))
