@@ -96,8 +96,8 @@ def observe(view: View, grid: Grid) -> Observation:
     colours, apart = np.zeros(depth.size, dtype=np.int32), np.empty(depth.size, dtype=np.uint8)
     camera = tuple(_pixels_to_cells(view, grid).ravel())
     n, b = _observe(read_only(rgb), read_only(depth), camera, grid.shape, near, colours, apart, blind)
-    found = near[0, :n], near[1, :n], colours[:n], apart[:n], blind[0, :b], blind[1, :b]
-    return Observation(depth.shape, *(part.copy() for part in found))
+    pixels, cells = near[:, :n].copy()  # not held with room for all
+    return Observation(depth.shape, pixels, cells, colours[:n].copy(), apart[:n].copy(), *blind[:, :b].copy())
 
 
 def _pixels_to_cells(view: View, grid: Grid) -> Array:
