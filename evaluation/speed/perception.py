@@ -21,6 +21,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -49,11 +51,10 @@ MATERIALS = {"tomato": TOMATO, "pepper": PEPPER}
 
 def measure(species: Crop, seed: int, views: int, repeats: int) -> dict[str, float]:
     """Return one plant's times and memory; runs in a process of its own."""
-    capture, true_poses, points = views_of(species, seed, views)
-    runs, after, found, ranked = [], [], None, list[Grasp]()
+    runs, after, found, ranked, capture = [], [], None, list[Grasp](), None
     with TemporaryDirectory() as name:
-        capture.save(Path(name) / "read")
-        Path("/proc/self/clear_refs").write_text("5")  # the rendering's memory does not count
+        with ProcessPoolExecutor(1, get_context("spawn")) as aside:  # the rendering's memory does not count
+            true_poses, points = aside.submit(write_views, species, seed, views, Path(name) / "read").result()
         for _ in range(repeats + 1):
             del capture  # two would be in memory at once
             begin = time.perf_counter()
@@ -140,16 +141,16 @@ def _best(work: Callable[[], object], repeats: int) -> float:
     return min(times[1:])
 
 
-def views_of(species: Crop, seed: int, views: int) -> tuple[Capture, Array, list[Array]]:
-    """Return the capture of a simulated plant, the true poses, and true plant points per view in its camera frame."""
+def write_views(species: Crop, seed: int, views: int, folder: Path) -> tuple[Array, list[Array]]:
+    """Write the capture of a simulated plant; return the true poses, and true plant points per view in its camera."""
     _, capture, truth = take(species, seed, views)
+    capture.save(folder)
     pairs = zip(truth.depth, truth.organ, strict=True)
-    points = [capture.intrinsics.back_project(d, o <= Organ.FLOWER)[::7] for d, o in pairs]
-    return capture, truth.T_world_cam, points
+    return truth.T_world_cam, [capture.intrinsics.back_project(d, o <= Organ.FLOWER)[::7] for d, o in pairs]
 
 
 def _peak_gb() -> float:
-    """Return the greatest resident set since the mark was cleared [GB]."""
+    """Return the greatest resident set so far [GB]."""
     lines = Path("/proc/self/status").read_text().splitlines()
     return next(float(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1e6
 
