@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from grown_plants import grown
 
+from anther.core.errors import StageFailure
 from anther.core.geometry import Box
+from anther.core.runs import Run
 from anther.perception import cloud, masks
-from anther.perception.capture import Capture
+from anther.perception.capture import Capture, Keep
 from anther.perception.incoming import FirstLook, IncomingViews
+from anther.plant import TOMATO
+from anther.pollination import pipeline
 from anther.sim.capture import capture_from_poses, orbit_poses
 from anther.sim.render import d455
 
@@ -46,3 +54,23 @@ def test_nothing_is_known_beforehand_of_other_views_than_were_added(added: int) 
     """What takes views may leave one out afterwards."""
     look = looked(small_capture(), added)
     assert (len(look.observations), len(look.surfaces)) == (0, 0)
+
+
+def test_a_trial_writes_and_looks_at_each_view_as_it_comes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    capture, given = small_capture(), list[FirstLook]()
+
+    def take_views(advance: Any, keep: Keep) -> Capture:
+        for number in range(capture.views):
+            keep(capture.view(number))
+        return capture
+
+    def perceive(*arguments: Any) -> None:
+        given.append(arguments[-1])
+        raise StageFailure("no_plant_found", "seen enough")
+
+    monkeypatch.setattr(pipeline, "perceive", perceive)
+    cell: Any = SimpleNamespace(take_views=take_views, workspace=WORKSPACE)
+    with Run(tmp_path, quiet=True) as run, pytest.raises(StageFailure, match="seen enough"):
+        pipeline.pollinate(cell, TOMATO, run, pipeline.Params())
+    assert len(given[0].observations) == len(given[0].surfaces) == capture.views
+    assert Capture.load(run.path("capture")).views == capture.views

@@ -279,10 +279,18 @@ def surface(view: View, workspace: Box) -> Surface:
 
     Pixels farther outside the workspace than a wrong pose is searched for are left out.
     """
-    wide, near = Box(workspace.lower - SEARCH, workspace.upper + SEARCH), np.zeros(view.depth.shape, dtype=bool)
-    near.ravel()[observed(view._replace(rgb=None), wide).pixels] = True
-    keep, normals = surface_pixels(view.depth, near, view.intrinsics)
+    near = np.zeros(view.depth.shape, dtype=bool)
+    near.ravel()[observed(view._replace(rgb=None), _wide(workspace)).pixels] = True
+    return _surface(view, near)
+
+
+def _surface(view: View, mask: NDArray[np.bool_]) -> Surface:
+    keep, normals = surface_pixels(view.depth, mask, view.intrinsics)
     return Surface(np.flatnonzero(keep).astype(np.int32), normals)
+
+
+def _wide(workspace: Box) -> Box:
+    return Box(workspace.lower - SEARCH, workspace.upper + SEARCH)
 
 
 def plant_pixels(
@@ -293,17 +301,21 @@ def plant_pixels(
     Args:
         capture: the views.
         labels: (V, H, W) of the masks.
-        box: the workspace [m].
+        box: the workspace [m]; pixels farther outside than a wrong pose is searched for are left out.
         surfaces: see `fuse`.
     """
 
+    wide = _wide(box)
+
     def of_view(number: int) -> SurfacePoints:
         view, own = capture.view(number), labels[number].ravel()
-        shown = surfaces[number] if surfaces else surface(view, box)
+        shown = surfaces[number] if surfaces else _surface(view, labels[number] != BACKGROUND)
         plant = np.flatnonzero(own[shown.pixels] != BACKGROUND)
         pixels = shown.pixels[plant]
         colors = np.zeros((len(pixels), 3), np.uint8) if view.rgb is None else view.rgb.reshape(-1, 3)[pixels]
-        return SurfacePoints(view.intrinsics.points(view.depth, pixels), shown.normals[plant], own[pixels], colors)
+        points = view.intrinsics.points(view.depth, pixels)
+        near = wide.contains(transform_points(view.T_world_cam, points))
+        return SurfacePoints(points, shown.normals[plant], own[pixels], colors).only(near)
 
     return in_threads(of_view, range(capture.views))
 
