@@ -7,7 +7,7 @@ memory is the greatest resident set of that process while it works, views and li
 Linux). Afterwards a shake is planned and predicted as in a trial.
 
 Keys of the --json file, of the slower plant: views_to_grasp_s, all of it; total_s, without the reading;
-after_last_view_s, of a live visit, whose views are written as they come: the last view's writing and the rest;
+after_last_view_s, of a live visit, whose views are written and looked at as they come: what is left after the last;
 <stage>_s, peak_gb, registration_rms_mm (RMS displacement of the true plant points, see
 evaluation/perception/registration.py), first_total_s (with compiled code being loaded), plants; beside the total plan_s
 (`plan_shake`) and prediction_s (`foresee`).
@@ -21,6 +21,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -31,6 +33,7 @@ from rich.table import Table
 from anther.core import Array, Box, transform_points
 from anther.perception import Capture, cloud, flowers, masks, skeleton, stem
 from anther.perception.capture import CaptureWriter
+from anther.perception.incoming import FirstLook, IncomingViews
 from anther.plant import PEPPER, TOMATO, Crop, Material
 from anther.pollination import Grasp, Params, Seen, foresee, grasp, model_plant, plan_shake
 from anther.pollination.escalation import watch_points
@@ -48,11 +51,10 @@ MATERIALS = {"tomato": TOMATO, "pepper": PEPPER}
 
 def measure(species: Crop, seed: int, views: int, repeats: int) -> dict[str, float]:
     """Return one plant's times and memory; runs in a process of its own."""
-    capture, true_poses, points = views_of(species, seed, views)
-    runs, after, found, ranked = [], [], None, list[Grasp]()
+    runs, after, found, ranked, capture = [], [], None, list[Grasp](), None
     with TemporaryDirectory() as name:
-        capture.save(Path(name) / "read")
-        Path("/proc/self/clear_refs").write_text("5")  # the rendering's memory does not count
+        with ProcessPoolExecutor(1, get_context("spawn")) as aside:  # the rendering's memory does not count
+            true_poses, points = aside.submit(write_views, species, seed, views, Path(name) / "read").result()
         for _ in range(repeats + 1):
             del capture  # two would be in memory at once
             begin = time.perf_counter()
@@ -60,7 +62,7 @@ def measure(species: Crop, seed: int, views: int, repeats: int) -> dict[str, flo
             reading = time.perf_counter() - begin
             seconds, found, ranked = perceive(capture, BOX)
             runs.append({"reading": reading} | seconds)
-            after.append(wrote_last(capture, Path(name) / "written") + sum(seconds.values()))
+            after.append(after_last(capture, Path(name) / "written"))
     assert found is not None
     peak, best = _peak_gb(), min(runs[1:], key=lambda run: sum(run.values()))
     gaps = [
@@ -79,22 +81,27 @@ def measure(species: Crop, seed: int, views: int, repeats: int) -> dict[str, flo
     }
 
 
-def wrote_last(capture: Capture, folder: Path) -> float:
-    """Return the wall time [s] from the last view until the folder is written, the others having come one by one."""
-    assert capture.rgb is not None
-    with CaptureWriter(folder) as writer:
-        for depth, rgb in zip(capture.depth[:-1], capture.rgb[:-1], strict=True):
-            writer.add(depth, rgb)
+def after_last(capture: Capture, folder: Path) -> float:
+    """Return the wall time [s] from the last view until the grasps are ranked, the others having come one by one."""
+    *early, last = (capture.view(number) for number in range(capture.views))
+    with CaptureWriter(folder) as writer, IncomingViews(BOX) as incoming:
+        for view in early:
+            writer.add(view)
+            incoming.add(view)
         time.sleep(0.1 * capture.views)  # an arm takes longer
         begin = time.perf_counter()
-        writer.add(capture.depth[-1], capture.rgb[-1])
+        writer.add(last)
+        incoming.add(last)
         writer.finish(capture)
-        return time.perf_counter() - begin
+        look = incoming.first_look(capture.views)
+    perceive(capture, BOX, look)
+    return time.perf_counter() - begin
 
 
-def perceive(capture: Capture, box: Box) -> tuple[dict[str, float], Seen, list[Grasp]]:
+def perceive(capture: Capture, box: Box, look: FirstLook | None = None) -> tuple[dict[str, float], Seen, list[Grasp]]:
     """Return the wall time of each stage [s], what it made of the views, and the ranked grasps."""
     seconds: dict[str, float] = {}
+    look = look or FirstLook()
 
     def timed(stage: str, work: Callable[[], Any]) -> Any:
         begin = time.perf_counter()
@@ -102,8 +109,8 @@ def perceive(capture: Capture, box: Box) -> tuple[dict[str, float], Seen, list[G
         seconds[stage] = seconds.get(stage, 0.0) + time.perf_counter() - begin
         return result
 
-    labels = timed("masks", lambda: masks.segment(capture, box))
-    points = timed("cloud", lambda: cloud.fuse(capture, labels, box))
+    labels = timed("masks", lambda: masks.segment(capture, box, observations=look.observations))
+    points = timed("cloud", lambda: cloud.fuse(capture, labels, box, surfaces=look.surfaces))
     tree = timed("skeleton", lambda: skeleton.skeletonize(points))
     centres = timed("flowers", lambda: flowers.flower_centres(points))
     main_stem = timed("stem", lambda: stem.find_stem(tree, flowers_at=centres))
@@ -134,16 +141,16 @@ def _best(work: Callable[[], object], repeats: int) -> float:
     return min(times[1:])
 
 
-def views_of(species: Crop, seed: int, views: int) -> tuple[Capture, Array, list[Array]]:
-    """Return the capture of a simulated plant, the true poses, and true plant points per view in its camera frame."""
+def write_views(species: Crop, seed: int, views: int, folder: Path) -> tuple[Array, list[Array]]:
+    """Write the capture of a simulated plant; return the true poses, and true plant points per view in its camera."""
     _, capture, truth = take(species, seed, views)
+    capture.save(folder)
     pairs = zip(truth.depth, truth.organ, strict=True)
-    points = [capture.intrinsics.back_project(d, o <= Organ.FLOWER)[::7] for d, o in pairs]
-    return capture, truth.T_world_cam, points
+    return truth.T_world_cam, [capture.intrinsics.back_project(d, o <= Organ.FLOWER)[::7] for d, o in pairs]
 
 
 def _peak_gb() -> float:
-    """Return the greatest resident set since the mark was cleared [GB]."""
+    """Return the greatest resident set so far [GB]."""
     lines = Path("/proc/self/status").read_text().splitlines()
     return next(float(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1e6
 

@@ -127,7 +127,8 @@ def _pollinated(
     planner: Any = SmallPlanner()
     planner.reach = None
     workspace = Box(-np.ones(3), np.ones(3))
-    cell = Cell(lambda *_: None, lambda _: planner, robot, workspace, LIMITS)  # type: ignore[arg-type,return-value]
+    views: Any = SimpleNamespace(views=1)
+    cell = Cell(lambda *_: views, lambda _: planner, robot, workspace, LIMITS)  # type: ignore[arg-type,return-value]
     return pipeline.pollinate(cell, TOMATO, NoFiles(), pipeline.Params()), robot  # type: ignore[arg-type]
 
 

@@ -145,9 +145,11 @@ class Intrinsics:
             depth: (H, W) z-depth [m]; 0 means no reading.
             mask: (H, W) pixels to use; None means all.
         """
-        use = depth > 0 if mask is None else (depth > 0) & mask
-        pixels = np.flatnonzero(use)
-        v, u = np.divmod(pixels, use.shape[1])
+        return self.points(depth, np.flatnonzero(depth > 0 if mask is None else (depth > 0) & mask))
+
+    def points(self, depth: NDArray[Any], pixels: NDArray[np.integer]) -> Array:
+        """Return camera-frame points (N, 3) [m] of pixels (N,) with depth, counted along the rows of `depth` (H, W)."""
+        v, u = np.divmod(pixels, depth.shape[1])
         z = depth.ravel()[pixels].astype(np.float64)
         return np.stack([(u - self.cx) / self.fx * z, (v - self.cy) / self.fy * z, z], axis=1)
 

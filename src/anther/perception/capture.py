@@ -12,7 +12,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -30,17 +30,35 @@ __all__ = [
     "Capture",
     "CaptureWriter",
     "Keep",
+    "View",
     "check_views",
     "in_threads",
     "no_keep",
     "viewed_box",
 ]
 
-Keep = Callable[[NDArray[Any], NDArray[Any] | None], None]
-"""Hears of each view as it is taken: depth (H, W) [m], colour (H, W, 3) uint8. It does not wait."""
+
+class View(NamedTuple):
+    """One RGB-D view, which does not change.
+
+    Attributes:
+        depth: (H, W) float32 [m]; 0 means no reading.
+        rgb: (H, W, 3) uint8, or None.
+        intrinsics: of the camera.
+        T_world_cam: (4, 4) its pose as the robot believes it.
+    """
+
+    depth: NDArray[Any]
+    rgb: NDArray[Any] | None
+    intrinsics: Intrinsics
+    T_world_cam: Array
 
 
-def no_keep(depth: NDArray[Any], rgb: NDArray[Any] | None) -> None:
+Keep = Callable[[View], None]
+"""Hears of each view as it is taken. It does not wait."""
+
+
+def no_keep(view: View) -> None:
     """Let a view go: a `Keep`."""
 
 
@@ -81,6 +99,11 @@ class Capture:
     def views(self) -> int:
         """Number of views V."""
         return len(self.depth)
+
+    def view(self, number: int) -> View:
+        """Return one of the views."""
+        rgb = None if self.rgb is None else self.rgb[number]
+        return View(self.depth[number], rgb, self.intrinsics, self.T_world_cam[number])
 
     def select(self, views: NDArray[Any] | list[int]) -> Capture:
         """Return the capture with these views only (indices or a mask), in the order given."""
@@ -133,11 +156,11 @@ class CaptureWriter:
         self._pool.shutdown(cancel_futures=True)
         self._clear()
 
-    def add(self, depth: NDArray[Any], rgb: NDArray[Any] | None) -> None:
-        """Begin to write the next view, (H, W) [m] and (H, W, 3) uint8, which do not change from now on."""
+    def add(self, view: View) -> None:
+        """Begin to write the next view."""
         if self._temporary is None:
             self._temporary = self._prepared()
-        self._units.append(self._pool.submit(_write_view, self._temporary / "new", len(self._units), depth, rgb))
+        self._units.append(self._pool.submit(_write_view, self._temporary / "new", len(self._units), view))
 
     def finish(self, capture: Capture) -> None:
         """Write what is known of the views, and put the folder where it belongs.
@@ -147,8 +170,8 @@ class CaptureWriter:
         if len(self._units) != capture.views:
             wait(self._units)
             self._clear()
-            for view, depth in enumerate(capture.depth):
-                self.add(depth, None if capture.rgb is None else capture.rgb[view])
+            for number in range(capture.views):
+                self.add(capture.view(number))
         assert self._temporary is not None, "a capture has views"
         with written(self._folder, _FOLDER):
             new = self._temporary / "new"
@@ -235,15 +258,15 @@ def viewed_box(capture: Capture) -> Box:
     return Box(centre - half, centre + half)
 
 
-def _write_view(folder: Path, view: int, depth: NDArray[Any], rgb: NDArray[Any] | None) -> float:
+def _write_view(folder: Path, number: int, view: View) -> float:
     """Write the images of a view, and return the step of its depth [m]: up to 6.5 m tenths of a millimetre."""
-    furthest, steps = float(depth.max()), 2**16 - 1
+    furthest, steps = float(view.depth.max()), 2**16 - 1
     check_range("greatest depth", furthest, 0, 1e-3 * steps, "m")
     unit = 1e-4 if furthest <= 1e-4 * steps else 1e-3
-    _write_png(folder / f"depth/{view:04d}.png", np.round(depth.astype(np.float64) / unit).astype(np.uint16))
-    if rgb is not None:
+    _write_png(folder / f"depth/{number:04d}.png", np.round(view.depth.astype(np.float64) / unit).astype(np.uint16))
+    if view.rgb is not None:
         (folder / "rgb").mkdir(exist_ok=True)
-        _write_png(folder / f"rgb/{view:04d}.png", rgb[..., ::-1])
+        _write_png(folder / f"rgb/{number:04d}.png", view.rgb[..., ::-1])
     return unit
 
 

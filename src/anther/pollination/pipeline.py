@@ -16,10 +16,11 @@ from anther.core.errors import FailureKind, InputError, StageFailure
 from anther.core.geometry import Array, Box
 from anther.core.runs import Advance, Run
 from anther.perception import cloud, flowers, masks, skeleton, stem
-from anther.perception.capture import Capture, CaptureWriter
+from anther.perception.capture import Capture, CaptureWriter, View
 from anther.perception.cloud import Cloud, likely_cause
 from anther.perception.flowers import Flowers
 from anther.perception.hanging import find_hanging_stem
+from anther.perception.incoming import FirstLook, IncomingViews
 from anther.perception.masks import Masks, by_words, without_ground
 from anther.perception.skeleton import Plants, Skeleton
 from anther.perception.stem import Stem
@@ -126,16 +127,23 @@ class Done:
 
 
 def perceive(
-    capture: Capture, workspace: Box | None, run: Run, params: Params, find_masks: FindMasks | None = None
+    capture: Capture,
+    workspace: Box | None,
+    run: Run,
+    params: Params,
+    find_masks: FindMasks | None = None,
+    look: FirstLook | None = None,
 ) -> Seen:
     """Turn views into a labelled cloud, a rooted skeleton, its main stem and its flowers.
 
-    The workspace is where the plant may stand, world [m]; None: about where the cameras look.
+    The workspace is where the plant may stand, world [m]; None: about where the cameras look. `look` is what was found
+    there of each view as it came.
 
     Raises:
         StageFailure: no plant or no stem was found.
     """
-    find_masks = find_masks or (lambda views, box, _: masks.segment(views, box, params.masks))
+    look = look or FirstLook()
+    find_masks = find_masks or (lambda views, box, _: masks.segment(views, box, params.masks, look.observations))
     string = None if params.plant.string is None else params.plant.string.line
     with cause_named(capture):
         labels = run.stage("masks", Masks.load, lambda advance: find_masks(capture, workspace, advance))
@@ -143,7 +151,7 @@ def perceive(
             "cloud",
             Cloud.load,
             lambda advance: find_supports(
-                cloud.fuse(capture, labels, workspace, params.cloud, progress=advance), string
+                cloud.fuse(capture, labels, workspace, params.cloud, advance, look.surfaces), string
             ),
         )
         middle = None if workspace is None else (workspace.lower + workspace.upper) / 2
@@ -230,14 +238,19 @@ def pollinate(
     Raises:
         StageFailure: a stage before the execution cannot go on; its kind says why.
     """
-    with CaptureWriter(run.path("capture")) as writer:  # the views are written while the arm goes on to the next
+    with CaptureWriter(run.path("capture")) as writer, IncomingViews(cell.workspace) as incoming:
+
+        def keep(view: View) -> None:  # it is written and looked at while the arm goes on to the next
+            writer.add(view)
+            incoming.add(view)
+
         capture = run.stage(
             "capture",
             Capture.load,
-            lambda advance: cell.take_views(advance, writer.add),
+            lambda advance: cell.take_views(advance, keep),
             save=lambda capture, _: writer.finish(capture),
         )
-    seen = perceive(capture, cell.workspace, run, params, find_masks)
+        seen = perceive(capture, cell.workspace, run, params, find_masks, incoming.first_look(capture.views))
     planner = cell.plan_around(seen.cloud)
     grasps = rank_grasps(seen, planner.reach, run, params)
     with ThreadPoolExecutor(1) as beside:  # the plant is modelled while the early reach is planned

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from anther.core.checks import check_array, check_range, check_transform
 from anther.core.geometry import Array, Intrinsics, look_at, small_transform
 from anther.core.records import Range, Record
-from anther.perception.capture import Capture, Keep, no_keep
+from anther.perception.capture import Capture, Keep, View, no_keep
 from anther.robot.devices import Frame
 from anther.sim.plant import SimPlant
 from anther.sim.render import Image, Scene, d455
@@ -191,7 +191,7 @@ def capture_from_poses(
 
     with ThreadPoolExecutor(2) as pool:
         for done, _ in enumerate(pool.map(take, range(count)), start=1):
-            keep(depth[done - 1], rgb[done - 1])
+            keep(View(depth[done - 1], rgb[done - 1], intrinsics, believed[done - 1]))
             if progress:
                 progress(done, count)
     return Capture(depth, intrinsics, believed, rgb), CaptureTruth(true, exact, organ)

@@ -6,7 +6,8 @@ against what other views see, and reduced to the plant (`_fusion.py`). What is n
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -19,7 +20,7 @@ from anther.core.errors import StageFailure
 from anther.core.files import understood
 from anther.core.geometry import Array, Box, Intrinsics, transform_points
 from anther.core.records import UNSAVED, Range, Record, Shape, Stored, decode, read_tree
-from anther.perception.capture import Capture, in_threads, viewed_box
+from anther.perception.capture import Capture, View, in_threads, viewed_box
 from anther.perception.cloud import _registration
 from anther.perception.cloud._fusion import (
     GAP,
@@ -41,9 +42,9 @@ from anther.perception.cloud._warnings import (
 from anther.perception.cloud._wrong_views import SEARCH
 from anther.perception.cloud.ply import read_ply, write_ply
 from anther.perception.coverage import describe_depth
-from anther.perception.masks import BACKGROUND, LEAST_PIXELS, Masks
+from anther.perception.masks import BACKGROUND, LEAST_PIXELS, Masks, observed
 
-__all__ = ["Cloud", "Params", "Support", "fuse", "likely_cause"]
+__all__ = ["Cloud", "Params", "Support", "Surface", "fuse", "likely_cause", "surface"]
 
 Progress = Callable[[int, int], None]
 """Called with the number of steps done and of all."""
@@ -199,6 +200,7 @@ def fuse(
     workspace: Box | None = None,
     params: Params | None = None,
     progress: Progress | None = None,
+    surfaces: Sequence[Surface] = (),
 ) -> Cloud:
     """Return one cloud of the plant from all views.
 
@@ -208,6 +210,7 @@ def fuse(
         workspace: where the plant may be, world frame [m]; None means `capture.viewed_box`.
         params: see `Params`.
         progress: called after each of five steps.
+        surfaces: that each view shows in this workspace, where they were found as it came; none: they are found now.
 
     Raises:
         StageFailure: `no_plant_found` when masks or depth leave too few points.
@@ -219,7 +222,7 @@ def fuse(
     box.cells(obstacle_voxel, 1e8)  # of 28 bytes each
     labels = check_array("mask labels", masks.labels, capture.depth.shape, dtype="uint8")
     report = _steps(progress, 5)
-    pixels = plant_pixels(capture, labels, box)
+    pixels = plant_pixels(capture, labels, box, surfaces)
     _require(sum(len(p.points) for p in pixels), "pixels with depth within the masks, within the workspace")
     report()
     covered = describe_depth(capture.depth, labels != BACKGROUND, capture.intrinsics.fx, only_poor=True)
@@ -234,14 +237,14 @@ def fuse(
     fused = fused.only(agreeing_points(fused.points, seen, capture.intrinsics, poses[used]))
     report()
     refuse_ground(fused.points, box)
-    kept = attached_points(fused.points)
-    notes += warn_of_cloud(fused.points, kept, box) + warn_of_coverage(fused.points[kept].mean(axis=0), poses[used])
-    fused = fused.only(kept)
-    _require(len(fused.points), "connected points")
-    report()
-    obstacles = _background_cells(
-        capture, labels, poses, box, plant=fused.points, voxel=obstacle_voxel, used=np.flatnonzero(used)
-    )
+    with ThreadPoolExecutor(1) as beside:
+        rest = beside.submit(_background, capture, labels, poses, box, np.flatnonzero(used))
+        kept = attached_points(fused.points)
+        notes += warn_of_cloud(fused.points, kept, box) + warn_of_coverage(fused.points[kept].mean(axis=0), poses[used])
+        fused = fused.only(kept)
+        _require(len(fused.points), "connected points")
+        report()
+        obstacles = occupied_cells(*rest.result(), fused.points, obstacle_voxel)
     report()
     return Cloud(
         fused.points,
@@ -258,24 +261,61 @@ def fuse(
     )
 
 
-def plant_pixels(capture: Capture, labels: NDArray[Any], box: Box) -> list[SurfacePoints]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """What one view shows of surfaces in and near the workspace, plant or not. N pixels.
+
+    Attributes:
+        pixels: (N,) int32 where in the image, counted along the rows; flying pixels are left out.
+        normals: (N, 3) float32 unit, towards the camera.
+    """
+
+    pixels: NDArray[np.int32]
+    normals: NDArray[np.float32]
+
+
+def surface(view: View, workspace: Box) -> Surface:
+    """Return the surfaces that a view shows: what `fuse` can know of it before it knows the others.
+
+    Pixels farther outside the workspace than a wrong pose is searched for are left out.
+    """
+    near = np.zeros(view.depth.shape, dtype=bool)
+    near.ravel()[observed(view._replace(rgb=None), _wide(workspace)).pixels] = True
+    return _surface(view, near)
+
+
+def _surface(view: View, mask: NDArray[np.bool_]) -> Surface:
+    keep, normals = surface_pixels(view.depth, mask, view.intrinsics)
+    return Surface(np.flatnonzero(keep).astype(np.int32), normals)
+
+
+def _wide(workspace: Box) -> Box:
+    return Box(workspace.lower - SEARCH, workspace.upper + SEARCH)
+
+
+def plant_pixels(
+    capture: Capture, labels: NDArray[Any], box: Box, surfaces: Sequence[Surface] = ()
+) -> list[SurfacePoints]:
     """Return every view's plant pixels as points of its camera frame, flying pixels left out.
 
     Args:
         capture: the views.
         labels: (V, H, W) of the masks.
         box: the workspace [m]; pixels farther outside than a wrong pose is searched for are left out.
+        surfaces: see `fuse`.
     """
-    wide = Box(box.lower - SEARCH, box.upper + SEARCH)
 
-    def of_view(view: int) -> SurfacePoints:
-        depth = capture.depth[view]
-        keep, normals = surface_pixels(depth, labels[view] != BACKGROUND, capture.intrinsics)
-        rows = np.flatnonzero(keep)
-        colors = np.zeros((len(rows), 3), np.uint8) if capture.rgb is None else capture.rgb[view].reshape(-1, 3)[rows]
-        points = capture.intrinsics.back_project(depth, keep)
-        near = wide.contains(transform_points(capture.T_world_cam[view], points))
-        return SurfacePoints(points, normals, labels[view].ravel()[rows], colors).only(near)
+    wide = _wide(box)
+
+    def of_view(number: int) -> SurfacePoints:
+        view, own = capture.view(number), labels[number].ravel()
+        shown = surfaces[number] if surfaces else _surface(view, labels[number] != BACKGROUND)
+        plant = np.flatnonzero(own[shown.pixels] != BACKGROUND)
+        pixels = shown.pixels[plant]
+        colors = np.zeros((len(pixels), 3), np.uint8) if view.rgb is None else view.rgb.reshape(-1, 3)[pixels]
+        points = view.intrinsics.points(view.depth, pixels)
+        near = wide.contains(transform_points(view.T_world_cam, points))
+        return SurfacePoints(points, shown.normals[plant], own[pixels], colors).only(near)
 
     return in_threads(of_view, range(capture.views))
 
@@ -294,10 +334,10 @@ def _registered(
     return found.T_world_cam, in_threads(corrected, range(len(pixels))), found
 
 
-def _background_cells(
-    capture: Capture, labels: NDArray[Any], poses: Array, box: Box, *, plant: Array, voxel: float, used: NDArray[Any]
-) -> Array:
-    """Return coarse points of surfaces that are not plant: cells with many background pixels, seen in several views."""
+def _background(
+    capture: Capture, labels: NDArray[Any], poses: Array, box: Box, used: NDArray[Any]
+) -> tuple[Array, NDArray[Any]]:
+    """Return coarse points (N, 3) [m] of what is not plant within the box, and the view (N,) that each is of."""
     k, step = capture.intrinsics, max(1, round(capture.intrinsics.fx / 160))
     rows = np.s_[::step, ::step]
     height, width = capture.depth[0][rows].shape
@@ -309,8 +349,7 @@ def _background_cells(
         return world[box.contains(world)]
 
     points = in_threads(background, used.tolist())
-    views = np.repeat(used, [len(p) for p in points])
-    return occupied_cells(np.concatenate(points), views, plant, voxel)
+    return np.concatenate(points), np.repeat(used, [len(p) for p in points])
 
 
 def _require(count: int, what: str) -> None:

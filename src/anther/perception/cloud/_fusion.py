@@ -7,7 +7,7 @@ Dimensions: V views, H x W pixels, N points.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -160,70 +160,102 @@ def voxel_groups(points: Array, voxel: float) -> tuple[NDArray[np.int64], NDArra
 
     Points (N, 3) [m] are less than 2^20 voxels from the origin.
     """
-    groups, count, _ = _grouped([points], len(points), voxel)
-    return groups[0], count
+    voxels = _Voxels(len(points), voxel)
+    return voxels.add(points), voxels.counts.astype(np.int64)
 
 
 def voxel_means(points: Array, voxel: float) -> Array:
     """Return the mean point (M, 3) of each voxel; arguments as in `voxel_groups`."""
-    return _grouped([points], len(points), voxel)[2]
+    voxels = _Voxels(len(points), voxel)
+    voxels.add(points)
+    return voxels.means
 
 
-def _grouped(
-    parts: Iterable[Array], most: int, voxel: float, columns: int = 3
-) -> tuple[list[NDArray[np.int64]], NDArray[np.int64], Array]:
-    """Return the voxels' numbers, part by part, and count, as `voxel_groups` does, and means (M, K) of K columns.
+class _Voxels:
+    """Weighted sums of what lies in each voxel, in order of first appearance: of K columns, the first three points [m].
 
-    Parts are (N, K), the first three columns points [m], in all not more than `most` of them.
+    Attributes:
+        counts: (M,) weight of every voxel.
+        means: (M, K) of its values.
     """
-    slots = np.full(1 << (2 * most).bit_length(), -1, dtype=np.int32)
-    count, held, sums = np.zeros(most, np.int64), np.zeros(most, np.int64), np.zeros((most, columns))
-    groups, voxels = list[NDArray[np.int64]](), 0
-    for values in parts:
-        groups.append(np.empty(len(values), dtype=np.int64))
-        voxels = _add_to_voxels(read_only(values), 1 / voxel, slots, groups[-1], count, held, sums, voxels)
-    return groups, count[:voxels], sums[:voxels] / count[:voxels, None]
+
+    def __init__(self, most: int, voxel: float, columns: int = 3) -> None:
+        """Make room for `most` values, of voxels with an edge of `voxel` [m]."""
+        self._scale, self._found = 1 / voxel, 0
+        self._slots = np.full(1 << (2 * most).bit_length(), -1, dtype=np.int32)
+        self._keys, self._sums = np.zeros(most, np.int64), np.zeros((most, columns + 1))
+
+    def add(self, values: Array, weights: Array | None = None) -> NDArray[np.int64]:
+        """Add values (N, K), of weight 1 or `weights` (N,), and return the numbers (N,) of their voxels."""
+        group, weights = np.empty(len(values), dtype=np.int64), np.ones(len(values)) if weights is None else weights
+        self._found = _add_to_voxels(
+            read_only(values), read_only(weights), self._scale, self._slots, group, self._keys, self._sums, self._found
+        )
+        return group
+
+    @property
+    def counts(self) -> Array:
+        return self._sums[: self._found, -1]
+
+    @property
+    def means(self) -> Array:
+        return self._sums[: self._found, :-1] / self.counts[:, None]
 
 
 @compiled
-def _add_to_voxels(values, scale, slots, group, count, held, sums, voxels):
-    """Number and sum up a part's voxels, and return how many there are; `voxels` of them were found before.
+def _add_to_voxels(values, weights, scale, slots, group, keys, sums, voxels):
+    """Number and sum up values' voxels, and return how many there are; `voxels` of them were found before.
 
-    `slots` is a hash table of their numbers, of a power of two, at first all -1; `held` the key of each.
+    `slots` is a hash table of their numbers, of a power of two, at first all -1; `keys` has the key of each.
     """
+    last, columns = -1, values.shape[1]
     for n in range(len(values)):
         key = 0
         for a in range(3):
             key = key << 21 | (np.int64(np.floor(values[n, a] * scale)) & 0x1FFFFF)
-        slot = ((key ^ key >> 29) * 0x5851F42D4C957F2D >> 31) & (len(slots) - 1)  # Knuth's multiplier (MMIX)
-        while slots[slot] >= 0 and held[slots[slot]] != key:
-            slot = (slot + 1) & (len(slots) - 1)
-        if slots[slot] < 0:
-            slots[slot], held[voxels] = voxels, key
-            voxels += 1
-        group[n] = slots[slot]
-        count[group[n]] += 1
-        for k in range(values.shape[1]):
-            sums[group[n], k] += values[n, k]
+        if key == last:  # pixels side by side
+            group[n] = group[n - 1]
+        else:
+            slot = ((key ^ key >> 29) * 0x5851F42D4C957F2D >> 31) & (len(slots) - 1)  # Knuth's multiplier (MMIX)
+            while slots[slot] >= 0 and keys[slots[slot]] != key:
+                slot = (slot + 1) & (len(slots) - 1)
+            if slots[slot] < 0:
+                slots[slot], keys[voxels] = voxels, key
+                voxels += 1
+            group[n], last = slots[slot], key
+        for k in range(columns):
+            sums[group[n], k] += weights[n] * values[n, k]
+        sums[group[n], columns] += weights[n]
     return voxels
 
 
 def fuse_voxels(pixels: list[SurfacePoints], poses: Array, box: Box, voxel: float) -> SurfacePoints:
     """Return the mean point, normal, label and colour of every occupied voxel within the box."""
+    halves = np.array_split(np.arange(len(poses)), 2)
+    count = [sum(len(pixels[view].points) for view in half) for half in halves]
+    first, second = _Voxels(sum(count), voxel, columns=10), _Voxels(count[1], voxel, columns=10)
 
-    def placed(view: int) -> Array:
-        seen, T = pixels[view], poses[view]
-        points, normals = transform_points(T, seen.points), seen.normals @ T[:3, :3].T
-        return np.column_stack([points, normals, seen.labels == FLOWER, seen.colors])[box.contains(points)]
+    def fill(half: int) -> None:
+        for view in halves[half]:
+            (first, second)[half].add(_placed(pixels[view], poses[view], box))
 
-    def views() -> Iterator[Array]:
-        for first in range(0, len(poses), 4):  # all at once would take 80 bytes a pixel
-            yield from in_threads(placed, range(first, min(first + 4, len(poses))))
-
-    _, _, means = _grouped(views(), sum(len(seen.points) for seen in pixels), voxel, columns=10)
+    in_threads(fill, range(2))
+    first.add(second.means, second.counts)
+    means = first.means
     facing = means[:, 3:6] / np.maximum(np.linalg.norm(means[:, 3:6], axis=1, keepdims=True), 1e-9)
     majority = np.where(means[:, 6] >= 0.5, FLOWER, PLANT).astype(np.uint8)
     return SurfacePoints(means[:, :3].copy(), facing, majority, np.round(means[:, 7:]).astype(np.uint8))
+
+
+def _placed(seen: SurfacePoints, T_world_cam: Array, box: Box) -> Array:
+    """Return (N, 10) what `fuse_voxels` takes the means of: points, normals, whether of a flower, colours."""
+    values = np.empty((len(seen.points), 10))
+    values[:, :3] = transform_points(T_world_cam, seen.points)
+    values[:, 3:6] = seen.normals @ T_world_cam[:3, :3].T
+    values[:, 6] = seen.labels == FLOWER
+    values[:, 7:] = seen.colors
+    inside = box.contains(values[:, :3])
+    return values if inside.all() else values[inside]
 
 
 def agreeing_points(points: Array, depth: Sequence[NDArray[Any]], intrinsics: Intrinsics, poses: Array) -> NDArray[Any]:

@@ -223,15 +223,16 @@ def _step(
     """
     world, normals = sample.world(at)
     points, along = sample.unbiased(at.reach), sample.points * sample.slant[:, None]
-    halves = [(np.zeros(information.shape), np.zeros(len(information))) for _ in range(2)]
-    surface, scratch = (points, along, sample.view, world, normals), (np.empty((2, 13)), np.empty((2, 13), np.int64))
+    surface, views = (points, along, sample.view, world, normals), len(given)
+    sums, block, row = np.zeros((2, 6 * views + 2, 6 * views + 2)), np.zeros((2, 13, 14)), np.empty((2, 14))
 
-    def accumulate(t: int) -> None:
-        _accumulate(read_only(pairs[t::2]), *surface, at.poses, scale, *halves[t], scratch[0][t], scratch[1][t])
+    def accumulate(half: int) -> None:
+        part = pairs[half * len(pairs) // 2 : (half + 1) * len(pairs) // 2]
+        _accumulate(read_only(part), *surface, at.poses, scale, sums[half], block[half], row[half])
 
     in_threads(accumulate, range(2))
-    hessian, gradient = (one + other for one, other in zip(*halves, strict=True))
-    hessian += hessian.T - np.diag(np.diag(hessian))
+    system = sums.sum(axis=0)
+    hessian, gradient = system[:-1, :-1], system[:-1, -1]
     error = inverse(given) @ at.poses
     turned = Rotation.from_matrix(error[:, :3, :3].copy()).as_rotvec()
     moved = np.append(np.concatenate([turned, error[:, :3, 3]], axis=1).ravel(), at.reach)
@@ -248,12 +249,12 @@ def _step(
 
 
 @compiled
-def _accumulate(pairs, points, along, view, world, normals, poses, scale, hessian, gradient, row, index):
-    """Add the upper entries of the Hessian (6V + 1, 6V + 1) and the gradient of the pairs' squared distances.
+def _accumulate(pairs, points, along, view, world, normals, poses, scale, sums, block, row):
+    """Add the Hessian of the pairs' squared distances to `sums` (6V + 2, 6V + 2), in the last column their gradient.
 
-    They are weighted by exp(-(r / scale)^2), Welsch (Holland 1977); `row` and `index` (13,) are scratch.
+    They are weighted by exp(-(r / scale)^2), Welsch (Holland 1977). The pairs of two views follow each other: what they
+    add is gathered in `block` (13, 14), zeros; `row` (14,) holds a pair's derivatives and its distance.
     """
-    index[12] = 6 * len(poses)
     for p in range(pairs.shape[0]):
         a, b = pairs[p, 0], pairs[p, 1]
         n0, n1, n2 = normals[a, 0] + normals[b, 0], normals[a, 1] + normals[b, 1], normals[a, 2] + normals[b, 2]
@@ -261,7 +262,7 @@ def _accumulate(pairs, points, along, view, world, normals, poses, scale, hessia
         n0, n1, n2 = n0 / length, n1 / length, n2 / length
         r = n0 * (world[a, 0] - world[b, 0]) + n1 * (world[a, 1] - world[b, 1]) + n2 * (world[a, 2] - world[b, 2])
         w = np.exp(-(r * r) / (scale * scale))
-        row[12] = 0.0
+        row[12], row[13] = 0.0, r
         for side in range(2):
             i = pairs[p, side]
             sign, T = 1.0 - 2.0 * side, poses[view[i]]
@@ -274,10 +275,15 @@ def _accumulate(pairs, points, along, view, world, normals, poses, scale, hessia
             row[base + 2] = points[i, 0] * m1 - points[i, 1] * m0
             row[base + 3], row[base + 4], row[base + 5] = m0, m1, m2
             row[12] += along[i, 0] * m0 + along[i, 1] * m1 + along[i, 2] * m2
-            for k in range(6):
-                index[base + k] = 6 * view[i] + k
         for k in range(13):
-            weighted, to = w * row[k], index[k]
-            gradient[to] += weighted * r
-            for q in range(k, 13):
-                hessian[to, index[q]] += weighted * row[q]
+            weighted = w * row[k]
+            for q in range(14):
+                block[k, q] += weighted * row[q]
+        last = p + 1 == pairs.shape[0]
+        if last or view[pairs[p + 1, 0]] != view[a] or view[pairs[p + 1, 1]] != view[b]:
+            for k in range(13):
+                to = 6 * (view[a] if k < 6 else view[b]) + k % 6 if k < 12 else 6 * len(poses)
+                for q in range(14):
+                    at = 6 * (view[a] if q < 6 else view[b]) + q % 6 if q < 12 else 6 * len(poses) + q - 12
+                    sums[to, at] += block[k, q]
+                    block[k, q] = 0.0

@@ -91,7 +91,10 @@ class Sample:
 
 
 def match(sample: Sample, at: Estimate, use: NDArray[np.bool_], distance: float) -> NDArray[np.int64]:
-    """Return (P, 2) pairs of points of different views within `distance` [m], alike in normal, the first in `use`."""
+    """Return (P, 2) pairs of points of different views within `distance` [m], alike in normal, the first in `use`.
+
+    Pairs of the same two views follow each other.
+    """
     points, normals = sample.world(at)
     first = np.flatnonzero(use)
     if len(first) == 0:
@@ -102,7 +105,8 @@ def match(sample: Sample, at: Estimate, use: NDArray[np.bool_], distance: float)
     pair = np.flatnonzero((squared < distance**2) & (views[near] != views[first][:, None]))
     first, near = first[pair // NEIGHBOURS], near.ravel()[pair]
     alike = np.einsum("pi,pi->p", normals[first], normals[near]) > np.cos(np.deg2rad(25))  # one side of a stem
-    return np.stack([first[alike], near[alike]], axis=1)
+    pairs = np.stack([first[alike], near[alike]], axis=1)  # the first points' views rise
+    return pairs[np.argsort(views[pairs[:, 1]].astype(np.int16), kind="stable")]  # of 16 bits: many times quicker
 
 
 def plane_distances(sample: Sample, at: Estimate, pairs: NDArray[Any]) -> Array:

@@ -8,6 +8,7 @@ pixels. Without colour, whatever rises above the ground is plant.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -19,13 +20,16 @@ from anther.core.checks import check_array
 from anther.core.errors import StageFailure
 from anther.core.geometry import Box
 from anther.core.records import Range, Record, Shape, Share, Stored
-from anther.perception.capture import Capture, in_threads
+from anther.perception.capture import Capture, View, in_threads
 from anther.perception.masks._cells import kinds
 from anther.perception.masks._light import GREEN, GREEN_NO_DEPTH, Light, green_rule
-from anther.perception.masks._survey import VOXEL, survey
-from anther.perception.masks._voting import EMPTY, GROUND, RIM, clear, read_back, vote
+from anther.perception.masks._survey import VOXEL, grid_over, survey
+from anther.perception.masks._voting import EMPTY, GROUND, RIM, Observation, clear, observe, read_back
 
-__all__ = ["BACKGROUND", "FLOWER", "PLANT", "Masks", "Params", "green_pixels", "segment", "without_ground"]
+__all__ = [
+    "BACKGROUND", "FLOWER", "PLANT", "Masks", "Observation", "Params", "green_pixels", "observed", "segment",
+    "without_ground",
+]  # fmt: skip
 
 BACKGROUND, PLANT, FLOWER = range(3)
 
@@ -63,7 +67,17 @@ class Masks(Stored):
     source: str
 
 
-def segment(capture: Capture, workspace: Box | None = None, params: Params | None = None) -> Masks:
+def observed(view: View, workspace: Box) -> Observation:
+    """Return what a view shows of the workspace: what `segment` can know of it before it knows the others."""
+    return observe(view, grid_over(workspace, coloured=view.rgb is not None))
+
+
+def segment(
+    capture: Capture,
+    workspace: Box | None = None,
+    params: Params | None = None,
+    observations: Sequence[Observation] = (),
+) -> Masks:
     """Return the plant and flower pixels of every view.
 
     Args:
@@ -71,19 +85,19 @@ def segment(capture: Capture, workspace: Box | None = None, params: Params | Non
         workspace: where the plant may be, world frame [m]; None means around the point where the optical
             axes meet (`capture.viewed_box`).
         params: see `Params`.
+        observations: of each view in this workspace, where they were made as it came; none: they are made now.
 
     Raises:
         StageFailure: `no_plant_found` when the views show too little plant.
     """
     params = params or Params()
-    seen = survey(capture, workspace, params)
+    seen = survey(capture, workspace, params, observations)
     cells = kinds(seen, capture)
-    labels = np.zeros(capture.depth.shape, dtype=np.uint8)
+    labels = np.empty(capture.depth.shape, dtype=np.uint8)
 
     def label_view(view: int) -> None:
-        classes = seen.classes[view]
-        found = read_back(capture.depth[view], seen.cameras[view], classes, cells)
-        labels[view] = _add_pixels_without_depth(found, classes)
+        found = read_back(seen.observed[view], seen.classes[view], cells)
+        labels[view] = _add_pixels_without_depth(found, seen.image(view))
 
     in_threads(label_view, range(capture.views))
     found = int(np.count_nonzero(labels))
@@ -124,19 +138,18 @@ def without_ground(masks: Masks, capture: Capture, workspace: Box | None = None,
     params = params or Params()
     labels = check_array("mask labels", masks.labels, capture.depth.shape, dtype="uint8")
     seen = survey(capture, workspace, params)
-    masked = np.zeros((1, *seen.grid.shape), dtype=np.uint16)
-    for view in range(capture.views):
-        depth = np.where(labels[view] > 0, capture.depth[view], np.float32(0))
-        vote(None, depth, seen.cameras[view], None, masked)
-    foot = seen.foot((masked[0] >= 2) & ~seen.rim)
+    masked = np.zeros(seen.grid.shape, dtype=np.uint16)
+    for view, one in enumerate(seen.observed):
+        np.add.at(masked.reshape(-1), one.cells[labels[view].ravel()[one.pixels] > 0], np.uint16(1))
+    foot = seen.foot((masked >= 2) & ~seen.rim)
     rim = RIM if capture.rgb is not None else GROUND
     cells = np.where(seen.below & ~foot, GROUND, np.where(seen.rim & ~foot, rim, EMPTY)).astype(np.uint8)
     kept = np.empty_like(labels)
 
     def clear_view(view: int) -> None:
-        depth, classes = capture.depth[view], seen.classes[view]
-        kept[view] = clear(labels[view], depth, seen.cameras[view], classes, cells)
-        _drop_pixels_without_depth(kept[view], labels[view], depth, classes)
+        depth = capture.depth[view]
+        kept[view] = clear(labels[view], depth, seen.observed[view], seen.classes[view], cells)
+        _drop_pixels_without_depth(kept[view], labels[view], depth, seen.image(view))
 
     in_threads(clear_view, range(capture.views))
     return Masks(kept, masks.source)

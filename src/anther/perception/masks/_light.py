@@ -73,7 +73,8 @@ class Light:
         gains, lamp, grey, balanced = np.ones(3), np.ones(3), lit, lit
         for _ in range(4):
             if len(grey):
-                lamp = np.power(np.mean(grey**6, axis=0), 1 / 6) + 1e-9
+                square = grey * grey  # NumPy's own powers take ten times as long
+                lamp = np.power(np.mean(square * square * square, axis=0), 1 / 6) + 1e-9
             gains = np.clip(lamp.mean() / lamp, 0.5, 2)
             balanced = lit * gains
             grey = lit[(_excess_green(balanced) < green) & (saturation(balanced) < colourful)]

@@ -7,6 +7,7 @@ Dimensions: V views, H x W pixels, X x Y x Z cells, z up.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.core.geometry import Array, Box, Intrinsics
+from anther.core.geometry import Box, Intrinsics
 from anther.perception.capture import Capture, in_threads, viewed_box
 from anther.perception.masks._light import GREEN, ColourRule, Light, green_rule, learned_rule
 from anther.perception.masks._voting import (
@@ -23,7 +24,8 @@ from anther.perception.masks._voting import (
     LAYERS,
     PETAL_VIEWS,
     Grid,
-    pixels_to_cells,
+    Observation,
+    observe,
     read_back,
     vote,
 )
@@ -43,8 +45,9 @@ class Survey:
 
     Attributes:
         grid: the cells.
-        cameras: (V, 3, 4) see `pixels_to_cells`.
-        classes: (V, H, W) uint8, see `_light.OUTSIDE` and what follows.
+        observed: of each view, what it shows of the cells.
+        classes: of each view, the colour classes (N,) of its pixels in the cells (`_light.OUTSIDE` and what follows).
+        rule: which classed the colours; None without colour.
         votes: (LAYERS, X, Y, Z) uint16, or (1, X, Y, Z) without colour.
         total: (X, Y, Z) votes of every colour.
         below: (X, Y, Z) cells that are ground, whatever their colour.
@@ -53,29 +56,46 @@ class Survey:
     """
 
     grid: Grid
-    cameras: Array
-    classes: NDArray[Any]
+    observed: Sequence[Observation]
+    classes: list[NDArray[np.uint8]]
+    rule: ColourRule | None
     votes: NDArray[Any]
     total: NDArray[Any]
     below: NDArray[np.bool_]
     rim: NDArray[np.bool_]
     source: str
 
+    def image(self, view: int) -> NDArray[np.uint8]:
+        """Return the colour classes (H, W) of a view's pixels."""
+        return self.observed[view].image(self.classes[view], self.rule)
+
     def foot(self, plant: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return the ground cells (X, Y, Z) that hold the foot of a stem of `plant` (X, Y, Z)."""
         return foot_cells(plant, self.below, self.grid.voxel)
 
 
-def survey(capture: Capture, workspace: Box | None, params: Params) -> Survey:
-    """Let all views vote, and find the ground in the votes."""
-    layers = 1 if capture.rgb is None else LAYERS
-    grid = Grid.over(workspace or viewed_box(capture), VOXEL, 2.5e9 / (2 * layers + 16))  # bytes in all
-    rule, light = None, None
+def grid_over(workspace: Box, *, coloured: bool) -> Grid:
+    """Return the grid in which views of a workspace vote."""
+    layers = LAYERS if coloured else 1
+    return Grid.over(workspace, VOXEL, 2.5e9 / (2 * layers + 16))  # bytes in all
+
+
+def survey(capture: Capture, workspace: Box | None, params: Params, observations: Sequence[Observation] = ()) -> Survey:
+    """Let all views vote, and find the ground in the votes; without `observations` of the views, these are made."""
+    grid = grid_over(workspace or viewed_box(capture), coloured=capture.rgb is not None)
+    observed = observations or in_threads(lambda view: observe(capture.view(view), grid), range(capture.views))
+    rule = None
     if capture.rgb is not None:
         light = Light.on(capture.rgb, params.green)
         rule = green_rule(light, params) if light.holds_green else _learned(capture, grid, params)
-    cameras = np.stack([pixels_to_cells(T, capture.intrinsics, grid) for T in capture.T_world_cam])
-    classes, votes = _votes(capture, grid, cameras, rule)
+    votes = np.zeros((LAYERS if rule else 1, *grid.shape), dtype=np.uint16)
+
+    def voted(view: int) -> NDArray[np.uint8]:
+        classes = observed[view].classes(rule)
+        vote(observed[view], classes, votes)
+        return classes
+
+    classes = in_threads(voted, range(capture.views))
     total = votes[0].astype(np.int32)
     for layer in votes[1:PETAL_VIEWS]:  # NumPy's `sum` over so few takes five times as long
         total += layer
@@ -87,22 +107,7 @@ def survey(capture: Capture, workspace: Box | None, params: Params) -> Survey:
         bare[bare] = votes[GREEN - 1][bare] <= 0.1 * total[bare]
         below, rim = ground_cells(bare, VOXEL, params.ground_radius, params.ground_radius, rings=True)
     source = "geometry" if rule is None else "geometry; light without green" if rule.learned else "colour and geometry"
-    return Survey(grid, cameras, classes, votes, total, below, rim, source)
-
-
-def _votes(
-    capture: Capture, grid: Grid, cameras: Array, rule: ColourRule | None
-) -> tuple[NDArray[Any], NDArray[np.uint16]]:
-    """Return the classes (V, H, W) and the votes of all views."""
-    counts = np.zeros((LAYERS if rule else 1, *grid.shape), dtype=np.uint16)
-    classes = np.zeros(capture.depth.shape, dtype=np.uint8)
-
-    def vote_view(view: int) -> None:
-        rgb = None if capture.rgb is None else cv2.medianBlur(capture.rgb[view], 3)
-        classes[view] = vote(rgb, capture.depth[view], cameras[view], rule, counts)
-
-    in_threads(vote_view, range(capture.views))
-    return classes, counts
+    return Survey(grid, observed, classes, rule, votes, total, below, rim, source)
 
 
 def _learned(capture: Capture, grid: Grid, params: Params) -> ColourRule:
@@ -117,7 +122,7 @@ def _learned(capture: Capture, grid: Grid, params: Params) -> ColourRule:
     cells = np.where((bare.votes[0] > 0) & ~bare.below & ~bare.rim, BROWN_CELL, EMPTY).astype(np.uint8)
     window, sure = np.ones((3, 3), np.uint8), ([], [])
     for view in range(capture.views):
-        plant = read_back(depth[view], bare.cameras[view], bare.classes[view], cells)
+        plant = read_back(bare.observed[view], bare.classes[view], cells)
         rest = ((depth[view] > 0) & (plant == 0)).astype(np.uint8)
         for colours, part in zip(sure, (plant, rest), strict=True):
             colours.append(rgb[view][cv2.erode(part, window) > 0])

@@ -245,19 +245,19 @@ def _coarse_tree(voxels: Voxels, size: float, params: Params) -> tuple[RawTree, 
     """Return the tree before centring, rooted where the stem leaves the soil, how sure that is, and notes."""
     known = params.root
     if params.method == "thinning":
-        tree = _prune(_not_trivial(thinned_tree(voxels), size), voxels)
+        tree = _prune(_separate(_not_trivial(thinned_tree(voxels), size), voxels), voxels)
         root, sure, notes = (nearest_node("root", known, tree.nodes), 1.0, ()) if known is not None else _base(tree)
         return tree.taking(*reroot(tree.parent, root)), sure, notes
     source = nearest_node("root", known, voxels.points) if known is not None else int(np.argmin(voxels.points[:, 2]))
     paths, levels = _paths(voxels, source, size)
-    sure, notes = 1.0, ()
+    separate, sure, notes = _separate(paths, voxels), 1.0, ()
     if known is None:
-        tree = _separate(paths, voxels)
-        root, sure, notes = _base(tree)
-        if np.linalg.norm(tree.nodes[root] - voxels.points[source]) > 10 * voxels.voxel:
-            source = int(np.argmin(np.linalg.norm(voxels.points - tree.nodes[root], axis=1)))
+        root, sure, notes = _base(separate)
+        if np.linalg.norm(separate.nodes[root] - voxels.points[source]) > 10 * voxels.voxel:
+            source = int(np.argmin(np.linalg.norm(voxels.points - separate.nodes[root], axis=1)))
             paths, levels = _paths(voxels, source, size)
-    pruned = _prune(paths, voxels)
+            separate = _separate(paths, voxels)
+    pruned = _prune(separate, voxels)
     return centre_on_blades(pruned, stem_gain(pruned), voxels, levels), sure, notes
 
 
@@ -284,8 +284,8 @@ def _separate(tree: RawTree, voxels: Voxels) -> RawTree:
 
 
 def _prune(tree: RawTree, voxels: Voxels) -> RawTree:
-    """Return the tree without what is not an organ: parallel paths, spurs, veins."""
-    tree = remove_spurs(_separate(tree, voxels), per_width=2.5)  # a line within the organ that it leaves is no limb
+    """Return a tree of separate branches without what is not an organ: spurs, veins."""
+    tree = remove_spurs(tree, per_width=2.5)  # a line within the organ that it leaves is no limb
     return remove_veins(tree, 2.5 * voxels.voxel)
 
 

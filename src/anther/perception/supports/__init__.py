@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+import small_gicp
 from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import KDTree
@@ -154,13 +155,14 @@ class _Scene:
         points = cloud.points
         extent = np.ptp(np.quantile(points, [0.002, 0.998], axis=0), axis=0)
         some = points[:: max(1, len(points) // 2000)]
-        spacing = float(np.median(KDTree(points).query(some, k=2)[0][:, 1]))
+        tree = small_gicp.KdTree(np.ascontiguousarray(points), num_threads=2)  # several times quicker than SciPy's
+        spacing = float(np.median(np.sqrt(tree.batch_knn_search(some, 2, num_threads=2)[1][:, 1])))
         most_cells = 2e7  # of the grid: 20 MB
         cell = max(1.5 * spacing, float(np.prod(np.ptp(points, axis=0) + 1e-3) / most_cells) ** (1 / 3), 1e-6)
         thin = voxel_means(points - points.min(axis=0), cell) + points.min(axis=0)
         greenness = None
         if cloud.colors is not None:
-            r, g, b = cloud.colors[KDTree(points).query(thin)[1]].T.astype(np.float64)
+            r, g, b = cloud.colors[tree.batch_knn_search(thin, 1, num_threads=2)[0][:, 0]].T.astype(np.float64)
             greenness = (2 * g - r - b) / (r + g + b + 1)
         lower = points.min(axis=0) - 2 * cell
         grid = np.zeros(np.ceil((points.max(axis=0) - lower) / cell).astype(int) + 3, dtype=bool)

@@ -232,7 +232,7 @@ def _meet(
                 distance[i, k] = _less(distance[i, k], gap)
                 touched[i, k] += gap < touch
                 push[i] = _more(push[i], (touch - gap) * stiffness[m])
-                if _box_distance(local, closing, np.inf) < radius[m]:
+                if _box_distance(local, closing, radius[m]) < radius[m]:
                     enclosed[i, k] += 1
                     spread[i, k] = _more(spread[i, k], abs(local[1]) + radius[m])
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from anther.core.errors import bad_input
 from anther.core.geometry import Array
 from anther.core.runs import Advance
-from anther.perception.capture import Capture, Keep, no_keep
+from anther.perception.capture import Capture, Keep, View, no_keep
 from anther.perception.cloud import Cloud
 from anther.robot.arm.model import ArmModel
 from anther.robot.arm.planner import Params as MotionParams
@@ -162,22 +162,19 @@ def capture_views(
 ) -> Capture:
     """Go to each view, stand still, take a picture; return them with the poses that the arm read.
 
-    `keep` hears of each picture while the arm goes on.
+    `keep` hears of each view while the arm goes on.
 
     Raises:
         StageFailure: what arm and camera raise.
     """
-    frames, joints = [], []
+    camera, count = robot.wrist_camera.intrinsics, len(views.motions)
+    depth = np.empty((count, camera.height, camera.width), np.float32)
+    rgb, joints, poses = np.empty((*depth.shape, 3), np.uint8), [], np.empty((count, 4, 4))
     for number, motion in enumerate(views.motions):
         move_and_stand(robot.arm, motion)
-        frames.append(robot.wrist_camera.read())
-        keep(frames[-1].depth, frames[-1].rgb)
+        frame = robot.wrist_camera.read()
         joints.append(robot.arm.joints())
-        advance(number + 1, len(views.motions))
-    return Capture(
-        np.stack([frame.depth for frame in frames]),
-        robot.wrist_camera.intrinsics,
-        model.forward(np.array(joints)) @ T_flange_cam,
-        np.stack([frame.rgb for frame in frames]),
-        np.array(joints),
-    )
+        depth[number], rgb[number], poses[number] = frame.depth, frame.rgb, model.forward(joints[-1]) @ T_flange_cam
+        keep(View(depth[number], rgb[number], camera, poses[number]))
+        advance(number + 1, count)
+    return Capture(depth, camera, poses, rgb, np.array(joints))
