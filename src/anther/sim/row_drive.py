@@ -78,7 +78,7 @@ def side_camera(row: Row, intrinsics: Intrinsics) -> Array:
     m, flowers = row.measures, np.vstack([plant.flower_position for plant in row.plants[: row.near]])
     eye = np.array([0.05 - m.corridor / 2, 0.0, np.median(flowers[:, 2]) - row.origin[2]])
     away = m.near - eye[0]
-    low, high = np.arctan2(-0.3, away), np.arctan2(m.wire + 0.1 - eye[2], away)  # m, below flowers, above the wire
+    low, high = np.arctan2(-0.3, away), np.arctan2(m.wire + 0.3 - eye[2], away)  # m, from below flowers to tags
     tilt = min((low + high) / 2, low + np.arctan(intrinsics.width / 2 / intrinsics.fx))
     on_its_side = transform([[0, -1, 0], [1, 0, 0], [0, 0, 1]], np.zeros(3))
     return look_at(eye, eye + [np.cos(tilt), 0, np.sin(tilt)]) @ on_its_side
