@@ -25,6 +25,7 @@ from anther.core.checks import check_array, check_range, check_transform
 from anther.core.errors import bad_input
 from anther.core.geometry import Array, Intrinsics, inverse, transform_points
 from anther.core.records import Range, Record, Shape
+from anther.perception.masks import green_pixels
 
 __all__ = ["SeenRow", "find_hooks"]
 
@@ -46,8 +47,8 @@ class SeenRow(Record):
         evidence: (M,) ln of how much better a line explains what was seen there than chance.
         posts: (number of the tag, its position by the odometry [m]).
         begin, end: the section that was looked at, by the odometry [m].
-        appearance: (M, 2) how thick the stem is, and the height where it begins below its string [m]; NaN: not seen.
-        appearance_std: (M, 2) their errors [m].
+        appearance: (M, 1) the height of the stem's head, where the bare string begins [m]; NaN: not seen.
+        appearance_std: (M, 1) its error [m].
     """
 
     CALLED = "seen row"
@@ -57,8 +58,8 @@ class SeenRow(Record):
     posts: tuple[tuple[int, float], ...]
     begin: float
     end: float
-    appearance: Annotated[Array, Shape("M", 2, missing=True)]
-    appearance_std: Annotated[Array, Shape("M", 2, missing=True)]
+    appearance: Annotated[Array, Shape("M", 1, missing=True)]
+    appearance_std: Annotated[Array, Shape("M", 1, missing=True)]
 
 
 def find_hooks(
@@ -80,32 +81,33 @@ def find_hooks(
     """
     line, wire = check_range("line of hooks", line, 0.05, 5.0, "m"), check_range("height of the wire", wire, 0.5, 10.0, "m")
     plane = _Plane.of(intrinsics, check_transform("T_cart_cam", T_cart_cam), line, wire)
-    reader, odometry, images, tags = _TagReader(intrinsics, plane.T_cart_cam, tag), list[float](), [], []
+    reader, tags = _TagReader(intrinsics, plane.T_cart_cam, tag), list[tuple[int, float]]()
+    odometry, votes, green = list[float](), list[NDArray[np.float32]](), list[NDArray[np.float32]]()
     for at, rgb in frames:
         rgb = check_array("frame", rgb, (intrinsics.height, intrinsics.width, 3), dtype=np.uint8)
-        grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
         odometry.append(float(at))
-        images.append(plane.image(grey))
-        tags += [(number, at + place[1]) for number, place in reader.read(grey) if place[0] < line + 1.0]  # m, this row
+        image = plane.image(rgb)
+        votes.append(_lines(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)))
+        green.append(green_pixels(image).astype(np.float32))
+        tags += [(number, at + place[1]) for number, place in reader.read(rgb) if place[0] < line + 1.0]  # m, this row
     places = check_array("odometry", odometry, (None,))
     if len(places) < 3 or np.any(np.diff(places) <= 0) or np.ptp(places) > 30:
         given = f"{len(places)} frames in {np.ptp(places) if len(places) else 0:.1f} m"
         do = "Drive on without stops, one section after another; a cart that comes back counts from its end."
         raise bad_input("frames of a pass", given=given, allowed="3 or more in up to 30 m, each further on", do=do)
-    sweep = _Sweep.of(plane, places, [_lines(image) for image in images])
+    sweep = _Sweep.of(plane, places, votes)
     hooks = _hooks(sweep)
-    looks = [_looks(plane, sweep, images, hook) for hook in hooks]
-    appearance, std = (np.array([look[k] for look in looks]).reshape(-1, 2) for k in (0, 1))
+    heads = np.array([_head(plane, sweep, green, hook) for hook in hooks]).reshape(-1, 2)
     seen = {number: float(np.median([at for n, at in tags if n == number])) for number in {n for n, _ in tags}}
     return SeenRow(
         np.array([hook.position for hook in hooks]), np.array([hook.across for hook in hooks]),
         np.array([hook.evidence for hook in hooks]), tuple(sorted(seen.items(), key=lambda post: post[1])),
-        float(places[0]), float(places[-1]), appearance, std,
+        float(places[0]), float(places[-1]), heads[:, :1], heads[:, 1:],
     )  # fmt: skip
 
 
 class _TagReader:
-    """Finds tags in grey images, and where they are in the cart's frame (3,) [m]."""
+    """Finds tags in images, and where they are in the cart's frame (3,) [m]."""
 
     def __init__(self, intrinsics: Intrinsics, T_cart_cam: Array, edge: float) -> None:
         family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
@@ -116,8 +118,8 @@ class _TagReader:
         half = check_range("edge of a tag", edge, 0.01, 1.0, "m") / 2
         self._square = half * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0.0]])
 
-    def read(self, grey: NDArray[np.uint8]) -> list[tuple[int, Array]]:
-        corners, numbers, _ = self._detector.detectMarkers(grey)
+    def read(self, rgb: NDArray[np.uint8]) -> list[tuple[int, Array]]:
+        corners, numbers, _ = self._detector.detectMarkers(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY))
         found = []
         for number, corner in zip([] if numbers is None else numbers.ravel(), corners, strict=True):
             ok, _, at = cv2.solvePnP(self._square, corner[0], self._matrix, np.zeros(4), flags=cv2.SOLVEPNP_IPPE_SQUARE)
@@ -166,10 +168,10 @@ class _Plane:
         full = plane.image(np.full((camera.height, camera.width), 255, np.uint8)) == 255
         return cls(T_cart_cam, line, top, to_pixel, cv2.erode(full.astype(np.float32), np.ones((1, 15))))
 
-    def image(self, grey: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return (Z, W) what the camera sees on it, a mean over two slices of height."""
+    def image(self, seen: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return (Z, W, ...) what the camera sees on it, a mean over two slices of height."""
         (rows, wide), how = self.valid.shape, cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        return cv2.blur(cv2.warpPerspective(grey, self.to_pixel, (wide, 2 * rows), flags=how), (1, 4))[::2]
+        return cv2.blur(cv2.warpPerspective(seen, self.to_pixel, (wide, 2 * rows), flags=how), (1, 4))[::2]
 
     def scale(self, x: float) -> float:
         """Return how much larger it is on the plane at x."""
@@ -310,11 +312,27 @@ def _followed(sweep: _Sweep, below: Sequence[Any], plane: int, cell: int, taken:
     return _Hook(float(position), float(np.average(sweep.x[along[upper, 0]], weights=weight)), float(gain.sum()), along)
 
 
-def _looks(plane: _Plane, sweep: _Sweep, images: Sequence[Any], hook: _Hook) -> tuple[Array, Array]:
-    """Return how thick a stem is and the height where it begins (2,), and their errors [m]; NaN where not seen."""
-    width = np.array([_widths(plane, sweep, images, hook, z) for z in range(len(hook.way))])
-    return np.array([np.nanmedian(width) if np.isfinite(width).any() else np.nan, np.nan]), np.array([0.001, np.nan])
+def _head(plane: _Plane, sweep: _Sweep, green: Sequence[NDArray[np.float32]], hook: _Hook) -> tuple[float, float]:
+    """Return the height where the stem below a hook ends and its bare string begins, and its error [m].
 
-
-def _widths(plane: _Plane, sweep: _Sweep, images: Sequence[Any], hook: _Hook, z: int) -> float:
-    return float("nan")
+    NaN where that is not in view: below it the line is green in most frames, above it in few.
+    """
+    number, x = np.arange(len(hook.way)), sweep.x[hook.way[:, 0]]
+    scale, shares = np.array([plane.scale(distance) for distance in x]), []
+    for at, image in zip(sweep.places, green, strict=True):
+        onto = np.array([plane.onto(distance, at - sweep.low)[:, 2] for distance in x])
+        pixel = ((np.column_stack([hook.way[:, 1], number]) - onto) / scale[:, None]).astype(np.float32)
+        share = cv2.remap(image, pixel[:, :1], pixel[:, 1:], cv2.INTER_LINEAR, borderValue=-1)[:, 0]
+        shares.append(np.where(share < 0, np.nan, share))
+    seen = np.isfinite(shares)
+    share = np.where(seen, shares, 0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
+    counts, sums = np.arange(1, len(share)), np.cumsum(share)
+    above, below = sums[:-1] / counts, (sums[-1] - sums[:-1]) / (len(share) - counts)
+    explained = counts * (len(share) - counts) / len(share) * (below - above) ** 2
+    noise, alike = 0.25, 3  # of a share, and how many slices have the same leaf before them: guesses
+    chance = np.exp((explained - explained.max()) / (2 * alike * noise**2))
+    best, step = int(np.argmax(explained)), sweep.top - SLICE * (counts - 0.5)
+    if len(share) < 6 or below[best] - above[best] < 0.25:
+        return float("nan"), float("nan")
+    middle = float(np.average(step, weights=chance))
+    return middle, float(np.hypot(SLICE, np.sqrt(np.average((step - middle) ** 2, weights=chance))))
