@@ -96,7 +96,7 @@ def find_hooks(
         do = "Drive on without stops, one section after another; a cart that comes back counts from its end."
         raise bad_input("frames of a pass", given=given, allowed="3 or more in up to 30 m, each further on", do=do)
     sweep = _Sweep.of(plane, places, votes)
-    hooks = _hooks(sweep)
+    hooks = _of_line([_measured(plane, sweep, votes, hook) for hook in _hooks(sweep)], line)
     heads = np.array([_head(plane, sweep, green, hook) for hook in hooks]).reshape(-1, 2)
     seen = {number: float(np.median([at for n, at in tags if n == number])) for number in {n for n, _ in tags}}
     return SeenRow(
@@ -199,7 +199,8 @@ def _lines(image: NDArray[np.uint8]) -> NDArray[np.float32]:
         left, right = middle - wide[:, : -2 * gap], middle - wide[:, 2 * gap :]
         found = np.maximum(found, np.maximum(np.minimum(left, right), -np.maximum(left, right)))
     sure = 8.0  # grey levels: five times the noise of one pixel, which is averaged over several
-    return np.minimum(found / np.float32(sure), 1)
+    best = found >= cv2.dilate(found, np.ones((1, 5)))  # a bright line is no wider than a faint one
+    return np.where(best, np.minimum(found / np.float32(sure), 1), np.float32(0))
 
 
 class _Sweep(NamedTuple):
@@ -225,6 +226,7 @@ class _Sweep(NamedTuple):
         slices, wide = plane.valid.shape
         reach = plane.scale(x[-1]) * wide * CELL / 2
         low = float(places[0]) + plane.T_cart_cam[1, 3] - reach
+        votes = [cv2.dilate(vote, np.ones((1, 5))) * plane.valid for vote in votes]  # a cart rocks by some mm
         cells = int((np.ptp(places) + 2 * reach) / CELL) + 2
         votes_for, looks = np.zeros((2, len(x), slices, cells), np.float32)
         for k, distance in enumerate(x):
@@ -233,7 +235,7 @@ class _Sweep(NamedTuple):
                 first = int(onto[0, 2])
                 onto[0, 2] -= first
                 size = min(int(plane.scale(distance) * wide) + 2, cells - first), slices
-                votes_for[k, :, first : first + size[0]] += cv2.warpAffine(vote * plane.valid, onto, size)
+                votes_for[k, :, first : first + size[0]] += cv2.warpAffine(vote, onto, size)
                 looks[k, :, first : first + size[0]] += cv2.warpAffine(plane.valid, onto, size)
         return cls(x, low, plane.top, places, _gain(votes_for, looks))
 
@@ -263,33 +265,73 @@ class _Hook(NamedTuple):
     way: NDArray[np.intp]
 
 
+LEAST = 4.0
+"""Evidence of a hook, ln of odds: one hangs in about one of fifty places, each 1 cm wide."""
 ALONG, ACROSS = 0.15, 0.3
 """What a step aside costs from slice to slice, by a cell along the rails or a plane across: strings are all but plumb.
 Guesses: a string that slants by 5 % has one in three slices."""
 
 
 def _hooks(sweep: _Sweep) -> list[_Hook]:
-    """Return the hooks of the line, in order."""
+    """Return what hangs, on whichever line, the surest first."""
     best, below = np.zeros(sweep.gain[:, 0].shape, np.float32), []
     for gain in sweep.gain.transpose(1, 0, 2)[::-1]:
         below.append(best)
         aside = np.maximum(best, maximum_filter(best, (1, 3)) - ALONG)
         best = np.maximum(0, gain + np.maximum(aside, maximum_filter(aside, (3, 1)) - ACROSS))
-    least = 4.0  # ln of odds; a hook stands in about one of fifty places
     apart = 2 * int(0.03 / CELL) + 1  # cells: hooks on one wire are further apart than 3 cm, a guess
-    plane, cell = np.nonzero((best == maximum_filter(best, (len(sweep.x), apart))) & (best > least))
+    plane, cell = np.nonzero((best == maximum_filter(best, (len(sweep.x), apart))) & (best > LEAST))
     found, taken = list[_Hook](), np.zeros(sweep.gain.shape[1:], bool)
     for k in np.argsort(-best[plane, cell]):
         hook = _followed(sweep, below[::-1], plane[k], cell[k], taken)
-        if hook.evidence > least and sweep.places[0] <= hook.position <= sweep.places[-1]:
+        if hook.evidence > LEAST and sweep.places[0] <= hook.position <= sweep.places[-1]:
             found.append(hook)
             for z, (_, y) in enumerate(hook.way):
                 taken[z, max(y - apart // 2, 0) : y + apart // 2] = True
-    across, weight = np.array([hook.across for hook in found]), np.array([hook.evidence for hook in found])
-    middle = (sweep.x[0] + sweep.x[-1]) / 2
-    near = np.exp(-0.5 * ((across[:, None] - sweep.x) / (ASIDE / 2)) ** 2)
-    line = sweep.x[np.argmax(weight @ near * np.exp(-0.5 * ((sweep.x - middle) / 0.05) ** 2))]
-    return sorted([hook for hook in found if abs(hook.across - line) < ASIDE], key=lambda hook: hook.position)
+    return found
+
+
+def _of_line(hooks: Sequence[_Hook], line: float) -> list[_Hook]:
+    """Return those hooks that hang on one line about where it is known to be, in order along it.
+
+    What else hangs in a row is farther away, and there is less of it.
+    """
+    x, known = line + np.arange(-0.1, 0.1005, 0.005), 0.05  # m, how well the line is known: a guess
+    across = np.array([hook.across for hook in hooks])
+    near = np.exp(-0.5 * ((across[:, None] - x) / (ASIDE / 2)) ** 2)
+    best = x[np.argmax(LEAST * near.sum(axis=0) - 0.5 * ((x - line) / known) ** 2)]  # hangers count no more than strings
+    return sorted([hook for hook in hooks if abs(hook.across - best) < ASIDE], key=lambda hook: hook.position)
+
+
+def _measured(plane: _Plane, sweep: _Sweep, votes: Sequence[NDArray[np.float32]], hook: _Hook) -> _Hook:
+    """Return a hook where the rays of all frames meet: position and distance by robust least squares.
+
+    A frame whose line passes beside the hook by d at its distance x, at the slope t along the rails, says that it is
+    d - t dx further on, dx farther away.
+    """
+    way, number = hook.way[: int(0.45 / SLICE)], np.arange(min(len(hook.way), int(0.45 / SLICE)))
+    x, wide = sweep.x[way[:, 0]], 9  # cells to both sides
+    scale, beside, seen = np.array([plane.scale(d) for d in x]), np.arange(-wide, wide + 1), list[tuple[float, float]]()
+    for at, vote in zip(sweep.places, votes, strict=True):
+        onto = np.array([plane.onto(d, at - sweep.low)[:, 2] for d in x])
+        column, row = ((np.column_stack([way[:, 1], number]) - onto) / scale[:, None]).T
+        columns = (column[:, None] + beside / scale[:, None]).astype(np.float32)
+        rows = np.repeat(row[:, None], len(beside), axis=1).astype(np.float32)
+        there = cv2.remap(vote * plane.valid, columns, rows, cv2.INTER_LINEAR).mean(axis=0)
+        there = np.convolve(there, [0.25, 0.5, 0.25], "same")
+        peak = int(np.argmax(there))
+        if there[peak] > 0.1:
+            slope = (hook.position - at - plane.T_cart_cam[1, 3]) / (hook.across - plane.T_cart_cam[0, 3])
+            seen.append((CELL * beside[peak], slope))
+    if len(seen) < 4:
+        return hook
+    off, slope = np.array(seen).T
+    rays, weight = np.column_stack([np.ones(len(off)), -slope]), np.ones(len(off))
+    moved = np.zeros(2)
+    for _ in range(10):
+        moved = np.linalg.lstsq(rays * weight[:, None], off * weight, rcond=None)[0]
+        weight = 1 / np.sqrt(1 + ((off - rays @ moved) / 0.005) ** 2)  # m, how far a cart rocks (a guess): Cauchy's loss
+    return hook._replace(position=hook.position + float(moved[0]), across=hook.across + float(moved[1]))
 
 
 def _followed(sweep: _Sweep, below: Sequence[Any], plane: int, cell: int, taken: NDArray[np.bool_]) -> _Hook:
