@@ -79,7 +79,10 @@ def find_hooks(
         InputError: no frames, frames of another size or not in the order of the way, or a camera that does not look
             at the line of hooks.
     """
-    line, wire = check_range("line of hooks", line, 0.05, 5.0, "m"), check_range("height of the wire", wire, 0.5, 10.0, "m")
+    line, wire = (
+        check_range("line of hooks", line, 0.05, 5.0, "m"),
+        check_range("height of the wire", wire, 0.5, 10.0, "m"),
+    )
     plane = _Plane.of(intrinsics, check_transform("T_cart_cam", T_cart_cam), line, wire)
     reader, tags = _TagReader(intrinsics, plane.T_cart_cam, tag), list[tuple[int, float]]()
     odometry, votes, green = list[float](), list[NDArray[np.float32]](), list[NDArray[np.float32]]()
@@ -299,7 +302,9 @@ def _of_line(hooks: Sequence[_Hook], line: float) -> list[_Hook]:
     x, known = line + np.arange(-0.1, 0.1005, 0.005), 0.05  # m, how well the line is known: a guess
     across = np.array([hook.across for hook in hooks])
     near = np.exp(-0.5 * ((across[:, None] - x) / (ASIDE / 2)) ** 2)
-    best = x[np.argmax(LEAST * near.sum(axis=0) - 0.5 * ((x - line) / known) ** 2)]  # hangers count no more than strings
+    best = x[
+        np.argmax(LEAST * near.sum(axis=0) - 0.5 * ((x - line) / known) ** 2)
+    ]  # hangers count no more than strings
     return sorted([hook for hook in hooks if abs(hook.across - best) < ASIDE], key=lambda hook: hook.position)
 
 
@@ -330,7 +335,9 @@ def _measured(plane: _Plane, sweep: _Sweep, votes: Sequence[NDArray[np.float32]]
     moved = np.zeros(2)
     for _ in range(10):
         moved = np.linalg.lstsq(rays * weight[:, None], off * weight, rcond=None)[0]
-        weight = 1 / np.sqrt(1 + ((off - rays @ moved) / 0.005) ** 2)  # m, how far a cart rocks (a guess): Cauchy's loss
+        weight = 1 / np.sqrt(
+            1 + ((off - rays @ moved) / 0.005) ** 2
+        )  # m, how far a cart rocks (a guess): Cauchy's loss
     return hook._replace(position=hook.position + float(moved[0]), across=hook.across + float(moved[1]))
 
 

@@ -176,7 +176,9 @@ class Tag(Block):
         step = (left - y) / len(grey)
         row, column = np.meshgrid(np.arange(10), np.arange(10), indexing="ij")
         corners = [(0, 0), (0, 1), (1, 0), (1, 1)]  # down, to the right of who faces it: against y
-        front = [np.stack([x - 1e-4 + 0.0 * row, left - step * (column + r), top - step * (row + d)], -1) for d, r in corners]
+        front = [
+            np.stack([x - 1e-4 + 0.0 * row, left - step * (column + r), top - step * (row + d)], -1) for d, r in corners
+        ]
         vertices = np.stack(front, axis=2).reshape(-1, 3)
         faces = (4 * np.arange(100)[:, None, None] + grid_faces(2, 2, closed=False)).reshape(-1, 3)
         back, sides = box(self.box.lower, self.box.upper)
@@ -224,7 +226,9 @@ def installation(
 def _tag(post: Box, heads: float, number: int) -> Tag:
     """Return the tag on a post's side towards the path: above the heads, as far as the post is tall enough."""
     half = TAG * 10 / 8 / 2  # with its margin
-    front = np.array([post.lower[0], (post.lower[1] + post.upper[1]) / 2, min(heads + 0.1, post.upper[2] - 2 * half) + half])
+    front = np.array(
+        [post.lower[0], (post.lower[1] + post.upper[1]) / 2, min(heads + 0.1, post.upper[2] - 2 * half) + half]
+    )
     return Tag("tag", Box(front - [0.003, half, half], front + [0.0, half, half]), number=number)
 
 
