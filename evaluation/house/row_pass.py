@@ -2,8 +2,8 @@
 
     python -m evaluation.house.row_pass --rows 20
 
-A cart passes each row at 0.2 to 0.5 m/s; camera and rocking are drawn wide (`anther.sim.draw`), the odometry has a wrong
-scale and drifts. A hook is found if one is seen within 5 cm of it and none nearer to another; what else is seen is
+A cart passes each row at 0.2 to 0.5 m/s; camera and rocking are drawn wide (`anther.sim.draw`), the odometry has a
+wrong scale and drifts. A hook is found if one is seen within 5 cm of it and none nearer to another; what else is seen is
 spurious. Its place along the rails is told by the odometry from where the drive began, and by the posts that were read.
 A pepper has two strings, so two hooks.
 """
@@ -18,7 +18,7 @@ import numpy as np
 from anther.core import Array
 from anther.perception import SeenRow, find_hooks
 from anther.plant import Crop
-from anther.sim import Drive, draw, drive_past, grow_row
+from anther.sim import draw, drive_past, grow_row
 from evaluation.harness import CROPS, by_turns, finish, options, progress
 from evaluation.tables import markdown, percent
 
@@ -60,7 +60,7 @@ def judged_row(crop: Crop, seed: int) -> Judged:
     stems = [(plant, twine) for plant in row.plants[: row.near] for twine in plant.twines]
     true = np.array([twine.hook[1] for _, twine in stems])
     tips = np.array([plant.end[plant.organ == plant.organ[t.segment], 2].max() for plant, t in stems]) - m.wire
-    posts = {part.number: float(part.box.lower[1] + part.box.upper[1]) / 2 for part in row.parts if part.name == "tag"}
+    posts = {tag.number: float(tag.box.lower[1] + tag.box.upper[1]) / 2 for tag in row.tags}
     posts = {tag: at for tag, at in posts.items() if drive.place[0] <= at <= drive.place[-1]}
     pairs = _pairs(np.interp(seen.position, drive.odometry, drive.place), true)
     of, hook = pairs[:, 0], pairs[:, 1]

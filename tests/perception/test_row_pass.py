@@ -62,7 +62,8 @@ def no_strings() -> list[tuple[float, Array]]:
     """Frames past leaves, and a post's tag, where no string hangs."""
     rng, half = np.random.default_rng(2), TAG * 10 / 8 / 2
     middle = np.array([0.7, 1.0, 2.5])
-    tag = Tag("tag", Box(middle - [0.003, half, half], middle + [0.0, half, half]), number=77)
+    across = np.array([0.0, half, half])
+    tag = Tag("tag", Box(middle - across - [0.003, 0, 0], middle + across), number=77)
     green = leaves_at(
         np.column_stack([rng.uniform(0.5, 1.2, 600), rng.uniform(-0.5, 2.5, 600), rng.uniform(1.6, 2.2, 600)]), rng
     )

@@ -40,12 +40,12 @@ def test_the_odometry_goes_wrong_and_the_cart_does_not() -> None:
 
 def test_every_post_has_a_tag_of_its_own_towards_the_path() -> None:
     row = grow_row("pepper", 5, 6)
-    posts, tags = ([part for part in row.parts if part.name == name] for name in ("post", "tag"))
+    posts, tags = [part for part in row.parts if part.name == "post"], row.tags
     assert len(posts) == len(tags) == len({tag.number for tag in tags}) > 0
+    assert [tag.number for tag in row.at([1.0, 0, 0]).tags] == [tag.number for tag in tags]
     for post, tag in zip(posts, tags, strict=True):
         assert tag.box.upper[0] == pytest.approx(post.box.lower[0])
         assert post.box.lower[1] < (tag.box.lower[1] + tag.box.upper[1]) / 2 < post.box.upper[1]
-        assert tag.moved([1.0, 0, 0]).number == tag.number
 
 
 def test_a_cart_that_stands_is_refused() -> None:

@@ -86,8 +86,8 @@ def find_hooks(
     plane = _Plane.of(intrinsics, check_transform("T_cart_cam", T_cart_cam), line, wire)
     reader, tags = _TagReader(intrinsics, plane.T_cart_cam, tag), list[tuple[int, float]]()
     odometry, votes, green = list[float](), list[NDArray[np.float32]](), list[NDArray[np.float32]]()
-    for at, rgb in frames:
-        rgb = check_array("frame", rgb, (intrinsics.height, intrinsics.width, 3), dtype=np.uint8)
+    for at, taken in frames:
+        rgb = check_array("frame", taken, (intrinsics.height, intrinsics.width, 3), dtype=np.uint8)
         odometry.append(float(at))
         image = plane.image(rgb)
         votes.append(_lines(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)))
@@ -164,17 +164,20 @@ class _Plane:
         away = line - T_cart_cam[0, 3]
         half = int(1.2 * away * max(camera.width / camera.fx, camera.height / camera.fy) / 2 / CELL)
         half = min(half, int(0.65 * away / CELL))  # what is seen at more than 33 degrees is hidden by more leaves
-        rows, wide, top = 2 * (len(seen) // 2), 2 * half + 1, height[seen[0]]
+        rows, wide, top = 2 * (len(seen) // 2), 2 * half + 1, float(height[seen[0]])
         corner = np.array([[0, 0, line], [CELL, 0, T_cart_cam[1, 3] - CELL * half], [0, -SLICE / 2, top]])
         to_pixel = camera.matrix @ (T_cam_cart[:3, :3] @ corner + np.outer(T_cam_cart[:3, 3], [0, 0, 1]))
         plane = cls(T_cart_cam, line, top, to_pixel, np.ones((rows // 2, wide), np.float32))
         full = plane.image(np.full((camera.height, camera.width), 255, np.uint8)) == 255
-        return cls(T_cart_cam, line, top, to_pixel, cv2.erode(full.astype(np.float32), np.ones((1, 15))))
+        valid = np.asarray(cv2.erode(full.astype(np.float32), np.ones((1, 15))), np.float32)
+        return cls(T_cart_cam, line, top, to_pixel, valid)
 
     def image(self, seen: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return (Z, W, ...) what the camera sees on it, a mean over two slices of height."""
         (rows, wide), how = self.valid.shape, cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-        return cv2.blur(cv2.warpPerspective(seen, self.to_pixel, (wide, 2 * rows), flags=how), (1, 4))[::2]
+        return np.asarray(
+            cv2.blur(cv2.warpPerspective(seen, self.to_pixel, (wide, 2 * rows), flags=how), (1, 4))[::2], np.uint8
+        )
 
     def scale(self, x: float) -> float:
         """Return how much larger it is on the plane at x."""
@@ -260,7 +263,7 @@ def _gain(votes: NDArray[np.float32], looks: NDArray[np.float32]) -> NDArray[np.
 
 
 class _Hook(NamedTuple):
-    """A hook: its position by the odometry and its x [m], its evidence, and (n, 2) plane and cell in each slice below."""
+    """A hook: position by the odometry and x [m], evidence, and (n, 2) plane and cell in each slice below."""
 
     position: float
     across: float
@@ -286,7 +289,7 @@ def _hooks(sweep: _Sweep) -> list[_Hook]:
     plane, cell = np.nonzero((best == maximum_filter(best, (len(sweep.x), apart))) & (best > LEAST))
     found, taken = list[_Hook](), np.zeros(sweep.gain.shape[1:], bool)
     for k in np.argsort(-best[plane, cell]):
-        hook = _followed(sweep, below[::-1], plane[k], cell[k], taken)
+        hook = _followed(sweep, below[::-1], int(plane[k]), int(cell[k]), taken)
         if hook.evidence > LEAST and sweep.places[0] <= hook.position <= sweep.places[-1]:
             found.append(hook)
             for z, (_, y) in enumerate(hook.way):

@@ -81,7 +81,8 @@ def side_camera(row: Row, intrinsics: Intrinsics) -> Array:
     low, high = np.arctan2(-0.3, away), np.arctan2(m.wire + 0.3 - eye[2], away)  # m, from below flowers to tags
     tilt = min((low + high) / 2, low + np.arctan(intrinsics.width / 2 / intrinsics.fx))
     on_its_side = transform([[0, -1, 0], [1, 0, 0], [0, 0, 1]], np.zeros(3))
-    return look_at(eye, eye + [np.cos(tilt), 0, np.sin(tilt)]) @ on_its_side
+    ahead = np.array([np.cos(tilt), 0, np.sin(tilt)])
+    return look_at(eye, eye + ahead) @ on_its_side
 
 
 def drive_past(

@@ -172,7 +172,7 @@ class Tag(Block):
         """Return its mesh: the tag's 8 x 8 cells and a white margin, a square each, on the plate's front."""
         cells = cv2.aruco.generateImageMarker(cv2.aruco.getPredefinedDictionary(TAG_FAMILY), self.number, 8)
         grey = np.pad(np.where(cells > 0, 235, 25), 1, constant_values=235)  # printed on matt paper: a guess
-        (x, y, z), (_, left, top) = self.box.lower, self.box.upper
+        (x, y, _), (_, left, top) = self.box.lower, self.box.upper
         step = (left - y) / len(grey)
         row, column = np.meshgrid(np.arange(10), np.arange(10), indexing="ij")
         corners = [(0, 0), (0, 1), (1, 0), (1, 1)]  # down, to the right of who faces it: against y
@@ -229,7 +229,8 @@ def _tag(post: Box, heads: float, number: int) -> Tag:
     front = np.array(
         [post.lower[0], (post.lower[1] + post.upper[1]) / 2, min(heads + 0.1, post.upper[2] - 2 * half) + half]
     )
-    return Tag("tag", Box(front - [0.003, half, half], front + [0.0, half, half]), number=number)
+    across = np.array([0.0, half, half])
+    return Tag("tag", Box(front - across - [0.003, 0, 0], front + across), number=number)
 
 
 def _gutters(m: Measures, low: float, high: float, rng: np.random.Generator) -> list[Part]:
