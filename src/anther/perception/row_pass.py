@@ -90,7 +90,7 @@ def find_hooks(
         rgb = check_array("frame", taken, (intrinsics.height, intrinsics.width, 3), dtype=np.uint8)
         odometry.append(float(at))
         image = plane.image(rgb)
-        votes.append(_lines(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)))
+        votes.append(_lines(image))
         green.append(green_pixels(image).astype(np.float32))
         tags += [(number, at + place[1]) for number, place in reader.read(rgb) if place[0] < line + 1.0]  # m, this row
     places = check_array("odometry", odometry, (None,))
@@ -196,8 +196,9 @@ class _Plane:
 
 
 def _lines(image: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Return (Z, W), 0 to 1, how surely a thin line stands there: lighter or darker than both sides; edges are none."""
-    grey, found = image.astype(np.float32), np.zeros(image.shape, np.float32)
+    """Return (Z, W), 0 to 1, how surely a thin line stands in an image (Z, W, 3): lighter or darker than both sides; edges are none."""
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32)
+    found = np.zeros(grey.shape, np.float32)
     near = cv2.blur(grey, (3, 1))
     for half in (0, 1, 2):  # cells: strings of 2 mm, stems of 6 and 10 mm
         middle, gap = cv2.blur(grey, (2 * half + 1, 1)), half + 3
@@ -254,11 +255,11 @@ def _gain(votes: NDArray[np.float32], looks: NDArray[np.float32]) -> NDArray[np.
     """
     enough = looks > 2.5
     share = votes / np.maximum(looks, 1)
-    seen = 0.5  # of looks at a line that see it: leaves and dashes hide it (a guess)
     count = np.maximum(enough.sum(axis=(0, 2)), 1)
-    chance = np.clip((share * enough).sum(axis=(0, 2)) / count, 0.02, 0.95 * seen)[None, :, None].astype(np.float32)
-    not_seen = np.log((1 - seen) / (1 - chance))
-    gain = not_seen + share * (np.log(seen / chance) - not_seen)
+    chance = np.clip((share * enough).sum(axis=(0, 2)) / count, 0.02, 0.9)[None, :, None].astype(np.float32)
+    own = 0.3  # of looks at a line that see it where chance does not show one: strings are faint, leaves hide them (a guess)
+    seen = 1 - (1 - own) * (1 - chance)
+    gain = np.log(1 - own) + share * (np.log(seen / chance) - np.log(1 - own))
     return np.where(enough, gain, np.minimum(gain, -0.1))
 
 
