@@ -62,19 +62,18 @@ def judged_row(crop: Crop, seed: int) -> Judged:
     tips = np.array([plant.end[plant.organ == plant.organ[t.segment], 2].max() for plant, t in stems]) - m.wire
     posts = {tag.number: float(tag.box.lower[1] + tag.box.upper[1]) / 2 for tag in row.tags}
     posts = {tag: at for tag, at in posts.items() if drive.place[0] <= at <= drive.place[-1]}
-    pairs = _pairs(np.interp(seen.position, drive.odometry, drive.place), true)
-    of, hook = pairs[:, 0], pairs[:, 1]
-    by_posts = _by_posts(seen, posts)
+    of, hook = pairs(np.interp(seen.position, drive.odometry, drive.place), true).T
+    places = by_posts(seen, posts)
     heads = np.column_stack([seen.appearance[of, 0] - m.wire - tips[hook], seen.appearance_std[of, 0], tips[hook]])
     return Judged(
-        crop, len(images), seconds, len(true), len(seen.position) - len(pairs),
+        crop, len(images), seconds, len(true), len(seen.position) - len(of),
         seen.position[of] - drive.odometry[0] + drive.place[0] - true[hook],
-        np.zeros(0) if by_posts is None else by_posts[of] - true[hook],
+        np.zeros(0) if places is None else places[of] - true[hook],
         len(posts), sum(tag in posts for tag, _ in seen.posts), heads,
     )  # fmt: skip
 
 
-def _pairs(seen: Array, true: Array) -> Any:
+def pairs(seen: Array, true: Array) -> Any:
     """Return (F, 2) numbers of what was seen and of the hook that it is, the nearest first."""
     away, found = np.abs(seen[:, None] - true), list[tuple[int, int]]()
     for k in np.argsort(away, axis=None):
@@ -84,7 +83,7 @@ def _pairs(seen: Array, true: Array) -> Any:
     return np.array(sorted(found), dtype=int).reshape(-1, 2)
 
 
-def _by_posts(seen: SeenRow, posts: dict[int, float]) -> Array | None:
+def by_posts(seen: SeenRow, posts: dict[int, float]) -> Array | None:
     """Return places (M,) along the rails, stretched from post to post; None where none was read."""
     read = [(at, posts[tag]) for tag, at in seen.posts if tag in posts]
     if not read:
