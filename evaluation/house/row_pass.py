@@ -4,8 +4,8 @@
 
 A cart passes each row at 0.2 to 0.5 m/s; camera and rocking are drawn wide (`anther.sim.draw`), the odometry has a
 wrong scale and drifts. A hook is found if one is seen within 5 cm of it and none nearer to another; what else is seen
-is spurious. Its place along the rails is told by the odometry from where the drive began, and by the posts that were read.
-A pepper has two strings, so two hooks.
+is spurious. Its place along the rails is told by the odometry from where the drive began, and by the posts that were
+read. A pepper has two strings, so two hooks.
 """
 
 from __future__ import annotations

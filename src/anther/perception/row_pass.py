@@ -196,7 +196,7 @@ class _Plane:
 
 
 def _lines(image: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Return (Z, W), 0 to 1, how surely a thin line stands in an image (Z, W, 3): lighter or darker than both sides; edges are none."""
+    """Return (Z, W), 0 to 1, how surely a thin line stands in an image (Z, W, 3), lighter or darker than both sides."""
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32)
     found = np.zeros(grey.shape, np.float32)
     near = cv2.blur(grey, (3, 1))
@@ -257,7 +257,7 @@ def _gain(votes: NDArray[np.float32], looks: NDArray[np.float32]) -> NDArray[np.
     share = votes / np.maximum(looks, 1)
     count = np.maximum(enough.sum(axis=(0, 2)), 1)
     chance = np.clip((share * enough).sum(axis=(0, 2)) / count, 0.02, 0.9)[None, :, None].astype(np.float32)
-    own = 0.3  # of looks at a line that see it where chance does not show one: strings are faint, leaves hide them (a guess)
+    own = 0.3  # of looks at a line that see it, chance apart: strings are faint, leaves hide them (a guess)
     seen = 1 - (1 - own) * (1 - chance)
     gain = np.log(1 - own) + share * (np.log(seen / chance) - np.log(1 - own))
     return np.where(enough, gain, np.minimum(gain, -0.1))
