@@ -98,3 +98,10 @@ def test_a_camera_that_looks_elsewhere_is_refused() -> None:
     away = look_at([-0.25, 0.0, 2.0], [-1.25, 0.0, 2.25])
     with pytest.raises(InputError, match="T_cart_cam"):
         find_hooks(frames([]), CAMERA, away, **WHERE)
+
+
+def test_a_hook_beyond_the_way_is_not_told_and_none_is_told_twice() -> None:
+    strings = [(0.45, -0.05, 2.4), (0.45, 0.4, 2.4), (0.45, 0.42, 2.4), (0.45, 1.2, 2.4), (0.45, 2.06, 2.4)]
+    seen = find_hooks(frames(strings), CAMERA, T_CART_CAM, **WHERE)
+    assert len(seen.position) == 2
+    assert seen.position == pytest.approx([0.41, 1.2], abs=0.02)

@@ -4,7 +4,7 @@ A string is too thin for a depth camera. It is found by parallax: each image tel
 or darker than what is on both sides; these votes are cast on planes along the rails at several distances, and a line is
 where those of many frames meet. From each place on the wire the best way down through the votes is followed (dynamic
 programming over slices of height); what it meets, against what lines among leaves are met by chance, is the evidence
-for a hook there. Colour is not used, nor the odometry's scale: posts tell that.
+for a hook there. Hooks are found without colour; the odometry's scale is left to posts.
 
 The cart's frame is x towards the plants, y along the rails, z up, x = y = 0 where it stands. M hooks, X planes,
 Z slices from above, Y cells along the rails.
@@ -33,6 +33,8 @@ CELL, SLICE = 0.002, 0.015
 """Along the rails, as wide as a string, and in height [m]."""
 ASIDE = 0.05
 """How far from the line of hooks what hangs on it is [m]: half of the least from there to what else hangs, a guess."""
+APART = 0.03
+"""Hooks on one wire are further apart [m]: a guess."""
 Images = Iterable[tuple[float, NDArray[np.uint8]]]
 """What the cart's odometry reads [m], and the image (H, W, 3) that is taken there."""
 
@@ -99,7 +101,8 @@ def find_hooks(
         do = "Drive on without stops, one section after another; a cart that comes back counts from its end."
         raise bad_input("frames of a pass", given=given, allowed="3 or more in up to 30 m, each further on", do=do)
     sweep = _Sweep.of(plane, places, votes)
-    hooks = _of_line([_measured(plane, sweep, votes, hook) for hook in _hooks(sweep)], line)
+    measured = [_measured(plane, sweep, votes, hook) for hook in _hooks(sweep)]
+    hooks = _of_line([hook for hook in measured if places[0] <= hook.position <= places[-1]], line)
     heads = np.array([_head(plane, sweep, green, hook) for hook in hooks]).reshape(-1, 2)
     seen = {number: float(np.median([at for n, at in tags if n == number])) for number in {n for n, _ in tags}}
     return SeenRow(
@@ -286,12 +289,12 @@ def _hooks(sweep: _Sweep) -> list[_Hook]:
         below.append(best)
         aside = np.maximum(best, maximum_filter(best, (1, 3)) - ALONG)
         best = np.maximum(0, gain + np.maximum(aside, maximum_filter(aside, (3, 1)) - ACROSS))
-    apart = 2 * int(0.03 / CELL) + 1  # cells: hooks on one wire are further apart than 3 cm, a guess
+    apart = 2 * int(APART / CELL) + 1
     plane, cell = np.nonzero((best == maximum_filter(best, (len(sweep.x), apart))) & (best > LEAST))
     found, taken = list[_Hook](), np.zeros(sweep.gain.shape[1:], bool)
     for k in np.argsort(-best[plane, cell]):
         hook = _followed(sweep, below[::-1], int(plane[k]), int(cell[k]), taken)
-        if hook.evidence > LEAST and sweep.places[0] <= hook.position <= sweep.places[-1]:
+        if hook.evidence > LEAST:
             found.append(hook)
             for z, (_, y) in enumerate(hook.way):
                 taken[z, max(y - apart // 2, 0) : y + apart // 2] = True
@@ -309,7 +312,11 @@ def _of_line(hooks: Sequence[_Hook], line: float) -> list[_Hook]:
     best = x[
         np.argmax(LEAST * near.sum(axis=0) - 0.5 * ((x - line) / known) ** 2)
     ]  # hangers count no more than strings
-    return sorted([hook for hook in hooks if abs(hook.across - best) < ASIDE], key=lambda hook: hook.position)
+    kept = list[_Hook]()
+    for hook in hooks:  # the surest first; of two that the same rays moved to one place it is the one
+        if abs(hook.across - best) < ASIDE and all(abs(hook.position - other.position) > APART for other in kept):
+            kept.append(hook)
+    return sorted(kept, key=lambda hook: hook.position)
 
 
 def _measured(plane: _Plane, sweep: _Sweep, votes: Sequence[NDArray[np.float32]], hook: _Hook) -> _Hook:
