@@ -7,6 +7,7 @@ from .flowers import Flowers, find_flowers, flower_centres
 from .formats.clouds import read_cloud
 from .formats.skeletons import read_skeleton, write_skeleton
 from .masks import Masks, segment
+from .row_pass import SeenRow, find_hooks
 from .skeleton import Plants, Skeleton, find_plants, skeletonize
 from .stem import Stem, find_stem
 from .supports import find_supports
@@ -18,9 +19,11 @@ __all__ = [
     "Flowers",
     "Masks",
     "Plants",
+    "SeenRow",
     "Skeleton",
     "Stem",
     "find_flowers",
+    "find_hooks",
     "find_plants",
     "find_stem",
     "find_supports",

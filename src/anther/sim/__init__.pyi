@@ -7,6 +7,7 @@ from .render import Scene
 from .robot import robot_of
 from .row import Row, grow_row, row_scene
 from .row_cell import build_row, mapped_string
+from .row_drive import Drive, drive_past
 from .simulated_cell import SimulatedCell, build, grow, layout, photograph, views_at
 from .tomato import grow_tomato
 from .true_plant import as_true
@@ -16,6 +17,7 @@ __all__ = [
     "NOMINAL",
     "WIDE",
     "CaptureTruth",
+    "Drive",
     "Organ",
     "Row",
     "Scene",
@@ -29,6 +31,7 @@ __all__ = [
     "capture_from_poses",
     "capture_views",
     "draw",
+    "drive_past",
     "grow",
     "grow_pepper",
     "grow_row",

@@ -90,9 +90,9 @@ class CameraErrors(Record):
     blur: float = 0.6
 
 
-def camera_errors(truth: Truth) -> CameraErrors:
-    """Return the errors of camera and arm that are true of a trial."""
-    usual = CameraErrors()
+def camera_errors(truth: Truth, usual: CameraErrors | None = None) -> CameraErrors:
+    """Return the errors of camera and arm that are true of a trial; None: an arm's."""
+    usual = usual or CameraErrors()
     return replace(
         usual,
         pose_rotation=truth.pose_error * usual.pose_rotation,
@@ -151,7 +151,7 @@ def capture_views(
     T_true = check_transform("T_flange_cam_true", T_flange_cam_true)
     T_believed = check_transform("T_flange_cam_believed", T_flange_cam_believed)
     flange = np.stack([forward(q) for q in joints])
-    true = flange @ _pose_errors(len(joints), errors, rng) @ T_true
+    true = flange @ pose_errors(len(joints), errors, rng) @ T_true
     how: dict[str, Any] = {"rng": rng, "intrinsics": intrinsics, "errors": errors, "progress": progress, "keep": keep}
     capture, truth = capture_from_poses(plant, flange @ T_believed, T_world_cam_true=true, **how)
     return replace(capture, joints=joints), truth
@@ -175,7 +175,7 @@ def capture_from_poses(
     """
     errors, intrinsics = errors or CameraErrors(), intrinsics or d455()
     believed = check_transform("T_world_cam", np.asarray(T_world_cam).reshape(-1, 4, 4))
-    drawn = believed @ _pose_errors(len(believed), errors, rng) if T_world_cam_true is None else T_world_cam_true
+    drawn = believed @ pose_errors(len(believed), errors, rng) if T_world_cam_true is None else T_world_cam_true
     true = check_transform("T_world_cam_true", drawn, len(believed))
     still = Scene.of_plant(plant) if isinstance(plant, SimPlant) else plant
     count, size = len(true), (intrinsics.height, intrinsics.width)
@@ -346,7 +346,8 @@ def _shadowed(disparity: NDArray[Any]) -> NDArray[np.bool_]:
     return ~inside | (nearest[at] > disparity + np.float64(1.5))
 
 
-def _pose_errors(count: int, errors: CameraErrors, rng: np.random.Generator) -> Array:
+def pose_errors(count: int, errors: CameraErrors, rng: np.random.Generator) -> Array:
+    """Return (count, 4, 4) how far what carries the camera is turned and shifted from where it is believed."""
     turn, shift = rng.normal(size=(2, count, 3))
     parts = zip(errors.pose_rotation * turn, errors.pose_translation * shift, strict=True)
     return np.stack([small_transform(a, b) for a, b in parts])

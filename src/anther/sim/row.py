@@ -19,7 +19,7 @@ from anther.core.geometry import Array
 from anther.sim.greenhouse import Painted, Setting, joined, leaves_at, shell
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.render import Scene
-from anther.sim.row_house import CUBE, SLAB, Measures, Part, Rod, draw_measures, installation, painted
+from anther.sim.row_house import CUBE, SLAB, TAGS, Measures, Part, Rod, Tag, draw_measures, installation, painted
 from anther.sim.row_plants import Place, high_wire_tomato, string_pepper
 
 FEWEST, MOST = 3, 12
@@ -69,6 +69,11 @@ class Row:
         """(3,) the middle of the open flowers of the plant that is asked for [m]."""
         return np.median(self.worked.flower_position, axis=0)
 
+    @property
+    def tags(self) -> tuple[Tag, ...]:
+        """Those of its posts, in order along y."""
+        return tuple(part for part in self.parts if isinstance(part, Tag))
+
     def at(self, way: ArrayLike) -> Row:
         """Return the row elsewhere, `way` (3,) from here [m]: where an arm has its base at -`way` in it."""
         way = np.asarray(way, dtype=np.float64)
@@ -111,7 +116,8 @@ def grow_row(
     plants = tuple(grown(100 * seed + i, place) for i, place in enumerate(places))
     hooks = np.array([twine.hook for plant in plants for twine in plant.twines])
     feet = np.array([plant.pot.centre for plant in plants])
-    parts = tuple(installation(measures, hooks, feet, rng))
+    heads = max(float(plant.end[:, 2].max()) for plant in plants)
+    parts = tuple(installation(measures, hooks, feet, rng, heads=heads, first_tag=7 * seed % TAGS))
     return Row(crop, seed, measures, plants, near, near // 2, parts, np.zeros(3))
 
 

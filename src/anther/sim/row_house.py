@@ -9,12 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
 from anther.core.geometry import Array, Box
 from anther.sim.greenhouse import RGB, Painted
-from anther.sim.mesh import box, tube
+from anther.sim.mesh import box, grid_faces, tube
 from anther.sim.plant import Organ
 from anther.sim.truth import uniform
 
@@ -150,10 +151,48 @@ class Block:
         return box(self.box.lower, self.box.upper), Organ.BENCH, np.array(self.colour)
 
 
+TAG = 0.12
+"""Edge of a tag's black square [m]: of 10 to 16 cm that one prints, a guess."""
+TAG_FAMILY = cv2.aruco.DICT_APRILTAG_36h11
+TAGS = 587
+"""How many there are of this family."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tag(Block):
+    """A thin plate with an AprilTag (36h11) that faces the path.
+
+    Attributes:
+        number: which of the family.
+    """
+
+    number: int = 0
+
+    def painted(self) -> Painted:
+        """Return its mesh: the tag's 8 x 8 cells and a white margin, a square each, on the plate's front."""
+        cells = cv2.aruco.generateImageMarker(cv2.aruco.getPredefinedDictionary(TAG_FAMILY), self.number, 8)
+        grey = np.pad(np.where(cells > 0, 235, 25), 1, constant_values=235)  # printed on matt paper: a guess
+        (x, y, _), (_, left, top) = self.box.lower, self.box.upper
+        step = (left - y) / len(grey)
+        row, column = np.meshgrid(np.arange(10), np.arange(10), indexing="ij")
+        corners = [(0, 0), (0, 1), (1, 0), (1, 1)]  # down, to the right of who faces it: against y
+        front = [
+            np.stack([x - 1e-4 + 0.0 * row, left - step * (column + r), top - step * (row + d)], -1) for d, r in corners
+        ]
+        vertices = np.stack(front, axis=2).reshape(-1, 3)
+        faces = (4 * np.arange(100)[:, None, None] + grid_faces(2, 2, closed=False)).reshape(-1, 3)
+        back, sides = box(self.box.lower, self.box.upper)
+        mesh = np.vstack([vertices, back]), np.vstack([faces, sides + len(vertices)]).astype(np.int32)
+        colour = np.concatenate([np.repeat(grey.ravel(), 4), np.full(len(back), 235)])
+        return mesh, Organ.BENCH, np.repeat(colour[:, None], 3, axis=1)
+
+
 Part = Rod | Block
 
 
-def installation(m: Measures, hooks: Array, feet: Array, rng: np.random.Generator) -> list[Part]:
+def installation(
+    m: Measures, hooks: Array, feet: Array, rng: np.random.Generator, *, heads: float, first_tag: int
+) -> list[Part]:
     """Return what stands in the row and in its path.
 
     Args:
@@ -161,6 +200,8 @@ def installation(m: Measures, hooks: Array, feet: Array, rng: np.random.Generato
         hooks: (P, 3) on the wires [m].
         feet: (P, 3) where stems leave their holders [m].
         rng: where slabs and posts begin.
+        heads: height of the plants [m]; tags hang above it.
+        first_tag: number of the first post's tag; others follow.
     """
     low, high = float(min(hooks[:, 1].min(), feet[:, 1].min())) - 0.8, float(max(hooks[:, 1].max(), feet[:, 1].max()))
     high += 0.8
@@ -175,11 +216,21 @@ def installation(m: Measures, hooks: Array, feet: Array, rng: np.random.Generato
     wires = [along("wire", x, m.wire + 0.012, 0.0015) for x in (m.near, m.near + m.lines)]
     pipe = along("pipe", middle, m.gutter + rng.uniform(0.5, 1.2), pipe_radius, grey)
     first = low + rng.uniform(0, m.posts)
-    posts = [
-        Block("post", Box(np.array([middle - 0.03, y, 0.0]), np.array([middle + 0.03, y + 0.06, m.wire + 0.3])), STEEL)
-        for y in np.arange(first, high, m.posts)
-    ]
+    posts: list[Part] = []
+    for k, y in enumerate(np.arange(first, high, m.posts)):
+        post = Box(np.array([middle - 0.03, y, 0.0]), np.array([middle + 0.03, y + 0.06, m.wire + 0.3]))
+        posts += [Block("post", post, STEEL), _tag(post, heads, (first_tag + k) % TAGS)]
     return [*rails, *wires, pipe, *posts, *_gutters(m, low, high, rng), *_cubes(m, feet), *_hooks(hooks)]
+
+
+def _tag(post: Box, heads: float, number: int) -> Tag:
+    """Return the tag on a post's side towards the path: above the heads, as far as the post is tall enough."""
+    half = TAG * 10 / 8 / 2  # with its margin
+    front = np.array(
+        [post.lower[0], (post.lower[1] + post.upper[1]) / 2, min(heads + 0.1, post.upper[2] - 2 * half) + half]
+    )
+    across = np.array([0.0, half, half])
+    return Tag("tag", Box(front - across - [0.003, 0, 0], front + across), number=number)
 
 
 def _gutters(m: Measures, low: float, high: float, rng: np.random.Generator) -> list[Part]:

@@ -1,0 +1,116 @@
+"""A cart with a camera at its side that drives along a row: what it takes on its way, and what is true of it.
+
+The camera lies on its side, so that heads, strings and wire are in view from a narrow path: it stands as far from the
+plants as the path allows, at the height of their flowers, and looks up as far as the flowers stay in view. The cart's
+frame is x towards the plants, y along the rails, z up from the floor, x = y = 0 where it stands. V frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from anther.core.checks import check_range
+from anther.core.geometry import Array, Intrinsics, look_at, transform
+from anther.sim.capture import CameraErrors, camera_errors, noisy_rgb, perturbed_hand_eye, pose_errors
+from anther.sim.render import Scene, d455
+from anther.sim.row import Row, row_scene
+from anther.sim.truth import NOMINAL, Truth
+
+BEYOND = 0.4
+"""From where a drive begins to the first hook, and from the last one to its end [m]."""
+SLIP = 0.01
+"""Of the cart's odometry: standard deviation after a metre [m]; it grows with the root of the way. A guess."""
+ROCK = CameraErrors(pose_rotation=float(np.radians(0.1)), pose_translation=0.001)
+"""How far a cart turns and shifts at each frame: 1 mm of play over half a metre between its wheels, a guess."""
+RATE = 5.0
+"""Frames a second: a tenth of a metre apart at 0.5 m/s."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drive:
+    """A drive along a row.
+
+    Attributes:
+        row: as it is.
+        intrinsics: of the camera.
+        T_cart_cam: (4, 4) as it was calibrated.
+        odometry: (V,) what it reads at each frame [m].
+        place: (V,) where the cart truly is along the row [m].
+        T_world_cam: (V, 4, 4) where the camera truly is.
+        blur: how far the line of strings moves through the image while the shutter is open [px].
+        errors: of the camera.
+        seed: of its noise.
+    """
+
+    row: Row
+    intrinsics: Intrinsics
+    T_cart_cam: Array
+    odometry: Array
+    place: Array
+    T_world_cam: Array
+    blur: float
+    errors: CameraErrors
+    seed: tuple[int, ...]
+
+    def frames(self, scene: Scene | None = None) -> Iterator[tuple[float, NDArray[np.uint8]]]:
+        """Yield what the odometry reads [m], and the image (H, W, 3), at each frame; two are rendered at a time."""
+        scene, streams = scene or row_scene(self.row), np.random.default_rng(self.seed).spawn(len(self.place))
+        half = int(np.ceil(self.blur / 2))
+        kernel = np.clip(self.blur / 2 + 0.5 - np.abs(np.arange(-half, half + 1)), 0, 1)[:, None]
+
+        def take(k: int) -> NDArray[np.uint8]:
+            rgb = scene.render(self.intrinsics, self.T_world_cam[k]).rgb
+            rgb = cv2.filter2D(rgb, -1, kernel / kernel.sum()) if self.blur else rgb
+            return noisy_rgb(rgb, streams[k], self.errors)
+
+        with ThreadPoolExecutor(2) as pool:
+            yield from zip(self.odometry.tolist(), pool.map(take, range(len(self.place))), strict=True)
+
+
+def side_camera(row: Row, intrinsics: Intrinsics) -> Array:
+    """Return T_cart_cam (4, 4) of the camera that looks from the cart at the near line of a row."""
+    m, flowers = row.measures, np.vstack([plant.flower_position for plant in row.plants[: row.near]])
+    eye = np.array([0.05 - m.corridor / 2, 0.0, np.median(flowers[:, 2]) - row.origin[2]])
+    away = m.near - eye[0]
+    low, high = np.arctan2(-0.3, away), np.arctan2(m.wire + 0.3 - eye[2], away)  # m, from below flowers to tags
+    tilt = min((low + high) / 2, low + np.arctan(intrinsics.width / 2 / intrinsics.fx))
+    on_its_side = transform([[0, -1, 0], [1, 0, 0], [0, 0, 1]], np.zeros(3))
+    ahead = np.array([np.cos(tilt), 0, np.sin(tilt)])
+    return look_at(eye, eye + ahead) @ on_its_side
+
+
+def drive_past(
+    row: Row, seed: int, *, speed: float = 0.4, truth: Truth = NOMINAL, intrinsics: Intrinsics | None = None
+) -> Drive:
+    """Return a drive past the near line of a row.
+
+    Odometry has a wrong scale (0.5 %, a guess) and drifts; the cart rocks.
+
+    Args:
+        row: where it stands.
+        seed: of all errors.
+        speed: of the cart [m/s].
+        truth: about the camera.
+        intrinsics: of the camera; None is a D455 at 848 x 480.
+    """
+    check_range("speed of the cart", speed, 0.05, 2.0, "m/s")
+    rng, camera, errors = np.random.default_rng([seed, 17]), intrinsics or d455(848, 480), camera_errors(truth)
+    hooks = np.array([twine.hook for plant in row.plants[: row.near] for twine in plant.twines])[:, 1]
+    place = np.arange(hooks.min() - BEYOND, hooks.max() + BEYOND + speed / RATE, speed / RATE)
+    drift = np.cumsum(rng.normal(0, SLIP * np.sqrt(speed / RATE), len(place)))
+    odometry = (place - place[0]) * (1 + rng.normal(0, 0.005)) + drift
+    T_cart_cam = side_camera(row, camera)
+    carts = np.tile(np.eye(4), (len(place), 1, 1))
+    carts[:, :3, 3] = row.origin
+    carts[:, 1, 3] = place
+    away = row.measures.near - T_cart_cam[0, 3]
+    blur = truth.exposure_time * speed * camera.fy / away
+    true = carts @ pose_errors(len(place), camera_errors(truth, ROCK), rng) @ T_cart_cam
+    believed = perturbed_hand_eye(T_cart_cam, rng, factor=truth.hand_eye_error)
+    return Drive(row, camera, believed, odometry, place, true, blur, errors, (seed, 18))
