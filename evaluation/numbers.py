@@ -20,10 +20,11 @@ one or more metrics with their formats; a metric that a run lacks shows as "–"
 """
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from anther.core.files import read_json, write_text
+from anther.core.files import read_json, read_object, write_text
 from evaluation.tables import METRIC, written
 
 RESULTS = Path("docs/results")
@@ -32,6 +33,11 @@ COMPARED = re.compile(
     r"(?P<head><!-- compared: (?P<file>\w+)(?:, (?P<count>\w+) (?P<cases>[^\n]+))?\n(?P<rows>.*?)-->\n).*?<!-- end -->",
     re.DOTALL,
 )
+
+
+def metrics_of(name: str, results: Path = RESULTS) -> Mapping[str, float]:
+    """Return the numbers of a run that is filed."""
+    return read_object(results / f"{name}.json")["metrics"]
 
 
 def pages() -> list[Path]:

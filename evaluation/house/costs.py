@@ -13,14 +13,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-from anther.core.files import read_object
 from anther.history import Robot
 from anther.show.fleet import Fleet, House, fleet_for
 from evaluation.harness import finish, options
 from evaluation.house.shift import STEMS_HA
+from evaluation.numbers import RESULTS, metrics_of
 from evaluation.tables import markdown, number
 
-RESULTS = Path("docs/results")
 HOURS, DAYS, SEASON = 6.0, 2.0, 287.0
 """From 10 to 16 h, every second day (facts: pollination, 1d), on 41 weeks of a year (facts: pollination, 3)."""
 POWER, CHARGING = 0.4, 0.85
@@ -44,11 +43,6 @@ class Way(NamedTuple):
     views: int
     seconds: float
     timed: bool
-
-
-def metrics_of(name: str, results: Path = RESULTS) -> Mapping[str, float]:
-    """Return the numbers of a run."""
-    return read_object(results / f"{name}.json")["metrics"]
 
 
 def ways(results: Path = RESULTS) -> tuple[list[Way], float]:

@@ -11,11 +11,11 @@ held_row         share of rows: the asked stem was held through the shake, nothi
 moved_row        share of these whose median flower felt 5 m/s2 or more
 neighbour_harm   share of rows: a neighbour, a string, a post, pipe or gutter was touched, or the stem's string let go
 cycle_s          median of the visits that shook [s]: the sum of its parts, views_s, thought_s, approach_s, shake_s,
-                 retreat_s; the first visit of a process, which compiles, is left out of thought
+                 retreat_s; a visit is a process, whose thought begins with loading what was compiled before
 
 held_row_tomato and so on are of one crop; _low and _high are 95 % intervals. held_row_helios, moved_row_helios and
 neighbour_harm_helios are of tomatoes of a second generator (`helios_row`), which count in nothing else; left out where
-pyhelios3d is not installed. Stems recognised again: `evaluation.house.row_map`.
+pyhelios3d is not installed. same_stem_week1 and same_stem_week2 are those of `evaluation.house.row_map` as last run.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ from anther.sim import build_row, grow_row, mapped_string
 from anther.sim.cell import BENCH, NEIGHBOUR, POT, CellLog
 from anther.sim.judge import LETS_GO, string_pull
 from evaluation.harness import CROPS, Row, by_turns, failed, finish, options, run_cases
+from evaluation.numbers import metrics_of
 from evaluation.statistics import bootstrap, interval, median
 from evaluation.tables import by_number, by_part, markdown
 from evaluation.trials.grasping_pictures import portrait
@@ -60,13 +61,9 @@ class Case:
     generator: Literal["own", "helios"] = "own"
 
 
-_begun: list[Case] = []  # what this process has run: the first of it compiles
-
-
 def one(row: Row, folder: Path) -> Row:
     """Return what became of a case, for a sweep; what the camera saw, with the grasp, is drawn into the folder."""
     case = Case(**row)
-    _begun.append(case)
     grown = grow_helios_row(case.seed) if case.generator == "helios" else grow_row(case.species, case.seed)
     run = Brief(folder)
     try:
@@ -77,7 +74,7 @@ def one(row: Row, folder: Path) -> Row:
     found, done = performed(cell, lambda: visit_row_stem(cell.robot_side, case.species, hook, run, foot=foot))
     log = cell.world.log()
     found |= touched(log) | {"string_pull": string_pull(cell.world, log), "plants": len(grown.plants)}
-    found |= {"views_s": cell.capture_seconds, "first": len(_begun) == 1, "notes": notes(run)}
+    found |= {"views_s": cell.capture_seconds, "notes": notes(run)}
     if done is not None:
         found |= {"thought_s": thought(found, run), "approach_s": approach(found.get("phases_s", {}))}
         found["flowers_seen"], found["flowers_there"] = (
@@ -152,11 +149,11 @@ def metrics(rows: Sequence[Row]) -> dict[str, float]:
             low, high = interval(good, count) if count else (float("nan"), float("nan"))
             share = good / count if count else float("nan")
             table |= {f"{name}{end}": share, f"{name}{end}_low": low, f"{name}{end}_high": high}
-    warm = [row for row in rows if np.isfinite(cycle(row)) and not row.get("first")]
-    cycles = np.array([cycle(row) for row in warm])
+    shook = [row for row in rows if np.isfinite(cycle(row))]
+    cycles = np.array([cycle(row) for row in shook])
     low, high = bootstrap(cycles)
     table |= {"cycle_s": median(cycles), "cycle_s_low": low, "cycle_s_high": high}
-    return table | {part: median(row[part] for row in warm) for part in PARTS}
+    return table | {part: median(row[part] for row in shook) for part in PARTS}
 
 
 def report(rows: Sequence[Row], found: dict[str, float]) -> list[RenderableType]:
@@ -212,7 +209,8 @@ def main() -> None:
         of_helios = range(first, first + (1 if args.quick else args.helios))
         cases += [asdict(Case("tomato", k, args.truth, "helios")) for k in of_helios]
     rows = run_cases(one, cases, args.out, args.jobs, failed, args.done)
-    found = metrics(rows)
+    recognised = metrics_of("row_map")
+    found = metrics(rows) | {key: recognised[key] for key in ("same_stem_week1", "same_stem_week2")}
     finish(args, found, *report(rows, found))
 
 
