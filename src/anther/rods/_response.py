@@ -198,7 +198,7 @@ def observed_response(
         springs: between the gripper, which follows the shake and does not turn, and the pads.
 
     Each frequency is factored once, without any grip; what a grip then takes is in `_grasped`. `LANES` frequencies go
-    side by side, and all cores share such groups, then the grips.
+    side by side, and all cores share such groups.
 
     Raises:
         InputError: the rods are divided so finely that the memory does not suffice.
@@ -215,19 +215,14 @@ def observed_response(
     trunk, branch = _solved(system, 2 * np.pi * frequencies, loads, view)
     shape = len(frequencies), len(held)
     vectors = np.empty((*shape, operator.shape[0] // 3, 3, 3), np.complex128)
-    wrench, moved = np.empty((2, *shape, 6, 3), np.complex128)
-
-    def hold_some(which: NDArray[Any]) -> None:
-        scratch = np.empty((len(view.wanted) + 1, 6 * LANES))
-        for g in which:
-            body = rigid_motion(rods.parent, system.state.x, np.asarray(grip_nodes[g]))
-            at, rows = np.searchsorted(view.wanted, held[g]), np.searchsorted(loads, held[g])
-            receptance = _in_turn(trunk[:, at[:, None], rows], len(frequencies))
-            forces, wrench[:, g], moved[:, g] = _grasped(receptance, body, springs)
-            moving = trunk, rows, _in_lanes(forces)
-            _observe(moving, branch, view.beyond.indptr, view.base, view.direct, scratch, vectors, g)
-
-    _on_all_cores(hold_some, len(held))
+    (wrench, moved), scratch = np.empty((2, *shape, 6, 3), np.complex128), np.empty((len(view.wanted) + 1, 6 * LANES))
+    for g, (pad, unknowns) in enumerate(zip(grip_nodes, held, strict=True)):
+        body = rigid_motion(rods.parent, system.state.x, np.asarray(pad))
+        at, rows = np.searchsorted(view.wanted, unknowns), np.searchsorted(loads, unknowns)
+        receptance = _in_turn(trunk[:, at[:, None], rows], len(frequencies))
+        forces, wrench[:, g], moved[:, g] = _grasped(receptance, body, springs)
+        moving = trunk, rows, _in_lanes(forces)
+        _observe(moving, branch, view.beyond.indptr, view.base, view.direct, scratch, vectors, g)
     return Observed(vectors, wrench[:, :, :3], wrench[:, :, 3:], moved)
 
 
