@@ -116,13 +116,19 @@ class PlantModel(Stored):
         return replace(self.rods, viscous_time=self.material.damping_ratio / (np.pi * frequency))
 
     def with_material(
-        self, material: Material, *, pedicel_factor: float = 1.0, tension_factor: float = 1.0
+        self,
+        material: Material,
+        *,
+        edge_factor: Array | float = 1.0,
+        pedicel_factor: float = 1.0,
+        tension_factor: float = 1.0,
     ) -> PlantModel:
         """Return the same plant of another material, again at rest in the scanned shape.
 
         Args:
             material: its youngs and radius scale replace those of stem and branches.
-            pedicel_factor: multiplies Young's modulus of the pedicels [-].
+            edge_factor: (N,) multiplies Young's modulus of every edge [-].
+            pedicel_factor: multiplies that of the pedicels [-].
             tension_factor: multiplies the tension of the string [-].
 
         Raises:
@@ -134,7 +140,7 @@ class PlantModel(Stored):
         rods = replace(
             self.rods,
             edge_radius=np.asarray(self.rods.edge_radius) * np.where(self.is_pedicel, 1.0, thicker),
-            youngs=np.asarray(self.rods.youngs) * stiffer,
+            youngs=np.asarray(self.rods.youngs) * edge_factor * stiffer,
             density=np.asarray(self.rods.density) * heavier,
             bend_over_twist=material.bend_over_twist,
             natural=None,

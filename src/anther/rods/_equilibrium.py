@@ -20,7 +20,7 @@ from anther.rods._assembly import (
     on_nodes,
 )
 from anther.rods._loads import Loads
-from anther.rods._model import Frames, Model, build_model
+from anther.rods._model import Frames, Model, build_model, turning_held, with_natural
 from anther.rods._motion import Clamp
 from anther.rods._rods import GRAVITY, LEAST_YOUNGS, MOST_YOUNGS, Array, NaturalShape, Rods
 from anther.rods._stepping import LARGEST_TURN, POSITION_FLOOR, State, new_state
@@ -140,7 +140,7 @@ def with_gravity_equilibrium(rods: Rods, clamp: Clamp, gravity: ArrayLike = GRAV
     """
     rods = replace(rods, natural=None)
     model, frames = build_model(rods, gravity, clamp.planted)
-    return replace(rods, natural=balancing_shape(rods, model, frames, clamp))
+    return with_natural(rods, balancing_shape(rods, model, frames, clamp))
 
 
 def balancing_shape(rods: Rods, model: Model, frames: Frames, clamp: Clamp) -> NaturalShape:
@@ -151,7 +151,7 @@ def balancing_shape(rods: Rods, model: Model, frames: Frames, clamp: Clamp) -> N
     """
     free, weight, springs = clamp.free(rods), model.weight.copy(), model.supports.copy()
     nodes, along, forces = springs[:, 0].astype(np.int64), springs[:, 10:13].copy(), rods.support_forces
-    if rods.supports:  # rotation springs exert nothing: the joints are as they are without
+    if turning_held(rods):  # rotation springs exert nothing: the joints are as they are without
         model = build_model(replace(rods, supports=()), (0, 0, 0), clamp.planted)[0]
     np.add.at(weight[:, :3], nodes, np.where(along.any(axis=1, keepdims=True), forces, 0))
     springs[:, 1:4], springs[:, 10:13], springs[:, 13] = rods.nodes[nodes], 0, 1
@@ -358,19 +358,14 @@ def standing(rods: Rods, clamp: Clamp) -> Rods | None:
     """
     free = clamp.free(rods)
     model, frames = build_model(rods, GRAVITY, clamp.planted)
-    natural = rods.natural
-    if natural is None:
+    if rods.natural is None:
         try:
-            natural = balancing_shape(rods, model, frames, clamp)
+            rods = with_natural(rods, balancing_shape(rods, model, frames, clamp))
         except StageFailure:
             return None
-        if rods.supports:
-            model = build_model(replace(rods, natural=natural), GRAVITY, clamp.planted)[0]
-        own = map(np.array, (natural.length, natural.curvature, natural.twist))
-        model = model._replace(**dict(zip(("length", "curvature", "natural_twist"), own, strict=True)))
-    if tangent(model, free, rods.nodes, frames, new_blocks(len(rods.nodes))).unstable:
-        return None
-    return rods if rods.natural is natural else replace(rods, natural=natural)
+        model, frames = build_model(rods, GRAVITY, clamp.planted)
+    unstable = tangent(model, free, rods.nodes, frames, new_blocks(len(rods.nodes))).unstable
+    return None if unstable else rods
 
 
 def stands(rods: Rods, clamp: Clamp) -> bool:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,7 +13,7 @@ from anther.core.checks import check_array
 from anther.core.errors import bad_input
 from anther.rods import _springs
 from anther.rods._rods import Array, NaturalShape, Rods
-from anther.rods._supports import hold_joint, springs_of, upper
+from anther.rods._supports import full, hold_joint, springs_of, upper
 from anther.rods._vectors import (
     apart,
     compiled,
@@ -151,22 +153,16 @@ def _hold_turning(rods: Rods, edges: Edges, joints: JointCompliance) -> Held:
     return Held(compliance, turning, np.array(changed, dtype=np.int64))
 
 
-def _natural_strains(rods: Rods, edges: Edges, plain: Array, held: Array, changed: NDArray[Any]) -> NaturalShape:
-    """Return the natural shape, of joints that a support softens such that they bear the same in the scanned shape.
-
-    Args:
-        rods: the rods.
-        edges: how they are joined.
-        plain, held: (N, 3, 3) stiffness of the joints without and with supports.
-        changed: which of them differ.
-    """
+def _natural_strains(rods: Rods, built: _Built) -> NaturalShape:
+    """Return the natural shape, of joints that a support softens such that they bear the same in the scanned shape."""
+    edges, changed = built.edges, built.changed
     natural = rods.natural or NaturalShape(rods.lengths, edges.curvature, np.zeros(len(rods.parent)))
     if rods.natural is None or not len(changed):
         return natural
     scanned = np.hstack([edges.curvature, np.zeros((len(rods.parent), 1))])[changed]
     strain = scanned - np.hstack([natural.curvature, natural.twist[:, None]])[changed]
-    moment = plain[changed] @ strain[..., None]
-    strains = scanned - np.linalg.solve(held[changed], moment)[..., 0]
+    moment = built.plain[changed] @ strain[..., None]
+    strains = scanned - np.linalg.solve(full(built.model.joint[changed]), moment)[..., 0]
     curvature, twist = natural.curvature.copy(), natural.twist.copy()
     curvature[changed], twist[changed] = strains[:, :2], strains[:, 2]
     return NaturalShape(natural.length, curvature, twist)
@@ -335,15 +331,53 @@ def build_model(rods: Rods, gravity: ArrayLike, planted: bool = False) -> tuple[
     Raises:
         InputError: an edge folds back onto its parent edge.
     """
+    built = _built(rods, planted)
+    natural, forces = _natural_strains(rods, built), rods.support_forces
+    model = built.model._replace(
+        weight=_weight(rods, built.model.mass, gravity, forces),
+        length=natural.length,
+        curvature=natural.curvature,
+        natural_twist=natural.twist,
+        supports=springs_of(rods.supports, rods.nodes, forces),
+    )
+    return Model(*(np.array(a, order="C") for a in model)), Frames(*map(np.array, built.edges.frames))
+
+
+class _Built(NamedTuple):
+    """What of a model neither the natural shape nor gravity changes."""
+
+    model: Model  # of the rods without weight, at rest in the scanned shape
+    edges: Edges
+    plain: Array  # (N, 3, 3) stiffness of the joints without supports
+    changed: NDArray[Any]  # which joints are softer by supports
+
+
+_BUILT: WeakKeyDictionary[Rods, dict[bool, _Built]] = WeakKeyDictionary()
+"""By whether they are planted: a prediction asks three times for every plant that it draws."""
+
+
+def with_natural(rods: Rods, natural: NaturalShape) -> Rods:
+    """Return the rods with this natural shape; what is built of them serves both."""
+    shaped = replace(rods, natural=natural)
+    _BUILT[shaped] = _BUILT.setdefault(rods, {})
+    return shaped
+
+
+def _built(rods: Rods, planted: bool) -> _Built:
+    known = _BUILT.setdefault(rods, {})
+    if planted not in known:
+        known[planted] = _build(rods, planted)
+    return known[planted]
+
+
+def _build(rods: Rods, planted: bool) -> _Built:
     edges = edges_of(rods, planted)
-    frames = edges.frames
     joints = joint_compliance(rods, edges)
     joint = plain = joint_matrix(joints.near + joints.own, joints.kink, edges.jointed)
-    held, changed = np.zeros((0, 13)), np.zeros(0, dtype=np.int64)
-    if any(np.any(support.rotation) for support in rods.supports):
+    held, changed, still = np.zeros((0, 13)), np.zeros(0, dtype=np.int64), np.zeros(len(rods.nodes))
+    if turning_held(rods):
         compliance, held, changed = _hold_turning(rods, edges, joints)
         joint = joint_matrix(compliance, joints.kink, edges.jointed)
-    natural, forces = _natural_strains(rods, edges, plain, joint, changed), rods.support_forces
     section, paper = rods.sections, rods.discretisation == "paper"
     area, bends = np.asarray(section.area), np.asarray(section.bend_1) + np.asarray(section.bend_2)
     edge_mass = np.asarray(rods.density) * area * rods.lengths
@@ -361,18 +395,23 @@ def build_model(rods: Rods, gravity: ArrayLike, planted: bool = False) -> tuple[
         spin_inertia=polar + lump,
         rotary=rotary if paper else rotary - edge_mass / 6,
         drag=rods.node_total_drag,
-        weight=_weight(rods, gravity, forces),
+        weight=np.zeros((len(still), 4)),
         stretch=area * np.asarray(rods.youngs),
         joint=upper(joint),
         viscous=np.asarray(rods.viscous_time),
-        length=natural.length,
-        curvature=natural.curvature,
-        natural_twist=natural.twist,
-        soil=_soil(rods, frames),
-        supports=springs_of(rods.supports, rods.nodes, forces),
+        length=rods.lengths,
+        curvature=edges.curvature,
+        natural_twist=still,
+        soil=_soil(rods, edges.frames),
+        supports=np.zeros((0, 14)),
         turning=held,
     )
-    return Model(*(np.array(a, order="C") for a in model)), frames
+    return _Built(model, edges, plain, changed)
+
+
+def turning_held(rods: Rods) -> bool:
+    """Return whether a support holds the rotation of a node."""
+    return any(np.any(support.rotation) for support in rods.supports)
 
 
 def _planted(parent: NDArray[Any], far: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
@@ -391,9 +430,10 @@ def _soil(rods: Rods, frames: Frames) -> Array:
     return np.where((rods.parent == 0)[:, None], np.hstack([directions, frames.m1, still]), 0.0)
 
 
-def _weight(rods: Rods, gravity: ArrayLike, forces: Array) -> Array:
+def _weight(rods: Rods, mass: Array, gravity: ArrayLike, forces: Array) -> Array:
     """Return (N, 4) the weight and what supports exert in the scanned shape, but for the springs of one-sided ones."""
-    weight = np.pad(rods.node_mass[:, None] * check_array("gravity", gravity, (3,)), ((0, 0), (0, 1)))
+    weight = np.zeros((len(rods.nodes), 4))
+    weight[:, :3] = mass[:, None] * check_array("gravity", gravity, (3,))
     for support, force in zip(rods.supports, forces, strict=True):
         if not support.one_sided:
             weight[support.node, :3] += force

@@ -10,6 +10,7 @@ loaded unknowns, R rows of the trunk, N nodes.
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
@@ -235,9 +236,9 @@ def _solved(system: Linear, omega: Array, loads: NDArray[Any], view: _View) -> t
     begins = np.argsort(view.trunk)[np.searchsorted(np.sort(view.trunk), loads // 4)]
 
     def solve_some(which: NDArray[Any]) -> None:
-        factors, buffer = new_factors(n), new_buffer()
-        columns, eight = new_columns(n, min(len(loads), COLUMNS)), new_columns(n, 8)
+        factors, columns, eight, buffer = _work(n, min(len(loads), COLUMNS))
         (node, part), (seen, way) = np.divmod(view.wanted, 4), np.divmod(view.unknown, 4)
+        eight[:] = 0
         eight[view.trunk, :, :, 0] = view.preset[..., None]
         for group in which:
             some = np.resize(omega[group * LANES : (group + 1) * LANES], LANES)
@@ -245,7 +246,7 @@ def _solved(system: Linear, omega: Array, loads: NDArray[Any], view: _View) -> t
             for first in range(0, len(loads), COLUMNS):
                 last = min(first + COLUMNS, len(loads))
                 loaded, axis = np.divmod(loads[first:last], 4)
-                columns[view.trunk] = 0
+                columns[view.trunk] = columns[-1] = 0
                 columns[loaded, np.arange(last - first), axis, 0] = 1
                 solve_lanes(near, far, factors, view.trunk, begins[first:last], flat(columns), buffer)
                 answer = columns[node, : last - first, part]
@@ -255,6 +256,19 @@ def _solved(system: Linear, omega: Array, loads: NDArray[Any], view: _View) -> t
 
     _on_all_cores(solve_some, groups)
     return trunk, branch
+
+
+_KEPT = threading.local()
+
+
+def _work(n: int, loads: int) -> tuple[Array, Array, Array, Array]:
+    """Return factors, columns of loads, eight columns and scratch, this thread's own, with anything in them.
+
+    They are kept for the next solve of that size: to get new memory takes longer than to solve in it.
+    """
+    if getattr(_KEPT, "size", None) != (n, loads):
+        _KEPT.size, _KEPT.work = (n, loads), (new_factors(n), new_columns(n, loads), new_columns(n, 8), new_buffer())
+    return _KEPT.work
 
 
 def _in_lanes(values: ComplexArray) -> Array:

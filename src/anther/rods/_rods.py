@@ -94,7 +94,7 @@ class Section:
         return Section(**moments, axis=check_array("section axis", axis, (n, 3)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, weakref_slot=True, eq=False)
 class Rods:
     """A tree of elastic rods with stretch, bend and twist stiffness and lumped masses.
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from anther.rods import _springs
-from anther.rods._model import Model, build_model, joint_ends
+from anther.rods._model import Model, build_model, joint_ends, turning_held
 from anther.rods._rods import Array, Rods
 from anther.rods._supports import full
 from anther.rods._vectors import add, compiled, cross, load, norm, scale, store
@@ -40,7 +40,7 @@ def joints(rods: Rods, planted: bool = False) -> Joints:
     stresses is the moment, at kinks too. Viscous stresses are left out: strain is what is bent. Where a support
     holds the rotation of a node, the moment jumps; this is the mean of both sides.
     """
-    rods = replace(rods, supports=(), natural=None) if rods.supports else rods
+    rods = replace(rods, supports=(), natural=None) if turning_held(rods) else rods
     model, frames = build_model(rods, (0, 0, 0), planted)
     n, (slopes, unknown, turning) = len(rods.nodes), joint_slopes(model, rods.nodes, frames.m1)
     j = np.flatnonzero(model.joint[:, 0] > 0)

@@ -97,17 +97,17 @@ def draw_version(plant: PlantModel, pads: Pads, z: Array, branch_spread: float) 
 
     They are of `draw_material` (6,), the pads (2,), ln of each branch's stiffness (B,), and ln of the string's tension.
     """
-    own, material = plant, draw_material(plant.material, z[:6], plant.least_youngs)
+    material, factor = draw_material(plant.material, z[:6], plant.least_youngs), 1.0
     branches = z[8 : 8 + len(plant.branch_bases)]
     tension = 1.0 if plant.string is None else float(np.exp(plant.string.tension_spread * z[8 + len(branches)]))
     if branch_spread:
-        factor = np.where(plant.is_pedicel, 1.0, np.exp(np.append(branch_spread * branches, 0.0))[branch_of(plant)])
-        own = replace(plant, rods=replace(plant.rods, youngs=np.asarray(plant.rods.youngs) * factor))
+        own = np.exp(np.append(branch_spread * branches, 0.0))[branch_of(plant)]
+        factor = np.where(plant.is_pedicel, 1.0, own)
     for stiffer in 1.25 ** np.arange(8):
         tried = replace(material, youngs=material.youngs * float(stiffer))
         try:
             pedicels = float(np.exp(plant.pedicel_spread * z[3]))
-            stands = own.with_material(tried, pedicel_factor=pedicels, tension_factor=tension)
+            stands = plant.with_material(tried, edge_factor=factor, pedicel_factor=pedicels, tension_factor=tension)
         except StageFailure:
             continue
         return Version(stands, pads.drawn(z[6:8]))
