@@ -164,7 +164,7 @@ def main() -> None:
     ]
     rows = [
         ["seconds a stem", *(f"{way.seconds:.1f}" for way in choices)],
-        ["timed", *("simulated, one pot" if way.timed else "no" for way in choices)],
+        ["timed", *("simulated" if way.timed else "no" for way in choices)],
         ["driving and entering rows (s)", *[f"{driving:.1f}"] * len(choices)],
     ]
     seconds = markdown(heads, rows)
