@@ -18,7 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from datetime import datetime, timedelta, timezone
 from itertools import pairwise
 from pathlib import Path
@@ -73,13 +73,13 @@ def worked(path: Path = DONE) -> list[Worked]:
     """Return the visits of a campaign in rows; one that crashed or found no way to its views is none."""
     rows = [json.loads(line)["row"] for line in path.read_text().splitlines()]
     return [
-        Worked(visit_seconds(row), bool(row["held_unharmed"]), bool(row["flowers_moved"]), row["failure"])
+        Worked(seconds, bool(row["held_unharmed"]), bool(row["flowers_moved"]), row["failure"])
         for row in rows
-        if np.isfinite(visit_seconds(row))
+        if np.isfinite(seconds := visit_seconds(row))
     ]
 
 
-def visit_seconds(row: Mapping[str, Any]) -> float:
+def visit_seconds(row: dict[str, Any]) -> float:
     """Return how long a visit took: its parts, or where it did not shake, its views and what the arm did then [s]."""
     whole = cycle(row)
     if np.isfinite(whole):
@@ -122,7 +122,7 @@ def drawn_work(visits: Sequence[Worked], seed: int, stops: float, slow: float = 
         key = [seed, int(order.begin.timestamp()), *order.plant.encode(), *order.robot.encode()]
         rng = np.random.default_rng(key)
         time.sleep(slow)
-        drawn = visits[rng.integers(len(visits))]
+        drawn = visits[int(rng.integers(len(visits)))]
         to_stem = rng.uniform(60, 180) if order.enters else TO_STEM
         ended = order.begin + timedelta(seconds=drawn.seconds + to_stem)
         common = {"species": order.species, "plant": order.plant, "robot": order.robot, "time": order.begin}
@@ -178,8 +178,9 @@ def main() -> None:
         "--run": (int, "only run this shift"), "--history": (Path, "where it is"),
     }  # fmt: skip
     args = options(__doc__, quick="120 stems, 2 kills", seed=(0, "of outcomes, times and kills"), own=own)
+    drawn_from = worked()
     if args.run:
-        run_shift(args.run, drawn_work(worked(), args.seed, args.stops, slow=0.002), args.history, simulated=True)
+        run_shift(args.run, drawn_work(drawn_from, args.seed, args.stops, slow=0.002), args.history, simulated=True)
         return
     stems, kills = (120, 2) if args.quick else (args.stems, args.kills)
     with tempfile.TemporaryDirectory() as folder:
@@ -197,7 +198,7 @@ def main() -> None:
         "unaccounted": len(by["waiting"]) + len(by["working"]) + sum(s.reason is None for s in found),
         "kills": hit, "visits": visits, "doubled": len(numbers) - len(set(numbers)),
         "lost": sum(s.visit is None for s in by["visited"]),
-        "trials": len(worked()), "at_a_stem_s": float(np.mean([visit.seconds for visit in worked()])),
+        "trials": len(drawn_from), "at_a_stem_s": float(np.mean([visit.seconds for visit in drawn_from])),
         "seconds_per_stem": gap,
         "robots_per_ha": robots_per_ha(shift, gap),
     }  # fmt: skip

@@ -41,12 +41,11 @@ from packaging.utils import canonicalize_name
 
 import anther
 from anther.cli.sample_data import write_samples
-from anther.core.files import read_json
 from anther.robot.arm.views import capture_time
 from anther.sim import views_at
 from anther.sim.simulated_cell import PRESETS, USUAL_DISTANCE
 from evaluation.harness import CROPS, finish, options, progress
-from evaluation.numbers import RESULTS
+from evaluation.numbers import metrics_of
 from evaluation.robustness import through_ros
 from evaluation.speed import perception
 from evaluation.speed.networks import reference_network, tall_plant, tips
@@ -161,7 +160,7 @@ def over_dismech(checkout: Path | None, rounds: int) -> float:
     """Return PyDiSMech's time of a simulated second over ours, as rods.py measures it or as it was measured last."""
     key = "dismech_86_s_per_sim_s_ratio_median"
     if checkout is None:
-        return read_json(RESULTS / "long" / "rods.json")["metrics"][key]
+        return metrics_of("long/rods")[key]
     case = Case(replace(reference_network(), discretisation="paper", bend_over_twist=0.0))
     rows = peer_rows("dismech_86", "PyDiSMech, 86 nodes", partial(run_dismech, checkout), case, rounds)
     return {name: value for row in rows for name, value in row.metrics.items()}[key]
@@ -171,7 +170,7 @@ def visit_s(count: int, out: Path, jobs: int) -> float:
     """Return the robot's seconds of a visit through its protocols, of so many trials or as it was measured last."""
     if count:
         return through_ros.trials(count, "nominal", "sawyer", jobs, out)["robot_s"]
-    return read_json(RESULTS / "long" / "through_ros.json")["metrics"]["robot_s"]
+    return metrics_of("long/through_ros")["robot_s"]
 
 
 def measure(args: Namespace) -> dict[str, float]:

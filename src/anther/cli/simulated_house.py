@@ -23,11 +23,10 @@ from anther.robot.cells.rows import Side as FileSide
 from anther.sim import Row, SimPlant, grow_row
 from anther.sim.row import FEWEST, MOST
 from anther.sim.row_cell import HOOK_ERROR
+from anther.sim.row_drive import BEYOND
 
 LARGEST = -(-MOST * 3 // 5)
 """Plants that a side of a path can have: the near line of the largest row that is grown."""
-BEFORE = 0.4
-"""From where a pass begins to the first hook, and from the last one to its end [m]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +44,7 @@ class SimulatedSide:
     @property
     def post(self) -> tuple[str, float]:
         """Tag of the fiducial on its post, and where along the rails it stands [m]."""
-        return f"{self.row.crop} {self.row.seed}", self.hooks[0] - BEFORE
+        return f"{self.row.crop} {self.row.seed}", self.hooks[0] - BEYOND
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +75,7 @@ class SimulatedHouse:
             at = np.sort(np.array(side.hooks) + rng.normal(0, HOOK_ERROR, len(plants)))
             at = at + 1e-6 * np.arange(len(at))
             yield RowPass(
-                self.name, row, where, time, at, (side.post,), min(side.post[1], at[0]), at[-1] + BEFORE,
+                self.name, row, where, time, at, (side.post,), min(side.post[1], at[0]), at[-1] + BEYOND,
                 looks * (1 + error * rng.normal(size=looks.shape)), error * looks,
                 open_flowers=np.array([float(len(plant.flower_position)) for plant in plants]),
                 fruit=np.full(len(plants), np.nan), position_std=HOOK_ERROR,
@@ -119,6 +118,6 @@ def grow_house(name: str, crop: Crop, seed: int, rows: list[RowOfFile], *, place
             continue
         grown = grow_row(crop, 1000 * seed + k, min(max(5 * len(hooks) // 3, FEWEST), MOST))
         along = grown.hooks[: len(hooks), 1]
-        at = hooks if placed else [float(y) for y in along - along[0] + BEFORE]
+        at = hooks if placed else [float(y) for y in along - along[0] + BEYOND]
         sides[row.name, side] = SimulatedSide(tuple(at), grown)
     return SimulatedHouse(name, crop, seed, sides)

@@ -50,14 +50,14 @@ HOOK_ERROR = 0.02
 """Of the place of a hook or a foot along and across the row in a map, standard deviation [m]: a guess."""
 
 
-def mapped_string(row: Row, arm: ArmModel = SAWYER) -> tuple[Array, Array | None]:
-    """Return where the map says that the asked stem's string hangs and the stem rises, (3,) each; None: plumb below.
+def mapped_string(row: Row, arm: ArmModel = SAWYER) -> tuple[Array, Array]:
+    """Return where the map says that the asked stem's string hangs and the stem rises, (3,) each.
 
-    In the arm's frame (`before_arm`) [m]. Peppers' strings slant from the middle of the holder to their line of hooks.
+    In the arm's frame (`before_arm`) [m]. Peppers' strings slant from the middle of the holder to their line of hooks;
+    where a tomato rises changes with each lowering, so that its foot is plumb below.
     """
-    before = before_arm(row, arm)
-    hooks, feet = _mapped_strings(before)
-    return hooks[row.asked], feet[row.asked] if row.crop == "pepper" else None
+    hooks, feet = _mapped_strings(before_arm(row, arm))
+    return hooks[row.asked], feet[row.asked]
 
 
 def _mapped_strings(row: Row) -> tuple[Array, Array]:
