@@ -148,6 +148,18 @@ def test_any_cloud_gives_one_tree_or_a_clear_error(points: np.ndarray, method: L
 
 
 @pytest.mark.parametrize("method", METHODS)
+def test_points_on_a_line_that_lies_and_a_point_far_away_crash_nothing(
+    method: Literal["geodesic", "thinning"],
+) -> None:
+    """Heights that have no spread bound no voxel, and no grid holds a place a thousand kilometres away."""
+    flat = np.zeros((100, 3))
+    flat[[0, 9, 27], 0] = 0.25, -0.1875, 0.09375
+    with pytest.raises((InputError, StageFailure)):
+        skeletonize(Cloud(flat), Params(method=method))
+    assert_one_tree(skeletonize(Cloud(np.r_[simple_plant(), [[1e6, 0, 0.3]]]), Params(method=method)))
+
+
+@pytest.mark.parametrize("method", METHODS)
 def test_a_vine_that_hangs_from_both_ends_is_one_tree(method: Literal["geodesic", "thinning"]) -> None:
     """Its lowest place is no tip."""
     s = np.linspace(-1, 1, 4000)

@@ -281,8 +281,8 @@ class _Graph:
 
 
 def _graph(points: Array) -> _Graph:
-    low, high = np.quantile(points[:, 2], [0.002, 0.998])
-    height = max(float(high - low), 1e-6)
+    spread = np.subtract(*np.quantile(points, [0.998, 0.002], axis=0))
+    height = float(max(spread[2], spread.max() / _FINEST))  # of what lies flat a voxel's, else voxels have no bound
     voxel = max(height / _FINEST, 1.3 * point_spacing(points))
     solid = solidify(points, voxel, close=1, fill=0.0)
     label = components(len(solid.index), neighbour_edges(solid.index))
