@@ -495,6 +495,19 @@ def test_a_joint_that_the_others_still_is_not_taken_for_stale() -> None:
     assert arm.done == 1
 
 
+@pytest.mark.parametrize(("creeps", "stale"), [(5e-3, False), (2e-2, True)])
+def test_a_joint_that_another_turns_back_while_it_creeps_is_not_taken_for_stale(creeps: float, stale: bool) -> None:
+    """Its command travels a hundredth of the fast joint's, whose acceleration turns it by as much."""
+    far = swinging(0.2, 0.8)
+    share = np.array([1.0, creeps / 0.4, *np.zeros(len(sawyer.NEUTRAL) - 2)])
+    both = JointTrajectory(
+        far.times, sawyer.NEUTRAL + (far.positions - sawyer.NEUTRAL)[:, :1] * share, far.velocities[:, :1] * share
+    )
+    arm = readings(lambda n, s: replace(s, measured=np.r_[s.commanded[0], sawyer.NEUTRAL[1:]] + NOISE[n]))
+    with pytest.raises(DeviceError, match="joint 1 reads the same") if stale else nullcontext():
+        GuardedArm(arm, LIMITS).follow(both)
+
+
 def test_readings_at_uneven_times_make_no_swing_of_a_steady_motion() -> None:
     times = np.cumsum(0.004 * np.random.default_rng(1).uniform(0.6, 1.4, 700))
     times -= times[0]

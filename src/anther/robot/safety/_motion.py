@@ -273,9 +273,9 @@ class Watchdog:
 
         With `stale_after` = 0.1 s: a joint that freezes, to the bit or with noise below `SHOWS` of its travel, is
         noticed within 0.2 s where its command goes faster than 0.04 rad/s all the while, else within 0.35 s where it
-        travels 2 mrad in any 0.2 s of them: a swing of 3 mrad at 2 Hz, of 1.3 mrad at 4 Hz. From 10 Hz on a swing of
-        0.1 mrad is enough (`find_hidden_swings`); not where one joint of several freezes with noise and swings by less
-        than `STILL`. What lags by up to 0.15 s is not.
+        travels 2 mrad, and 1 % of what the furthest does, in any 0.2 s of them: a swing of 3 mrad at 2 Hz, of 1.3 mrad
+        at 4 Hz. From 10 Hz on a swing of 0.1 mrad is enough (`find_hidden_swings`); not where one joint of several
+        freezes with noise and swings by less than `STILL`. What lags by up to 0.15 s is not.
         """
         past, after = self._past, self._limits.stale_after
         if past and not sample.time > past[-1].time:
@@ -301,7 +301,8 @@ class Watchdog:
                 inside = (times >= sample.time - lag - span) & (times <= sample.time - lag)
                 doubted = np.minimum(doubted, np.ptp(commanded[inside], axis=0) if inside.any() else 0.0)
             else:
-                hidden = (doubted > STILL) & (shown < SHOWS * doubted)
+                turned = 0.01  # of the furthest joint's travel: what its acceleration may turn another by
+                hidden = (doubted > STILL + turned * doubted.max()) & (shown < SHOWS * doubted)
                 if hidden.any():
                     recent = times > sample.time - spans[-1] * after
                     hidden &= ~_is_fast(_detrend(times[recent], commanded[recent]))  # judged by their own rule
