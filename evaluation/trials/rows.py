@@ -10,8 +10,9 @@ campaign, which takes more than a day's hours, are in docs/results/long/done/row
 held_row         share of rows: the asked stem was held through the shake, nothing else was held, pushed or touched
 moved_row        share of these whose median flower felt 5 m/s2 or more
 neighbour_harm   share of rows: a neighbour, a string, a post, pipe or gutter was touched, or the stem's string let go
-cycle_s          median of the visits that shook [s]: the sum of its parts, views_s, thought_s, approach_s, shake_s,
-                 retreat_s; a visit is a process, whose thought begins with loading what was compiled before
+cycle_s          median of the visits that shook [s], from stem to stem: the sum of its parts, travel_s (on which the
+                 cart's camera takes the views; a guess), thought_s, approach_s, shake_s, retreat_s; a visit is a
+                 process, whose thought begins with loading what was compiled before
 
 held_row_tomato and so on are of one crop; _low and _high are 95 % intervals. held_row_helios, moved_row_helios and
 neighbour_harm_helios are of tomatoes of a second generator (`helios_row`), which count in nothing else; left out where
@@ -36,6 +37,7 @@ from anther.pollination import visit_row_stem
 from anther.sim import build_row, grow_row, mapped_string
 from anther.sim.cell import BENCH, NEIGHBOUR, POT, CellLog
 from anther.sim.judge import LETS_GO, string_pull
+from anther.sim.row_drive import STEM_TO_STEM
 from evaluation.harness import CROPS, Row, by_turns, failed, finish, options, run_cases
 from evaluation.numbers import metrics_of
 from evaluation.statistics import bootstrap, interval, median
@@ -47,7 +49,7 @@ from evaluation.trials.shaking import Brief
 
 FIRST, DEVELOPMENT = 6140, 3
 """Rows from the first seed on are in no other table; on those from the second on the visit was made."""
-PARTS = ("views_s", "thought_s", "approach_s", "shake_s", "retreat_s")
+PARTS = ("travel_s", "thought_s", "approach_s", "shake_s", "retreat_s")
 ACCELERATION = "true_flower_acceleration_median_ms2"
 
 
@@ -74,7 +76,7 @@ def one(row: Row, folder: Path) -> Row:
     found, done = performed(cell, lambda: visit_row_stem(cell.robot_side, case.species, hook, run, foot=foot))
     log = cell.world.log()
     found |= touched(log) | {"string_pull": string_pull(cell.world, log), "plants": len(grown.plants)}
-    found |= {"views_s": cell.capture_seconds, "notes": notes(run)}
+    found |= {"travel_s": STEM_TO_STEM, "notes": notes(run)}
     if done is not None:
         found |= {"thought_s": thought(found, run), "approach_s": approach(found.get("phases_s", {}))}
         found["flowers_seen"], found["flowers_there"] = (

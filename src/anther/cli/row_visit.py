@@ -16,6 +16,7 @@ from anther.pollination import visit_row_stem
 from anther.show.results import EXECUTED, SUMMARY
 from anther.show.summary import summarise
 from anther.sim import Row, build_row, mapped_string
+from anther.sim.row_drive import STEM_TO_STEM
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +66,5 @@ def visit_stem(row: Row, order: Order, history: str, folder: Path, *, quiet: boo
     thought = sum(min(run.seconds[stage], run.cpu_seconds[stage]) for stage in stages)
     moved = (visit.simulated_capture_seconds or 0.0) + (visit.simulated_execution_seconds or 0.0)
     entry = 120.0  # s to enter a row (a guess)
-    to_stem = 2.0  # s from one stem to the next, 0.4 m at 0.3 m/s until the cart stands (a guess)
-    travel = entry if order.enters else to_stem
+    travel = entry if order.enters else STEM_TO_STEM
     return Report(visit, order.begin + timedelta(seconds=travel + moved + thought))

@@ -137,7 +137,7 @@ def simulate(
         return planner_around(file, cloud, robot.arm.joints())
 
     side = Cell(take_views, plan_around, robot, file.workspace, limits)
-    return SimulatedCell(plant, mujoco, seen, side, (*notes(file, actuator), _foot_note(file)))
+    return SimulatedCell(plant, mujoco, side, seen, (*notes(file, actuator), _foot_note(file)))
 
 
 def _foot_note(file: CellFile) -> str:

@@ -7,21 +7,24 @@ robot may know goes into `robot.Cell`: not which plant this is, nor where its ho
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from anther.core.geometry import Array, Box, look_at
+from anther.core.runs import Advance
+from anther.perception.capture import Capture, Keep
 from anther.robot.arm.model import ArmModel
 from anther.robot.arm.sawyer import SAWYER
 from anther.robot.arm.views import Params as ViewParams
-from anther.robot.arm.views import Views, capture_time, plan_views
+from anther.robot.arm.views import plan_views
 from anther.robot.devices import Tap, no_tap
 from anther.sim import cell as world
-from anther.sim.capture import Sight
+from anther.sim.capture import Sight, camera_errors, capture_from_poses, perturbed_hand_eye, pose_errors
 from anther.sim.render import Scene
 from anther.sim.row import Row, row_scene
+from anther.sim.row_drive import BETWEEN_VIEWS, drive_up
 from anther.sim.row_plants import held_by_string
 from anther.sim.simulated_cell import Layout, SimulatedCell, around, usual_distance
 from anther.sim.sway import calm_time
@@ -30,8 +33,8 @@ from anther.sim.truth import NOMINAL, Truth
 
 FLOWERS_Z = 0.15
 """Height of the flowers over the arm's base [m]: as in the cell of a plant in a pot."""
-ROW_VIEWS = ViewParams(count=6, widest=50.0)
-"""Views from one side of the row: 3 to 6 are what a visit has time for."""
+LOOKS = ViewParams(count=6, widest=50.0)
+"""Views of the arm from its side of the row. It waits at the one that is nearest to where it waits before a pot."""
 
 
 def before_arm(row: Row, arm: ArmModel = SAWYER) -> Row:
@@ -122,8 +125,11 @@ def _gap(box: Box, place: Array) -> float:
     return float(np.linalg.norm(np.clip(place, box.lower, box.upper) - place))
 
 
-def row_world(row: Row, truth: Truth = NOMINAL, arm: ArmModel = SAWYER, joints: Array | None = None) -> world.Cell:
-    """Return MuJoCo's world of an arm before a row: the plant that is asked for on its string, and what is in reach."""
+def row_world(row: Row, truth: Truth = NOMINAL, arm: ArmModel = SAWYER, waits: Array | None = None) -> world.Cell:
+    """Return MuJoCo's world of an arm before a row: the plant that is asked for on its string, and what is in reach.
+
+    The arm waits at joints (J,) [rad].
+    """
     fine_below = 0.55  # m under the flowers: an arm holds it within 0.4 m of them (facts: rows 0)
     cut = replace(world.Params().plant, fine_above=float(row.flowers[2]) - fine_below)
     plant = held_by_string(row.worked, cut)
@@ -131,45 +137,50 @@ def row_world(row: Row, truth: Truth = NOMINAL, arm: ArmModel = SAWYER, joints: 
         plant = held_by_string(as_true(plant, truth), cut)  # softer or heavier, it must still hang
     reach = arm.reach + arm.tool.tip + 0.2
     near = [part for part in row.obstacles() if _gap(part.box, arm.shoulder) < reach]
-    start = arm.waiting if joints is None else joints
-    return world.Cell(plant, start, world.Params(plant=cut), truth, arm, obstacles=near)
+    return world.Cell(
+        plant, arm.waiting if waits is None else waits, world.Params(plant=cut), truth, arm, obstacles=near
+    )
 
 
 def build_row(
-    row: Row,
-    views: ViewParams = ROW_VIEWS,
-    *,
-    truth: Truth = NOMINAL,
-    visit: int = 0,
-    tap: Tap = no_tap,
-    arm: ArmModel = SAWYER,
+    row: Row, *, truth: Truth = NOMINAL, visit: int = 0, tap: Tap = no_tap, arm: ArmModel = SAWYER
 ) -> SimulatedCell:
-    """Build the cell of an arm on a cart before the plant that is asked for; see `simulated_cell.build`.
+    """Build the cell of an arm on a cart that has driven up to the plant that is asked for.
+
+    A camera on the cart has taken views on the way (`row_drive.drive_up`); the arm waits where its own camera takes the
+    last one, when the cart stands. See `simulated_cell.build`.
 
     Raises:
         StageFailure: "unreachable" when the arm reaches fewer than three views.
     """
     row = before_arm(row, arm)
     place = row_layout(row, arm)
-    planned = plan_views(place.region, place.solids, views, arm=arm)
-    mujoco = row_world(row, truth, arm, planned.joints[-1])
+    looks = plan_views(place.region, place.solids, LOOKS, arm=arm).joints
+    waits = looks[np.argmin(np.abs(looks - arm.waiting).max(axis=1))]
+    mujoco = row_world(row, truth, arm, waits)
+    scene, rng = row_scene(row, mujoco.plant), np.random.default_rng([row.seed, 14 + 10 * visit])
     noise = int(np.random.default_rng([row.seed, 15 + 10 * visit]).integers(1 << 31))
-    scene = row_scene(row, mujoco.plant)
-    sight = partial(_in_wind, mujoco, scene, planned)
-    return around(mujoco, scene, sight, place, planned, planned.joints[-1], noise, (row.seed, 0.0, visit), tap)
+
+    def take_views(advance: Advance, keep: Keep) -> Capture:
+        believed, true = drive_up(row, rng, truth)
+        flange, errors = arm.forward(waits), camera_errors(truth)
+        T_flange_cam = perturbed_hand_eye(arm.tool.T_flange_cam, rng, factor=truth.hand_eye_error)
+        believed = np.vstack([believed, [flange @ arm.tool.T_flange_cam]])
+        true = np.vstack([true, [flange @ pose_errors(1, errors, rng)[0] @ T_flange_cam]])
+        how: dict[str, Any] = {"rng": rng, "errors": errors, "progress": advance, "keep": keep}
+        return capture_from_poses(_in_wind(mujoco, scene, len(true)), believed, T_world_cam_true=true, **how)[0]
+
+    return around(mujoco, scene, take_views, place, noise, tap)
 
 
-def _in_wind(mujoco: world.Cell, scene: Scene, views: Views) -> Sight:
-    """Return what each of the views finds of a plant that sways in this world's wind; the arm finds it where they end.
-
-    The arm stands still meanwhile, where the last view is taken from.
-    """
+def _in_wind(mujoco: world.Cell, scene: Scene, views: int) -> Sight:
+    """Return what each of the views finds of a plant that sways in this world's wind; the arm finds it as they end."""
     if not mujoco.truth.wind:
         return scene
     _blow(mujoco, calm_time(mujoco.plant))
-    shapes, between = list[Array](), capture_time(views) / max(len(views.joints) - 1, 1)
-    for view in range(len(views.joints)):
-        _blow(mujoco, between if view else 0.0)
+    shapes = list[Array]()
+    for view in range(views):
+        _blow(mujoco, BETWEEN_VIEWS if view else 0.0)
         shapes.append(mujoco.plant.posed_vertices(mujoco.segment_poses()))
     mujoco.forget()  # of what the wind did the robot is not to blame
     return lambda view: scene.moved(shapes[view])

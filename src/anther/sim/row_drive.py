@@ -26,6 +26,8 @@ BEYOND = 0.4
 """From where a drive begins to the first hook, and from the last one to its end [m]."""
 SLIP = 0.01
 """Of the cart's odometry: standard deviation after a metre [m]; it grows with the root of the way. A guess."""
+SCALE = 0.005
+"""Of the cart's odometry: standard deviation of its scale, a guess."""
 ROCK = CameraErrors(pose_rotation=float(np.radians(0.1)), pose_translation=0.001)
 """How far a cart turns and shifts at each frame: 1 mm of play over half a metre between its wheels, a guess."""
 RATE = 5.0
@@ -104,13 +106,53 @@ def drive_past(
     hooks = np.array([twine.hook for plant in row.plants[: row.near] for twine in plant.twines])[:, 1]
     place = np.arange(hooks.min() - BEYOND, hooks.max() + BEYOND + speed / RATE, speed / RATE)
     drift = np.cumsum(rng.normal(0, SLIP * np.sqrt(speed / RATE), len(place)))
-    odometry = (place - place[0]) * (1 + rng.normal(0, 0.005)) + drift
+    odometry = (place - place[0]) * (1 + rng.normal(0, SCALE)) + drift
     T_cart_cam = side_camera(row, camera)
-    carts = np.tile(np.eye(4), (len(place), 1, 1))
-    carts[:, :3, 3] = row.origin
-    carts[:, 1, 3] = place
+    carts = _carts(row.origin * [1, 0, 1], place)
     away = row.measures.near - T_cart_cam[0, 3]
     blur = truth.exposure_time * speed * camera.fy / away
     true = carts @ pose_errors(len(place), camera_errors(truth, ROCK), rng) @ T_cart_cam
     believed = perturbed_hand_eye(T_cart_cam, rng, factor=truth.hand_eye_error)
     return Drive(row, camera, believed, odometry, place, true, blur, errors, (seed, 18))
+
+
+VIEWS = 6
+"""On the way to a plant: 3 to 6 are what a visit has time for."""
+WIDEST = 0.48
+"""How far along the rails from the plant the first and the last view are, of the camera's distance from the plant's
+line: the camera then still has the plant in view (its half field of view across is 29 degrees)."""
+STEM_TO_STEM = 2.0
+"""What a cart takes from one stem to the next [s]: 0.4 m at 0.3 m/s until it stands (a guess)."""
+BETWEEN_VIEWS = 0.5
+"""[s]: two stems lie between the first and the last, while the arm works at one of them the plant sways on."""
+
+
+def drive_up(row: Row, rng: np.random.Generator, truth: Truth = NOMINAL) -> tuple[Array, Array]:
+    """Return T_world_cam (V, 4, 4) of the views on the way to the plant asked for, as believed and as they truly are.
+
+    The camera of `side_camera` is ahead of the arm, so far that it still sees the plant when the cart stands: where the
+    cart was at the views before, odometry says, backwards from there. Rocking counts against the cart that stands.
+
+    Args:
+        row: in the frame of the arm (`row_cell.before_arm`).
+        rng: of the errors of odometry, rocking and calibration.
+        truth: of these.
+    """
+    T_cart_cam = side_camera(row, d455())
+    ahead = WIDEST * (row.measures.near - T_cart_cam[0, 3])
+    before = np.linspace(-2 * ahead, 0, VIEWS)  # of where it stands in the end
+    steps = np.diff(before)
+    drift = np.append(-np.cumsum(rng.normal(0, SLIP * np.sqrt(steps))[::-1])[::-1], 0.0)
+    odometry = before * (1 + rng.normal(0, SCALE)) + drift
+    rocked = pose_errors(VIEWS, camera_errors(truth, ROCK), rng)
+    rocked[-1] = np.eye(4)
+    calibrated = perturbed_hand_eye(T_cart_cam, rng, factor=truth.hand_eye_error)
+    stands = row.origin * [1, 0, 1] + [0, ahead, 0]
+    return _carts(stands, odometry) @ calibrated, _carts(stands, before) @ rocked @ T_cart_cam
+
+
+def _carts(stands: Array, along: Array) -> Array:
+    """Return T_world_cart (V, 4, 4) of a cart that is `along` (V,) the rails from where it stands (3,) [m]."""
+    carts = np.tile(np.eye(4), (len(along), 1, 1))
+    carts[:, :3, 3] = stands + np.outer(along, [0, 1, 0])
+    return carts

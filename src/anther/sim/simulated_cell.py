@@ -110,21 +110,22 @@ def safety_limits(place: Layout, arm: ArmModel = SAWYER) -> SafetyLimits:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedCell:
-    """A plant (ground truth), MuJoCo's world, whose log the judge reads, the views, and what the pipeline is given.
+    """A plant (ground truth), MuJoCo's world, whose log the judge reads, and what the pipeline is given.
 
-    `notes` say what was supposed of a cell file's cell.
+    `views` are the arm's; None where a camera on the cart takes them on its way. `notes` say what was supposed of a
+    cell file's cell.
     """
 
     plant: SimPlant
     world: world.Cell
-    views: Views
     robot_side: Cell
+    views: Views | None = None
     notes: tuple[str, ...] = ()
 
     @property
     def capture_seconds(self) -> float:
-        """How long a real arm needs for the views, by its time-parameterised motions [s]."""
-        return capture_time(self.views)
+        """How long a real arm needs for the views, by its time-parameterised motions [s]; 0 without any."""
+        return 0.0 if self.views is None else capture_time(self.views)
 
 
 def grow(species: Crop, seed: int, viewpoint: float, distance: float, truth: Truth = NOMINAL) -> SimPlant:
@@ -179,40 +180,39 @@ def build(
     coil = arm_model.COIL.force if actuator == "gripper" else 0.0
     mujoco = world.Cell(plant, arm.waiting, world.Params(coil_force=coil), truth, arm)
     scene = Scene.of_plant(plant)
-    sight = partial(in_wind, plant, scene, planned, truth)
-    return around(mujoco, scene, sight, place, planned, arm.waiting, noise, (seed, viewpoint, visit), tap)
+
+    def take_views(advance: Advance, keep: Keep) -> Capture:
+        sight, seen = in_wind(plant, scene, planned, truth), (seed, viewpoint, visit)
+        return photograph(sight, planned.joints, *seen, progress=advance, keep=keep, truth=truth, arm=arm)[0]
+
+    return around(mujoco, scene, take_views, place, noise, tap, planned)
 
 
 def around(
     mujoco: world.Cell,
     scene: Scene,
-    sight: Callable[[], Sight],
+    take_views: Callable[[Advance, Keep], Capture],
     place: Layout,
-    planned: Views,
-    home: Array,
     noise: int,
-    seen: tuple[int, float, int],
     tap: Tap,
+    views: Views | None = None,
 ) -> SimulatedCell:
     """Return the cell of an arm and a plant: what takes views, plans motions and moves, and what that is judged by.
 
     Args:
-        mujoco: the arm and the plant.
+        mujoco: the arm, where it waits, and the plant.
         scene: what cameras see.
-        sight: gives what the views find of it.
+        take_views: see `robot.Cell`.
         place: where things are.
-        planned: the views.
-        home: (J,) joints where the arm waits [rad].
         noise: seed of the errors of machines and side camera.
-        seen: seed, viewpoint [deg] and visit, as `photograph` takes them.
         tap: listens to the bare machines.
+        views: of the arm, if it takes them.
     """
     truth, arm = mujoco.truth, mujoco.arm
     seen_from, limits = place.T_world_side_camera, safety_limits(place, arm)
     robot = robot_of(mujoco, errors=camera_errors(truth), T_world_side_camera=seen_from, seed=noise, scene=scene)
 
-    def take_views(advance: Advance, keep: Keep) -> Capture:
-        return photograph(sight(), planned.joints, *seen, progress=advance, keep=keep, truth=truth, arm=arm)[0]
+    home = mujoco.joints
 
     def plan_around(cloud: Cloud) -> Planner:
         # between sawyer_moveit's "medium" and "fast" (facts: sawyer 1), which passes the safety limits in places
@@ -220,7 +220,8 @@ def around(
         return Planner(cloud.yielding, cloud.rigid, place.solids, space=place.arm_space, params=params, arm=arm)
 
     robot = guard(tap(robot, limits, arm.tool.T_flange_cam, lambda: mujoco.time), limits)
-    return SimulatedCell(mujoco.plant, mujoco, planned, Cell(take_views, plan_around, robot, place.workspace, limits))
+    given = Cell(take_views, plan_around, robot, place.workspace, limits)
+    return SimulatedCell(mujoco.plant, mujoco, given, views)
 
 
 def photograph(

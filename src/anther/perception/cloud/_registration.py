@@ -33,11 +33,20 @@ class Params(Record):
     Attributes:
         rotation_sigma, translation_sigma: standard deviation of one view's pose error, per axis [rad], [m]
             (facts: perception, 0.2 deg and 1.5 mm).
+        walk: of a camera whose place on its way is told by odometry, standard deviation per axis after a metre [m]; it
+            grows with the root of the way, backwards from the last view. 0: an arm carries it.
     """
 
     CALLED = "registration"
     rotation_sigma: Annotated[float, Range(1e-6, 1, "rad")] = float(np.deg2rad(0.2))
     translation_sigma: Annotated[float, Range(1e-6, 1, "m")] = 0.0015
+    walk: Annotated[float, Range(0, 0.1, "m")] = 0.0
+
+    def walked(self, T_world_cam: Array) -> Array:
+        """Return (V, V) the covariance of the odometry's errors at poses (V, 4, 4) in the order of the way [m2]."""
+        steps = np.linalg.norm(np.diff(T_world_cam[:, :3, 3], axis=0), axis=1)
+        left = np.append(np.cumsum(steps[::-1])[::-1], 0.0)
+        return self.walk**2 * np.minimum.outer(left, left)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,7 +116,8 @@ def _without_contradictions(
     poses, wrong, used, agrees = correct_views(sample, given, found)
     placed = Estimate(poses, found.reach)
     moved = _moved(sample, given, placed)
-    far = used & (moved > 1.75 * max(_expected(sample, params), float(np.median(moved))))  # else chance
+    expected = _expected(sample, given, params)
+    far = used & (moved > 1.75 * np.maximum(expected, float(np.median(moved))))  # else chance
     anew = wrong | far
     if anew.any():
         start, kept = np.where(anew[:, None, None], poses, given), used[sample.view]
@@ -128,10 +138,11 @@ def _moved(sample: Sample, given: Array, found: Estimate) -> Array:
     return np.linalg.norm(np.einsum("vij,vj->vi", found.poses - given, centres), axis=1)
 
 
-def _expected(sample: Sample, params: Params) -> float:
-    """Return the RMS displacement [m] of the plant that the arm's errors explain."""
+def _expected(sample: Sample, given: Array, params: Params) -> Array:
+    """Return (V,) the RMS displacement [m] of the plant that the errors of the given poses (V, 4, 4) explain."""
     turned = params.rotation_sigma * float(np.median(sample.points[:, 2]))
-    return float(np.sqrt(3 * params.translation_sigma**2 + 2 * turned**2))
+    shifted = params.translation_sigma**2 + np.diag(params.walked(given))
+    return np.asarray(np.sqrt(3 * shifted + 2 * turned**2))
 
 
 def _notes(agrees: Array, used: NDArray[np.bool_], moved: Array, far: NDArray[np.bool_]) -> tuple[str, ...]:
@@ -148,7 +159,9 @@ def _notes(agrees: Array, used: NDArray[np.bool_], moved: Array, far: NDArray[np
 
 def _aligned(sample: Sample, given: Array, source: NDArray[np.bool_], params: Params) -> Estimate | None:
     """Return the estimate, or None where views share no surface."""
-    at = _jointly(sample, Estimate(given), given, source, MATCHED[:3], params, reach_fixed=False)
+    farthest = 3 * float(np.sqrt(params.walked(given).max()))
+    coarse = (farthest, float(np.sqrt(farthest * MATCHED[0]))) if farthest > MATCHED[0] else ()
+    at = _jointly(sample, Estimate(given), given, source, (*coarse, *MATCHED[:3]), params, reach_fixed=False)
     if at is None:
         return None
     attenuation = 1 / 3  # noise in the normals draws the estimated reach to zero (errors in variables)
@@ -167,7 +180,7 @@ def _jointly(
     reach_fixed: bool,
 ) -> Estimate | None:
     """Return the estimate after one round for each distance [m]: match, then two Gauss-Newton steps."""
-    information = _prior_information(len(given), params)
+    information = _prior_information(given, params)
     for distance in distances:
         pairs = match(sample, at, source, distance)
         if len(pairs) == 0:
@@ -189,11 +202,12 @@ def _disagreement(sample: Sample, at: Estimate, held_out: NDArray[np.bool_]) -> 
     return float(np.median(plane_distances(sample, at, pairs))) if len(pairs) else np.inf
 
 
-def _prior_information(views: int, params: Params) -> Array:
-    """Return the (6V + 1, 6V + 1) inverse covariance of V poses and of the reach of the camera's matching window.
+def _prior_information(given: Array, params: Params) -> Array:
+    """Return the (6V + 1, 6V + 1) inverse covariance of poses (V, 4, 4) and of the reach of the camera's window.
 
-    Each pose has an error of its own and one that all share, the hand-eye calibration's.
+    Each pose has an error of its own, one that all share, the hand-eye calibration's, and the odometry's up to it.
     """
+    views = len(given)
 
     def variances(rotation: float, translation: float) -> Array:
         return np.diag(np.repeat(np.square([rotation, translation]), 3))
@@ -201,6 +215,7 @@ def _prior_information(views: int, params: Params) -> Array:
     own = variances(params.rotation_sigma, params.translation_sigma)
     shared = variances(float(np.deg2rad(0.2)), 0.001)  # per axis [rad], [m]; as careful calibrations leave
     covariance = np.kron(np.eye(views), own) + np.kron(np.ones((views, views)), shared)
+    covariance += np.kron(params.walked(given), np.diag([0, 0, 0, 1, 1, 1]))
     information = np.zeros((6 * views + 1, 6 * views + 1))
     information[:-1, :-1] = np.linalg.inv(covariance)
     information[-1, -1] = 0.003**-2  # 2 px of a D455 [rad]
