@@ -45,6 +45,7 @@ from anther.history import (
     run_shift,
 )
 from anther.plant import Visit
+from anther.sim import STEM_TO_STEM
 from evaluation.harness import finish, options
 from evaluation.tables import measured
 from evaluation.trials.rows import cycle
@@ -53,8 +54,6 @@ BEGIN = datetime(2026, 6, 1, 8, tzinfo=timezone(timedelta(hours=2)))
 PITCH = 0.36
 """Stems on one side of a row: 3.5 a square metre, rows 1.6 m apart (facts: rows, D) [m]."""
 STEMS_HA = 35_000
-TO_STEM = 2.0
-"""From a stem to the next until the cart stands [s]: a guess."""
 WAITED = 400.0
 """A longer way from stem to stem is a wait or a charge: entering a row takes up to 180 s [s]."""
 DONE = Path("docs/results/long/done/rows.jsonl")
@@ -70,7 +69,7 @@ class Worked(NamedTuple):
 
 
 def worked(path: Path = DONE) -> list[Worked]:
-    """Return the visits of a campaign in rows; one that crashed or found no way to its views is none."""
+    """Return the visits of a campaign in rows; one that crashed or did nothing is none."""
     rows = [json.loads(line)["row"] for line in path.read_text().splitlines()]
     return [
         Worked(seconds, bool(row["held_unharmed"]), bool(row["flowers_moved"]), row["failure"])
@@ -80,11 +79,11 @@ def worked(path: Path = DONE) -> list[Worked]:
 
 
 def visit_seconds(row: dict[str, Any]) -> float:
-    """Return how long a visit took: its parts, or where it did not shake, its views and what the arm did then [s]."""
+    """Return how long a visit took: its parts, or where it did not shake, what the arm did [s]."""
     whole = cycle(row)
     if np.isfinite(whole):
         return whole
-    return float(row.get("views_s", np.nan)) + float(row.get("simulated_execution_seconds") or 0.0)
+    return float(row.get("simulated_execution_seconds") or np.nan)
 
 
 def built_house(stems: int, rows: int) -> House:
@@ -123,7 +122,7 @@ def drawn_work(visits: Sequence[Worked], seed: int, stops: float, slow: float = 
         rng = np.random.default_rng(key)
         time.sleep(slow)
         drawn = visits[int(rng.integers(len(visits)))]
-        to_stem = rng.uniform(60, 180) if order.enters else TO_STEM
+        to_stem = rng.uniform(60, 180) if order.enters else STEM_TO_STEM
         ended = order.begin + timedelta(seconds=drawn.seconds + to_stem)
         common = {"species": order.species, "plant": order.plant, "robot": order.robot, "time": order.begin}
         if rng.uniform() < stops:

@@ -3,16 +3,17 @@
     python -m evaluation.trials.rows --rows 20 --jobs 2
 
 Every row is drawn (`anther.sim.grow_row`), and its plants' truth is wide (`anther.sim.truth.WIDE`). The robot is told
-the hook, and of a pepper the foot, by the map alone, a few centimetres off. The judge is `anther.sim.judge`; besides,
-the pull of the stem's string is followed. Every trial ends in one JSON in --out and is not run again; those of the
-campaign, which takes more than a day's hours, are in docs/results/long/done/rows.jsonl (--done). Keys of --json:
+the hook, and of a pepper the foot, by the map alone, a few centimetres off. A camera on the cart takes the views while
+it drives up. The judge is `anther.sim.judge`; besides, the pull of the stem's string is followed. Every trial ends in
+one JSON in --out and is not run again; those of the campaign, which takes more than a day's hours, are in
+docs/results/long/done/rows.jsonl (--done). Keys of --json:
 
 held_row         share of rows: the asked stem was held through the shake, nothing else was held, pushed or touched
 moved_row        share of these whose median flower felt 5 m/s2 or more
 neighbour_harm   share of rows: a neighbour, a string, a post, pipe or gutter was touched, or the stem's string let go
-cycle_s          median of the visits that shook [s], from stem to stem: the sum of its parts, travel_s (on which the
-                 cart's camera takes the views; a guess), thought_s, approach_s, shake_s, retreat_s; a visit is a
-                 process, whose thought begins with loading what was compiled before
+cycle_s          median of the visits that shook [s], while the cart stands: the sum of its parts, thought_s,
+                 approach_s, shake_s, retreat_s; a visit is a process, whose thought begins with loading what was
+                 compiled before; from stem to stem it drives for another 2 s (`anther.sim.STEM_TO_STEM`, a guess)
 
 held_row_tomato and so on are of one crop; _low and _high are 95 % intervals. held_row_helios, moved_row_helios and
 neighbour_harm_helios are of tomatoes of a second generator (`helios_row`), which count in nothing else; left out where
@@ -37,7 +38,6 @@ from anther.pollination import visit_row_stem
 from anther.sim import build_row, grow_row, mapped_string
 from anther.sim.cell import BENCH, NEIGHBOUR, POT, CellLog
 from anther.sim.judge import LETS_GO, string_pull
-from anther.sim.row_drive import STEM_TO_STEM
 from evaluation.harness import CROPS, Row, by_turns, failed, finish, options, run_cases
 from evaluation.numbers import metrics_of
 from evaluation.statistics import bootstrap, interval, median
@@ -49,7 +49,7 @@ from evaluation.trials.shaking import Brief
 
 FIRST, DEVELOPMENT = 6140, 3
 """Rows from the first seed on are in no other table; on those from the second on the visit was made."""
-PARTS = ("travel_s", "thought_s", "approach_s", "shake_s", "retreat_s")
+PARTS = ("thought_s", "approach_s", "shake_s", "retreat_s")
 ACCELERATION = "true_flower_acceleration_median_ms2"
 
 
@@ -76,7 +76,7 @@ def one(row: Row, folder: Path) -> Row:
     found, done = performed(cell, lambda: visit_row_stem(cell.robot_side, case.species, hook, run, foot=foot))
     log = cell.world.log()
     found |= touched(log) | {"string_pull": string_pull(cell.world, log), "plants": len(grown.plants)}
-    found |= {"travel_s": STEM_TO_STEM, "notes": notes(run)}
+    found |= {"notes": notes(run)}
     if done is not None:
         found |= {"thought_s": thought(found, run), "approach_s": approach(found.get("phases_s", {}))}
         found["flowers_seen"], found["flowers_there"] = (

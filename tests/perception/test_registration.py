@@ -87,6 +87,22 @@ def test_registration_recovers_the_poses(seed: int) -> None:
     assert result.distance_after < result.distance_before
 
 
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_views_on_a_way_told_by_odometry_are_moved_to_the_last_one(seed: int) -> None:
+    """Errors add up backwards from there; taken for errors of each view by itself, they would be shared out."""
+    rng = np.random.default_rng(seed)
+    clouds, true = views_of(rng)
+    steps = np.linalg.norm(np.diff(true[:, :3, 3], axis=0), axis=1)
+    drift = np.cumsum((0.01 * np.sqrt(steps)[:, None] * rng.normal(size=(len(steps), 3)))[::-1], axis=0)[::-1]
+    given = true.copy()
+    given[:-1, :3, 3] += drift
+    by_odometry, by_arm = (register(clouds, given, _registration.Params(walk=walk)) for walk in (0.01, 0.0))
+    assert displacement(by_odometry.T_world_cam, true, clouds) < 0.003 < 0.02 < displacement(given, true, clouds)
+    assert displacement(by_odometry.T_world_cam, true, clouds) < 0.5 * displacement(by_arm.T_world_cam, true, clouds)
+    assert by_odometry.used.all()
+    assert not by_odometry.notes, "what odometry explains is no fault"
+
+
 def test_a_common_hand_eye_error_is_recovered() -> None:
     rng = np.random.default_rng(5)
     clouds, true = views_of(rng)

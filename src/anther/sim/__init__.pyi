@@ -7,13 +7,14 @@ from .render import Scene
 from .robot import robot_of
 from .row import Row, grow_row, row_scene
 from .row_cell import build_row, mapped_string
-from .row_drive import Drive, drive_past
+from .row_drive import STEM_TO_STEM, Drive, drive_past
 from .simulated_cell import SimulatedCell, build, grow, layout, photograph, views_at
 from .tomato import grow_tomato
 from .true_plant import as_true
 from .truth import NOMINAL, WIDE, Truth, draw
 
 __all__ = [
+    "STEM_TO_STEM",
     "NOMINAL",
     "WIDE",
     "CaptureTruth",

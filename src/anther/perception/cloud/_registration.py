@@ -159,9 +159,7 @@ def _notes(agrees: Array, used: NDArray[np.bool_], moved: Array, far: NDArray[np
 
 def _aligned(sample: Sample, given: Array, source: NDArray[np.bool_], params: Params) -> Estimate | None:
     """Return the estimate, or None where views share no surface."""
-    farthest = 3 * float(np.sqrt(params.walked(given).max()))
-    coarse = (farthest, float(np.sqrt(farthest * MATCHED[0]))) if farthest > MATCHED[0] else ()
-    at = _jointly(sample, Estimate(given), given, source, (*coarse, *MATCHED[:3]), params, reach_fixed=False)
+    at = _jointly(sample, Estimate(given), given, source, MATCHED[:3], params, reach_fixed=False)
     if at is None:
         return None
     attenuation = 1 / 3  # noise in the normals draws the estimated reach to zero (errors in variables)
@@ -215,7 +213,10 @@ def _prior_information(given: Array, params: Params) -> Array:
     own = variances(params.rotation_sigma, params.translation_sigma)
     shared = variances(float(np.deg2rad(0.2)), 0.001)  # per axis [rad], [m]; as careful calibrations leave
     covariance = np.kron(np.eye(views), own) + np.kron(np.ones((views, views)), shared)
-    covariance += np.kron(params.walked(given), np.diag([0, 0, 0, 1, 1, 1]))
+    turned = given[:, :3, :3]  # the way is the world's, corrections each camera's
+    covariance.reshape(views, 6, views, 6)[:, 3:, :, 3:] += np.einsum(
+        "ab,aik,bil->akbl", params.walked(given), turned, turned
+    )
     information = np.zeros((6 * views + 1, 6 * views + 1))
     information[:-1, :-1] = np.linalg.inv(covariance)
     information[-1, -1] = 0.003**-2  # 2 px of a D455 [rad]
