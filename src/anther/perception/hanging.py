@@ -38,8 +38,12 @@ class StringLine:
         return hook[:2] + np.multiply.outer((height - hook[2]) / down[2], down[:2])
 
     def stray(self, height: ArrayLike) -> Array:
-        """Return how far beside that line a stem may be at a height [m]: maps err by 0.02, stems sag; guesses."""
-        return np.maximum(0.05, 0.08 * (np.asarray(self.hook)[2] - np.asarray(height)))
+        """Return how far beside that line a stem may be at a height [m]: maps err by 0.02, stems sag; guesses.
+
+        Where a foot holds it too, it sags no further below: its neighbour's line is near.
+        """
+        below = np.asarray(self.hook)[2] - np.asarray(height, dtype=np.float64)
+        return np.maximum(0.05, 0.08 * below) if self.foot is None else np.full_like(below, 0.08)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,8 +14,8 @@ from .true_plant import as_true
 from .truth import NOMINAL, WIDE, Truth, draw
 
 __all__ = [
-    "STEM_TO_STEM",
     "NOMINAL",
+    "STEM_TO_STEM",
     "WIDE",
     "CaptureTruth",
     "Drive",

@@ -17,11 +17,9 @@ from anther.core.runs import Advance
 from anther.perception.capture import Capture, Keep
 from anther.robot.arm.model import ArmModel
 from anther.robot.arm.sawyer import SAWYER
-from anther.robot.arm.views import Params as ViewParams
-from anther.robot.arm.views import plan_views
 from anther.robot.devices import Tap, no_tap
 from anther.sim import cell as world
-from anther.sim.capture import Sight, camera_errors, capture_from_poses, perturbed_hand_eye, pose_errors
+from anther.sim.capture import Sight, camera_errors, capture_from_poses
 from anther.sim.render import Scene
 from anther.sim.row import Row, row_scene
 from anther.sim.row_drive import BETWEEN_VIEWS, drive_up
@@ -33,8 +31,6 @@ from anther.sim.truth import NOMINAL, Truth
 
 FLOWERS_Z = 0.15
 """Height of the flowers over the arm's base [m]: as in the cell of a plant in a pot."""
-LOOKS = ViewParams(count=6, widest=50.0)
-"""Views of the arm from its side of the row. It waits at the one that is nearest to where it waits before a pot."""
 
 
 def before_arm(row: Row, arm: ArmModel = SAWYER) -> Row:
@@ -125,11 +121,8 @@ def _gap(box: Box, place: Array) -> float:
     return float(np.linalg.norm(np.clip(place, box.lower, box.upper) - place))
 
 
-def row_world(row: Row, truth: Truth = NOMINAL, arm: ArmModel = SAWYER, waits: Array | None = None) -> world.Cell:
-    """Return MuJoCo's world of an arm before a row: the plant that is asked for on its string, and what is in reach.
-
-    The arm waits at joints (J,) [rad].
-    """
+def row_world(row: Row, truth: Truth = NOMINAL, arm: ArmModel = SAWYER) -> world.Cell:
+    """Return MuJoCo's world of an arm before a row: the plant that is asked for on its string, and what is in reach."""
     fine_below = 0.55  # m under the flowers: an arm holds it within 0.4 m of them (facts: rows 0)
     cut = replace(world.Params().plant, fine_above=float(row.flowers[2]) - fine_below)
     plant = held_by_string(row.worked, cut)
@@ -147,27 +140,17 @@ def build_row(
 ) -> SimulatedCell:
     """Build the cell of an arm on a cart that has driven up to the plant that is asked for.
 
-    A camera on the cart has taken views on the way (`row_drive.drive_up`); the arm waits where its own camera takes the
-    last one, when the cart stands. See `simulated_cell.build`.
-
-    Raises:
-        StageFailure: "unreachable" when the arm reaches fewer than three views.
+    A camera on the cart has taken the views on the way (`row_drive.drive_up`); the arm stands where it waits. See
+    `simulated_cell.build`.
     """
     row = before_arm(row, arm)
-    place = row_layout(row, arm)
-    looks = plan_views(place.region, place.solids, LOOKS, arm=arm).joints
-    waits = looks[np.argmin(np.abs(looks - arm.waiting).max(axis=1))]
-    mujoco = row_world(row, truth, arm, waits)
+    place, mujoco = row_layout(row, arm), row_world(row, truth, arm)
     scene, rng = row_scene(row, mujoco.plant), np.random.default_rng([row.seed, 14 + 10 * visit])
     noise = int(np.random.default_rng([row.seed, 15 + 10 * visit]).integers(1 << 31))
 
     def take_views(advance: Advance, keep: Keep) -> Capture:
         believed, true = drive_up(row, rng, truth)
-        flange, errors = arm.forward(waits), camera_errors(truth)
-        T_flange_cam = perturbed_hand_eye(arm.tool.T_flange_cam, rng, factor=truth.hand_eye_error)
-        believed = np.vstack([believed, [flange @ arm.tool.T_flange_cam]])
-        true = np.vstack([true, [flange @ pose_errors(1, errors, rng)[0] @ T_flange_cam]])
-        how: dict[str, Any] = {"rng": rng, "errors": errors, "progress": advance, "keep": keep}
+        how: dict[str, Any] = {"rng": rng, "errors": camera_errors(truth), "progress": advance, "keep": keep}
         return capture_from_poses(_in_wind(mujoco, scene, len(true)), believed, T_world_cam_true=true, **how)[0]
 
     return around(mujoco, scene, take_views, place, noise, tap)
