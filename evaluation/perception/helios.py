@@ -25,6 +25,8 @@ from evaluation.perception.scene_plants import OTHER, PETAL, STEM, Grown
 Model = Literal["tomato", "cherrytomato", "capsicum"]
 AGE: dict[Model, tuple[float, float]] = {"tomato": (30.0, 50.0), "cherrytomato": (35.0, 60.0), "capsicum": (45.0, 70.0)}
 """Days between which a plant is drawn: 0.3-0.9 m tall, as those that a robot shakes."""
+SHOWN = 0.5
+"""Blades are pictures with transparent corners; a triangle of which more than this share is there is a surface."""
 ORGANS = {"Internode": STEM, "Petiole": OTHER, "Leaf": OTHER, "Peduncle": OTHER, "Flower": PETAL, "Fruit": OTHER}
 """What Helios calls the organs, and what a scene calls them."""
 
@@ -43,7 +45,7 @@ def grow_helios(model: Model, seed: int, age: float | None = None) -> Grown:
     days = float(np.random.default_rng(seed).uniform(*AGE[model])) if age is None else age
     with _sown(model, seed, days) as (context, plants, plant):
         stem, radius = _main_stem(plants, plant)
-        parts = [_triangles(context, getattr(plants, f"getPlant{organ}ObjectIDs")(plant)) for organ in ORGANS]
+        parts = [_visible(context, getattr(plants, f"getPlant{organ}ObjectIDs")(plant)) for organ in ORGANS]
     corners, organ = np.concatenate(parts), np.repeat(list(ORGANS.values()), [len(part) for part in parts])
     side = (organ == STEM) & ~_along(corners.mean(axis=1), stem, radius)  # side shoots are no main stem
     return Grown(f"{model}-{seed}", corners, np.where(side, OTHER, organ), stem, radius)
@@ -172,12 +174,18 @@ def _bearing(limbs: Sequence[Limb], kind: str, surfaces: Sequence[Surface]) -> l
     return [replace(limb, **{kind: tuple(borne)}) for limb, borne in zip(limbs, found, strict=True)]
 
 
-def _triangles(context: Any, objects: list[int]) -> NDArray[Any]:
-    """Return the triangles (F, 3, 3) [m] of some objects, four-cornered patches as two."""
-    uuids = context.getObjectPrimitiveUUIDs(objects) if objects else []
+def _visible(context: Any, objects: list[int]) -> NDArray[Any]:
+    """Return the triangles (F, 3, 3) [m] of some objects that their pictures do not leave transparent."""
+    uuids = np.array(context.getObjectPrimitiveUUIDs(objects) if objects else [], dtype=int)
+    solid = np.asarray(context.getPrimitiveSolidFraction(uuids.tolist())) if len(uuids) else np.zeros(0)
+    return _triangles(context, uuids[solid > SHOWN].tolist())
+
+
+def _triangles(context: Any, uuids: list[int]) -> NDArray[Any]:
+    """Return the triangles (F, 3, 3) [m] of some primitives, four-cornered patches as two."""
     if not uuids:
         return np.zeros((0, 3, 3))
-    flat, offsets = context.getPrimitiveVertices(list(uuids))
+    flat, offsets = context.getPrimitiveVertices(uuids)
     vertices, first = np.asarray(flat, dtype=float).reshape(-1, 3), np.asarray(offsets, dtype=int)
     first = first // 3  # offsets count numbers, not corners
     start, square = first[:-1], first[:-1][np.diff(first) == 4]
@@ -198,7 +206,8 @@ def _colours(context: Any, part: int) -> NDArray[np.uint8]:
 
 def _surface(context: Any, part: int) -> Surface:
     """Return an object's triangles, with the colours of its pictures, without what they leave transparent."""
-    uuids, corners = list(context.getObjectPrimitiveUUIDs([part])), _triangles(context, [part])
+    uuids = list(context.getObjectPrimitiveUUIDs([part]))
+    corners = _triangles(context, uuids)
     colour = np.repeat(_colours(context, part)[:, None], 3, axis=1)
     solid = np.asarray(context.getPrimitiveSolidFraction(uuids))
     files = np.array(context.getPrimitiveTextureFile(uuids))
@@ -207,7 +216,7 @@ def _surface(context: Any, part: int) -> Surface:
         flat, _ = context.getPrimitiveTextureUV([uuids[k] for k in pictured])
         colour[pictured] = _looked_up(str(files[pictured[0]]), np.asarray(flat).reshape(-1, 3, 2))
     area = np.linalg.norm(np.cross(*np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 0)), axis=1) / 2
-    shown = solid > 0.5  # of a triangle more than half is there
+    shown = solid > SHOWN
     each: Array = np.hstack([corners[shown].reshape(-1, 3), colour[shown].reshape(-1, 3)]).astype(np.float64)
     unique, faces = np.unique(each, axis=0, return_inverse=True)
     return Surface(

@@ -37,6 +37,8 @@ _FINEST = 100
 """Voxels along the scene's height: stems a thirtieth of it apart keep apart."""
 _BRIDGE = 0.15
 """Gaps up to this share of the scene's height are bridged, as within one plant."""
+_ACROSS_GAP = 7.0
+"""A way across a gap costs as much as one across the middle of a blade, times its length."""
 _NEAR = 0.08
 """How far from the nearest point a named root may be, of the scene's height: the foot may be hidden."""
 
@@ -88,7 +90,7 @@ def find_plants(
     graph = _graph(points)
     minima = _minima(graph)
     # constant and weights of the evidence in the log-odds that a stem stands there: `evaluation.perception.fit_feet`
-    fitted = (-18.11, 2.88, 0.75, 4.9, 15.47)
+    fitted = (-12.54, 4.62, 2.72, 6.19, 4.22)
     chance = probability(fitted, _evidence(graph, minima))
     named = None if root is None else _named(graph, np.asarray(root, dtype=np.float64), minima, chance)
     chance = np.where(minima == named, 1.0, chance)  # who names it knows
@@ -272,12 +274,20 @@ class _Graph:
     flatness: Array
     height: float
 
-    def ways(self, sources: NDArray[Any]) -> tuple[Array, NDArray[Any], NDArray[Any]]:
-        """Return (V,) the cost of the cheapest way from any source, the voxel before, and the source; inf, -1, -1."""
-        n = len(self.points)
-        graph = sparse.coo_matrix((self.cost, (self.links[:, 0], self.links[:, 1])), (n, n)).tocsr()
-        cost, before, source = dijkstra(graph, directed=False, indices=sources, return_predecessors=True, min_only=True)
-        return cost, np.maximum(before, -1), np.where(np.isfinite(cost), source, -1)
+    def ways(self, feet: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Return (V,) the voxel before each on the cheapest way from the soil, a foot's being itself, and (V,) the
+        number of the foot (C,) that it goes through; -1: unreached.
+
+        What lies below a foot is a gap, down to the scene's lowest point: leaves that hang grow from no soil.
+        """
+        n, count = len(self.points), len(feet)
+        below = n + np.arange(count)
+        gap = _ACROSS_GAP * (self.points[feet, 2] - self.points[:, 2].min()) + 1e-9  # not 0: that would be no link
+        ends = np.concatenate([self.links, np.stack([below, feet], axis=1)]).T
+        graph = sparse.coo_matrix((np.append(self.cost, gap), ends), (n + count, n + count)).tocsr()
+        _, before, source = dijkstra(graph, directed=False, indices=below, return_predecessors=True, min_only=True)
+        before, number = before[:n], np.where(before[:n] < 0, -1, source[:n] - n)
+        return np.where((before < 0) | (before >= n), np.arange(n), before), number
 
 
 def _graph(points: Array) -> _Graph:
@@ -293,8 +303,7 @@ def _graph(points: Array) -> _Graph:
     flat, off_middle = surroundings(index, reach=4)
     flat = np.minimum(2 * flat, 1)
     dear = 1 + 3 * (flat + np.minimum(off_middle / 0.4, 1) ** 2)
-    across_gap = 7.0  # a way across a gap costs as much as one across the middle of a blade
-    factor = np.concatenate([dear[edges].mean(axis=1), np.full(len(links), across_gap)])
+    factor = np.concatenate([dear[edges].mean(axis=1), np.full(len(links), _ACROSS_GAP)])
     both = np.concatenate([edges, links])
     length = np.linalg.norm(centres[both[:, 0]] - centres[both[:, 1]], axis=1)
     return _Graph(centres, voxel, both, length * factor, flat, height)
@@ -345,24 +354,34 @@ def _minima(graph: _Graph) -> NDArray[Any]:
 def _evidence(graph: _Graph, feet: NDArray[Any]) -> Array:
     """Return the evidence (C, 4), each 0 .. 1, larger is better, that a stem stands at each of the voxels `feet` (C,).
 
-    Columns, of what these feet leave to one another: how much what is near is an upright line, (l1 - l2) / l1 of its
-    scatter, blades left out, times the rise of its axis; how little the surroundings of the way up are a plane; how far
-    the plant rises, of the scene's height; how low the foot is.
+    Columns, of what these feet leave to one another: how steeply the ways to all that it carries leave its
+    neighbourhood, the sine in the mean, 0 for what ends within; how little the surroundings of the way to its top are a
+    plane there; how far the plant rises, of the scene's height; how low the foot is.
     """
-    _, before, owner = graph.ways(feet)
-    z, reach, rows = graph.points[:, 2], 0.15 * graph.height, []
-    ball = np.ones(3), np.eye(3)
-    for foot in feet:
-        own = np.flatnonzero(owner == foot)
+    before, number = graph.ways(feet)
+    z, rows = graph.points[:, 2], []
+    offset = graph.points - graph.points[feet[number]]
+    away = np.linalg.norm(offset, axis=1)
+    within = away <= 0.15 * graph.height
+    rising = np.where(within, 0, np.maximum(offset[:, 2], 0) / np.maximum(away, 1e-12))[_leaving(before, within)]
+    for k, foot in enumerate(feet):
+        own = np.flatnonzero(number == k)
+        if not len(own):
+            rows.append(np.zeros(4))  # cheaper reached from another
+            continue
         top = own[z[own].argmax()]
         way = [top]
         while way[-1] != foot:
             way.append(before[way[-1]])
-        start = [v for v in way if np.linalg.norm(graph.points[v] - graph.points[foot]) <= reach]
-        near = own[np.linalg.norm(graph.points[own] - graph.points[foot], axis=1) <= reach]
-        solid = (1 - graph.flatness[near]) ** 2 + 1e-6
-        values, axes = np.linalg.eigh(np.cov(graph.points[near].T, aweights=solid)) if len(near) > 3 else ball
-        line = (values[2] - values[1]) / max(values[2], 1e-12) * abs(axes[2, 2])
+        start = [v for v in way if within[v]]
         rise, low = (z[top] - z[foot]) / graph.height, 1 - (z[foot] - z.min()) / graph.height
-        rows.append([line, 1 - graph.flatness[start].mean(), rise, low])
+        rows.append([rising[own].mean(), 1 - graph.flatness[start].mean(), rise, low])
     return np.clip(np.array(rows).reshape(-1, 4), 0, 1)
+
+
+def _leaving(before: NDArray[Any], within: NDArray[np.bool_]) -> NDArray[Any]:
+    """Return (V,) the first voxel on the way to each that is not `within` (V,), itself where all are."""
+    step = np.where(within | within[before], np.arange(len(before)), before)
+    while np.any(step != step[step]):
+        step = step[step]
+    return step
