@@ -45,10 +45,12 @@ def transform_from_pose7(pose: ArrayLike) -> Array:
 
 
 def transform(rotation: ArrayLike, translation: ArrayLike) -> Array:
-    """Return the (4, 4) transform of a (3, 3) rotation and a (3,) translation [m]."""
-    T = np.eye(4)
-    T[:3, :3] = rotation
-    T[:3, 3] = translation
+    """Return the (..., 4, 4) transforms of (..., 3, 3) rotations and (..., 3) translations [m]."""
+    rotation = np.asarray(rotation)
+    T = np.zeros((*rotation.shape[:-2], 4, 4))
+    T[..., :3, :3] = rotation
+    T[..., :3, 3] = translation
+    T[..., 3, 3] = 1
     return T
 
 
@@ -70,7 +72,7 @@ def transform_points(T_a_b: ArrayLike, points_b: ArrayLike) -> Array:
 
 
 def small_transform(rotation_vector: ArrayLike, translation: ArrayLike) -> Array:
-    """Return the (4, 4) transform of a (3,) rotation vector [rad] and a (3,) translation [m]."""
+    """Return the transforms of rotation vectors [rad] and translations [m]: (4, 4) of (3,), (N, 4, 4) of (N, 3)."""
     return transform(Rotation.from_rotvec(np.asarray(rotation_vector)).as_matrix(), translation)
 
 

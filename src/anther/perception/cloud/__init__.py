@@ -225,26 +225,28 @@ def fuse(
     pixels = plant_pixels(capture, labels, box, surfaces)
     _require(sum(len(p.points) for p in pixels), "pixels with depth within the masks, within the workspace")
     report()
-    covered = describe_depth(capture.depth, labels != BACKGROUND, capture.intrinsics.fx, only_poor=True)
-    notes = (*_unseen_views(pixels), *warn_of_views(capture.depth, labels), *filter(None, [covered]))
-    poses, pixels, found = _registered(pixels, capture.T_world_cam, params)
-    report()
-    fused = fuse_voxels(pixels, poses, box, params.voxel)
-    _require(len(fused.points), "points within the workspace")
-    used = np.ones(capture.views, dtype=bool) if found is None else found.used
-    seen = [capture.depth[v] for v in np.flatnonzero(used)]
-    warnings, through = find_disagreement(capture, [p.points for p in pixels], poses, used)
-    fused = fused.only(agreeing_points(fused.points, seen, capture.intrinsics, poses[used]))
-    report()
-    refuse_ground(fused.points, box)
+    notes = _unseen_views(pixels)
     with ThreadPoolExecutor(1) as beside:
+        of_views = beside.submit(_notes_of_views, capture, labels)
+        poses, found = _registered(pixels, capture.T_world_cam, params)
+        notes += of_views.result()
+        report()
+        fused = fuse_voxels(pixels, poses, box, params.voxel)
+        _require(len(fused.points), "points within the workspace")
+        used = np.ones(capture.views, dtype=bool) if found is None else found.used
+        seen = [capture.depth[v] for v in np.flatnonzero(used)]
+        fused = fused.only(agreeing_points(fused.points, seen, capture.intrinsics, poses[used]))
+        report()
+        refuse_ground(fused.points, box)
         rest = beside.submit(_background, capture, labels, poses, box, np.flatnonzero(used))
+        doubts = beside.submit(find_disagreement, capture, [p.points for p in pixels], poses, used)
         kept = attached_points(fused.points)
         notes += warn_of_cloud(fused.points, kept, box) + warn_of_coverage(fused.points[kept].mean(axis=0), poses[used])
         fused = fused.only(kept)
         _require(len(fused.points), "connected points")
         report()
         obstacles = occupied_cells(*rest.result(), fused.points, obstacle_voxel)
+        warnings, through = doubts.result()
     report()
     return Cloud(
         fused.points,
@@ -322,16 +324,24 @@ def plant_pixels(
 
 def _registered(
     pixels: list[SurfacePoints], given: Array, params: Params
-) -> tuple[Array, list[SurfacePoints], _registration.Registration | None]:
-    """Return the poses, the pixels freed of the sensor's bias (none of views to leave out), and the registration."""
+) -> tuple[Array, _registration.Registration | None]:
+    """Return the poses and the registration; free the pixels, in place, of the sensor's bias (none of views to leave
+    out). So no pixel is in memory twice."""
     if params.registration is None:
-        return given, pixels, None
+        return given, None
     found = _registration.register([p.points for p in pixels], given, params.registration)
 
-    def corrected(view: int) -> SurfacePoints:
-        return pixels[view].unbiased(found.reach) if found.used[view] else pixels[view].only(np.array([], dtype=int))
+    def correct(view: int) -> None:
+        own = pixels[view]
+        pixels[view] = own.unbiased(found.reach) if found.used[view] else own.only(np.array([], dtype=int))
 
-    return found.T_world_cam, in_threads(corrected, range(len(pixels))), found
+    in_threads(correct, range(len(pixels)))
+    return found.T_world_cam, found
+
+
+def _notes_of_views(capture: Capture, labels: NDArray[Any]) -> tuple[str, ...]:
+    covered = describe_depth(capture.depth, labels != BACKGROUND, capture.intrinsics.fx, only_poor=True)
+    return (*warn_of_views(capture.depth, labels), *filter(None, [covered]))
 
 
 def _background(

@@ -208,24 +208,23 @@ def _add_to_voxels(values, weights, scale, slots, group, keys, sums, voxels):
 
     `slots` is a hash table of their numbers, of a power of two, at first all -1; `keys` has the key of each.
     """
-    last, columns = -1, values.shape[1]
+    last, here, columns = -1, np.int64(0), values.shape[1]
     for n in range(len(values)):
         key = 0
         for a in range(3):
             key = key << 21 | (np.int64(np.floor(values[n, a] * scale)) & 0x1FFFFF)
-        if key == last:  # pixels side by side
-            group[n] = group[n - 1]
-        else:
+        if key != last:  # of pixels side by side it is the same
             slot = ((key ^ key >> 29) * 0x5851F42D4C957F2D >> 31) & (len(slots) - 1)  # Knuth's multiplier (MMIX)
             while slots[slot] >= 0 and keys[slots[slot]] != key:
                 slot = (slot + 1) & (len(slots) - 1)
             if slots[slot] < 0:
                 slots[slot], keys[voxels] = voxels, key
                 voxels += 1
-            group[n], last = slots[slot], key
+            here, last = np.int64(slots[slot]), key
+        group[n], weight = here, weights[n]
         for k in range(columns):
-            sums[group[n], k] += weights[n] * values[n, k]
-        sums[group[n], columns] += weights[n]
+            sums[here, k] += weight * values[n, k]
+        sums[here, columns] += weight
     return voxels
 
 

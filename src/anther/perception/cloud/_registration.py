@@ -260,8 +260,8 @@ def _step(
     change[free] = np.linalg.solve(
         (weight * hessian + information)[free, free], -(weight * gradient + information @ moved)[free]
     )
-    poses = [T @ small_transform(d[:3], d[3:]) for T, d in zip(at.poses, change[:-1].reshape(-1, 6), strict=True)]
-    return Estimate(np.stack(poses), at.reach + change[-1])
+    turn, shift = np.split(change[:-1].reshape(-1, 6), 2, axis=1)
+    return Estimate(at.poses @ small_transform(turn, shift), at.reach + change[-1])
 
 
 @compiled

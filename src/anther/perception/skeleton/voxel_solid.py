@@ -69,7 +69,8 @@ class Voxels:
 def point_spacing(points: Array) -> float:
     """Return the typical distance between neighbouring points [m] (median over a sample)."""
     sample = points[:: max(1, len(points) // 2000)]
-    tree = small_gicp.KdTree(np.ascontiguousarray(points, dtype=np.float64))  # built several times quicker than SciPy's
+    # built several times quicker than SciPy's
+    tree = small_gicp.KdTree(np.ascontiguousarray(points, dtype=np.float64), num_threads=2)
     _, squared = tree.batch_knn_search(np.ascontiguousarray(sample, dtype=np.float64), min(4, len(points)))
     return float(np.median(np.sqrt(squared[:, -1])))
 
