@@ -202,13 +202,6 @@ def test_a_workspace_nobody_looks_at_is_a_failure_of_its_own_kind() -> None:
     assert failure.value.kind == "no_plant_found"
 
 
-def test_all_zero_depth_is_a_failure_of_its_own_kind() -> None:
-    view = empty_view()
-    blind = Capture(np.zeros_like(view.depth), view.intrinsics, view.T_world_cam, view.rgb)
-    with pytest.raises(StageFailure):
-        segment(blind)
-
-
 @pytest.mark.parametrize("change", [{"green": 2}, {"ground_radius": 1e-4}])
 def test_impossible_parameters_are_refused(change: dict[str, float]) -> None:
     with pytest.raises(InputError):

@@ -179,11 +179,6 @@ def test_hopeless_clouds_are_refused(points: np.ndarray, message: str) -> None:
         skeletonize(Cloud(points))
 
 
-def test_wrong_units_are_named() -> None:
-    with pytest.raises(InputError, match="units"):
-        skeletonize(Cloud(simple_plant() * 1000))
-
-
 def test_save_and_load(plant: Skeleton, tmp_path) -> None:
     check_kept(plant, tmp_path / "skeleton.npz")
 
