@@ -41,7 +41,10 @@ AREAS = {
     ),
     "execution": (
         ["pollination/execution", "robot/swing.py"],
-        ["test_execution.py", "test_early_reach.py", "test_swing.py", "test_watched_execution.py", "test_steps.py", "test_faults.py"],
+        [
+            "test_execution.py", "test_early_reach.py", "test_swing.py", "test_watched_execution.py", "test_steps.py",
+            "test_faults.py",
+        ],
     ),
     "grasp": (["pollination/grasp"], ["test_grasp.py", "test_confidence.py"]),
     "shake": (
