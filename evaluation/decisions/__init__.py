@@ -33,7 +33,7 @@ from scipy.spatial.distance import cdist
 if TYPE_CHECKING:  # a constant is moved before Anther is imported
     from anther.core import Array
 
-SUITES = ("perception", "plant")
+SUITES = ("perception",)
 """Rooms that have a suite."""
 
 Decisions = Mapping[str, Mapping[str, Any]]

@@ -9,8 +9,10 @@ range; all are guesses but those of facts: rows, D.
 from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from anther.core import Array
 from anther.history import RowPass
@@ -72,7 +74,7 @@ class SimulatedSide:
             np.vstack([self.appearance[kept], heads]),
         )
 
-    def _hang(self, position: Array, identity: Array, appearance: Array) -> None:
+    def _hang(self, position: NDArray[Any], identity: NDArray[Any], appearance: Array) -> None:
         order = np.argsort(position, kind="stable")
         self.position, self.identity, self.appearance = position[order], identity[order], appearance[order]
 

@@ -157,7 +157,6 @@ def strain_metrics(rows: list[StrainRow]) -> dict[str, float]:
             "error_median": np.median(largest),
             "error_p90": np.quantile(largest, 0.9),
             "error_max": largest.max(),
-            "within_5": np.mean(largest <= 0.05),
             "places_error_median": np.median(places),
             "places_error_p90": np.quantile(places, 0.9),
         }

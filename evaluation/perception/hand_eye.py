@@ -31,7 +31,6 @@ T_FLANGE_CAM = small_transform([0.1, -0.2, 1.5], [0.03, -0.06, 0.05])
 T_BASE_BOARD = small_transform([3.1, 0.02, 0.01], [0.7, 0.1, -0.2])
 VIEWS, WRONG = 20, 3
 WRONG_BY = 1.0, 10.0  # [deg], [mm], per axis
-OF_ERRORS = "deg", "deg_p95", "mm", "mm_p95"
 TARGET = 0.06, 0.6  # [deg], [mm], for 0.2 px and an exact arm
 
 

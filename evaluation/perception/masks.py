@@ -59,7 +59,6 @@ SETTINGS = {
 blue sky (cold), three stops too dark (dim), grow lamps of 660 nm and some 450 nm, whose red and blue leak into the
 green channel (red_led)."""
 QUICK = ("daylight", "warm", "dim", "red_led", "stake")
-BLEEDING = ("plant_kept", "pot_soil_in_cloud", "foot_mm")
 PICTURED = 14  # the view shown in the picture
 
 

@@ -32,7 +32,6 @@ class Score(NamedTuple):
         error: mean of |predicted / true - 1| over flowers and shakes.
         median: of the same.
         bias: mean of predicted / true - 1.
-        reversed: share of the frequencies at which location goes the wrong way.
     """
 
     amplitude_r: float
@@ -40,7 +39,6 @@ class Score(NamedTuple):
     error: float
     median: float
     bias: float
-    reversed: float
 
 
 class Shakes(NamedTuple):
@@ -78,7 +76,6 @@ def score(row: Row, model: str, band: str) -> Score | None:
         float(np.abs(ratio).mean()),
         float(np.median(np.abs(ratio))),
         float(ratio.mean()),
-        float(np.mean([correlation(*pair) < 0 for pair in by_location])),
     )
 
 
@@ -146,7 +143,7 @@ def _word(model: str) -> str:
 
 def _named(scores: Sequence[Score], model: str, band: str) -> dict[str, float]:
     name = f"{_word(model)}{ENDS[band]}"
-    r, location_r, error, median, bias, backward = np.array(scores).T
+    r, location_r, error, median, bias = np.array(scores).T
     return {
         f"r_{name}": float(r.mean()),
         f"r_least_{name}": float(r.min()),
@@ -156,7 +153,6 @@ def _named(scores: Sequence[Score], model: str, band: str) -> dict[str, float]:
         f"error_median_{name}": float(median.mean()),
         f"bias_{name}": float(bias.mean()),
         f"reversed_trends_{name}": int(np.sum(location_r < 0)),
-        f"reversed_frequencies_{name}": float(backward.mean()),
     }
 
 

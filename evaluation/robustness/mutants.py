@@ -41,7 +41,10 @@ AREAS = {
     ),
     "execution": (
         ["pollination/execution", "robot/swing.py"],
-        ["test_execution.py", "test_early_reach.py", "test_swing.py", "test_watched_execution.py", "test_steps.py"],
+        [
+            "test_execution.py", "test_early_reach.py", "test_swing.py", "test_watched_execution.py", "test_steps.py",
+            "test_faults.py",
+        ],
     ),
     "grasp": (["pollination/grasp"], ["test_grasp.py", "test_confidence.py"]),
     "shake": (
@@ -55,7 +58,7 @@ AREAS = {
         ["pollination/response", "core/oscillation.py"],
         [
             "test_oscillation.py", "test_petals.py", "test_flower_depth.py", "test_following.py", "test_response.py",
-            "test_points.py", "test_beside.py", "test_overtones.py",
+            "test_points.py", "test_near_grasp.py", "test_overtones.py",
         ],
     ),
     "history": (

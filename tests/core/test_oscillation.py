@@ -276,6 +276,12 @@ def test_the_slowest_rate_of_eight_frames_a_period_is_chosen_else_the_one_that_t
     assert choose_rate(frequency, (90, 15, 60, 30)) == rate
 
 
+@given(st.floats(0.5, 40))
+def test_the_rate_that_is_chosen_tells_the_phase(frequency) -> None:
+    rate = choose_rate(frequency, (15.0, 30.0, 60.0, 90.0))
+    assert rate >= 8 * frequency or 0.05 < alias(frequency, rate) / rate < 0.45
+
+
 def test_frames_that_tell_one_of_sine_and_cosine_do_not_tell_the_phase() -> None:
     times = np.arange(60) / 60
     with pytest.raises(InputError, match="frame rate"):

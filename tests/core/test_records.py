@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 import pytest
+from alike import same
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -76,19 +77,6 @@ FULL = {
     "when": datetime(2026, 5, 1, tzinfo=UTC),
     "limits": (("stem", 0.1), ("slip", NAN)),
 }
-
-
-def same(one: Any, other: Any) -> bool:
-    """Whether two values hold the same, of the same types; NaN is NaN."""
-    if type(one) is not type(other):
-        return False
-    if is_dataclass(one):
-        return all(same(getattr(one, f.name), getattr(other, f.name)) for f in fields(one))
-    if isinstance(one, np.ndarray):
-        return one.dtype == other.dtype and np.array_equal(one, other, equal_nan=one.dtype.kind == "f")
-    if isinstance(one, tuple):
-        return len(one) == len(other) and all(map(same, one, other))
-    return one == other or repr(one) == repr(other) == "nan"
 
 
 @pytest.mark.parametrize("name", ["a.npz", "a.json"])

@@ -43,4 +43,3 @@ def test_the_metrics_are_those_of_the_rows(rows: list[StrainRow]) -> None:
     worst = max(rows, key=lambda row: abs(row.error))
     assert found["strain_error_max"] == pytest.approx(abs(worst.error))
     assert found["strain_error_max_to_5hz"] <= found["strain_error_max"]
-    assert found["strain_within_5"] == pytest.approx(np.mean([abs(row.error) <= 0.05 for row in rows]))

@@ -49,7 +49,7 @@ def test_a_model_that_says_half_has_full_correlation_and_half_the_amplitude() ->
     found = score(row(lambda true: 0.5 * true), "paper", "paper")
     assert found is not None
     assert found.amplitude_r == pytest.approx(1)
-    assert (found.error, found.bias, found.reversed) == pytest.approx((0.5, -0.5, 0))
+    assert (found.error, found.bias) == pytest.approx((0.5, -0.5))
 
 
 def test_a_model_that_turns_the_trend_over_location_round_is_caught() -> None:
@@ -57,7 +57,6 @@ def test_a_model_that_turns_the_trend_over_location_round_is_caught() -> None:
     found = score(backward, "paper", "paper")
     assert found is not None
     assert found.location_r < -0.9
-    assert found.reversed == 1
     numbers = metrics([backward, row(lambda true: true, seed=1)])
     assert numbers["reversed_trends_paper_model"] == 1
     assert numbers["reversed_trends_probe"] == 0

@@ -13,8 +13,7 @@ from pathlib import Path
 
 import pytest
 from postgresql_server import Server
-from sqlalchemy import insert, select
-from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy import select
 from test_history import numbers_of, writer
 
 from anther.cli.main import main
@@ -169,15 +168,6 @@ def test_however_many_there_are_they_come_in_order(where: str, monkeypatch: pyte
     assert [t.time.minute for t in each_trial(where, plant="a")] == [1, 2, 3, 3, 4, 5]
     assert [t.id for t in each_trial(where)] == [t.id for t in read_trials(where)]
     assert [t.time.minute for t in read_trials(where, last=2)] == [5, 9]
-
-
-def test_who_reads_cannot_write(where: str) -> None:
-    record_trial(visit("a", "r", 0), where)
-    with open_reader(where) as session:
-        assert session is not None
-        with pytest.raises(SQLAlchemyError, match=r"read-?only"):
-            session.execute(insert(Plant).values(species="tomato", label="b"))
-    assert {plant for plant, *_ in names(where)} == {"a"}
 
 
 def test_a_reader_that_takes_long_holds_up_no_writer(where: str) -> None:

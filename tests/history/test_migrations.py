@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import multiprocessing
-from dataclasses import replace
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from sqlalchemy import create_engine, inspect, text
 import anther.history.migrations as versions
 from anther.core.errors import InputError
 from anther.core.records import flat_columns
-from anther.history import read_trials, record_trial
+from anther.history import _database, read_trials, record_trial
 from anther.history._tables import Base, GraspRow, ResponseRow, ShakeRow
 from anther.history.migrations import HEAD
 from anther.plant import GraspRecord, ShakeRecord, Visit
@@ -30,20 +29,6 @@ def engine_of(where: str) -> Any:
     if "://" not in where:
         Path(where).parent.mkdir(parents=True, exist_ok=True)
     return create_engine(url)
-
-
-def write(where: str, plant: str) -> None:
-    record_trial(replace(VISIT, plant=plant), where)
-
-
-def test_processes_that_begin_a_history_at_once_all_write_to_it(where: str) -> None:
-    processes = [multiprocessing.get_context("fork").Process(target=write, args=(where, plant)) for plant in "abcd"]
-    for process in processes:
-        process.start()
-    for process in processes:
-        process.join(60)
-    assert [process.exitcode for process in processes] == [0] * 4
-    assert len(read_trials(where)) == 4
 
 
 def test_a_database_with_other_tables_of_such_names_is_refused_and_kept(where: str) -> None:
@@ -62,18 +47,31 @@ def test_the_tables_are_those_of_the_classes(where: str) -> None:
         assert connection.execute(text("SELECT plant, held_unharmed FROM trials")).one() == ("a", True)
 
 
+LATER = """
+import sqlalchemy as sa
+from alembic import op
+
+revision, down_revision = "later", "{head}"
+
+
+def upgrade():
+    op.add_column("plants", sa.Column("note", sa.Text))
+"""
+
+
 def test_a_history_of_the_version_before_is_brought_up_with_all_that_is_in_it(
-    where: str, monkeypatch: pytest.MonkeyPatch
+    where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with monkeypatch.context() as before, engine_of(where).begin() as connection:
-        before.setattr(versions, "HEAD", "0003")
-        versions.migrate(connection)
-        connection.execute(text("INSERT INTO plants (species, label, learned) VALUES ('tomato', 'a', '{}')"))
-        row = "(plant_id, time, success) VALUES (1, '2026-05-01 12:00:00', true)"
-        connection.execute(text(f"INSERT INTO visits {row}"))
-    assert [(trial.plant, trial.result_words) for trial in read_trials(where)] == [("a", "held, flowers not measured")]
     record_trial(VISIT, where)
-    assert len(read_trials(where)) == 2
+    folder = tmp_path / "migrations"
+    shutil.copytree(Path(versions.__file__).parent, folder)
+    (folder / "versions" / "later.py").write_text(LATER.format(head=HEAD))
+    monkeypatch.setattr(versions, "__file__", str(folder / "__init__.py"))
+    monkeypatch.setattr(versions, "HEAD", "later")
+    monkeypatch.setattr(_database, "HEAD", "later")
+    assert [(trial.plant, trial.result_words) for trial in read_trials(where)] == [("a", "held, flowers not measured")]
+    with engine_of(where).connect() as connection:
+        assert connection.execute(text("SELECT label, note FROM plants")).one() == ("a", None)
 
 
 def test_the_head_is_the_newest_version() -> None:

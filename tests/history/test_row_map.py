@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import fields, replace
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from itertools import combinations, product
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from alike import check_kept
 from scipy.stats import t as student
 
 from anther.core.errors import InputError
@@ -230,8 +231,4 @@ def test_the_posterior_is_the_sum_over_all_alignments() -> None:
 
 
 def test_a_pass_is_a_file(tmp_path: Path) -> None:
-    seen = Stems().seen(0)
-    seen.save(tmp_path / "pass.npz")
-    read = RowPass.load(tmp_path / "pass.npz")
-    for f in fields(RowPass):
-        np.testing.assert_array_equal(getattr(read, f.name), getattr(seen, f.name))
+    check_kept(Stems().seen(0), tmp_path / "pass.npz")

@@ -11,6 +11,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_plants import simple_plant
+from test_formats_pcd import write_pcd
 from trimesh.exchange.ply import export_ply
 
 from anther.core.errors import InputError
@@ -24,26 +25,6 @@ COLORS = RNG.integers(0, 256, (400, 3)).astype(np.uint8)
 def write_ply(path: Path, encoding: str = "binary") -> None:
     cloud = trimesh.PointCloud(POINTS, colors=COLORS)
     path.write_bytes(export_ply(cloud, encoding=encoding))
-
-
-def pcd_header(kind: str, fields: str = "x y z rgb", count: int = 400) -> str:
-    n = len(fields.split())
-    return (
-        "# .PCD v0.7\nVERSION 0.7\n"
-        f"FIELDS {fields}\nSIZE {' '.join(['4'] * n)}\nTYPE {' '.join(['F'] * n)}\nCOUNT {' '.join(['1'] * n)}\n"
-        f"WIDTH {count}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {count}\nDATA {kind}\n"
-    )
-
-
-def write_pcd(path: Path, kind: str) -> None:
-    c = COLORS.astype(np.uint32)
-    packed = ((c[:, 0] << 16) | (c[:, 1] << 8) | c[:, 2]).view(np.float32)
-    rows = np.column_stack([POINTS, packed])
-    if kind == "binary":
-        path.write_bytes(pcd_header(kind).encode() + rows.astype("<f4").tobytes())
-    else:
-        text = "\n".join(" ".join(f"{v:.9g}" for v in row) for row in POINTS)
-        path.write_text(pcd_header(kind, "x y z") + text + "\n")
 
 
 @pytest.mark.parametrize("encoding", ["binary", "ascii"])
@@ -60,19 +41,6 @@ def test_a_mesh_is_read_as_its_vertices(tmp_path: Path, encoding: str) -> None:
     mesh = trimesh.creation.icosphere(subdivisions=2, radius=0.2)
     (tmp_path / "a.ply").write_bytes(export_ply(mesh, encoding=encoding))
     assert np.allclose(read_cloud(tmp_path / "a.ply", "m", "z").points, mesh.vertices, atol=1e-6)
-
-
-def test_pcd_binary_with_packed_colours(tmp_path: Path) -> None:
-    write_pcd(tmp_path / "a.pcd", "binary")
-    cloud = read_cloud(tmp_path / "a.pcd")
-    assert np.allclose(cloud.points, POINTS)
-    assert cloud.colors is not None
-    assert np.array_equal(cloud.colors, COLORS)
-
-
-def test_pcd_ascii(tmp_path: Path) -> None:
-    write_pcd(tmp_path / "a.pcd", "ascii")
-    assert np.allclose(read_cloud(tmp_path / "a.pcd").points, POINTS)
 
 
 @pytest.mark.parametrize("separator", [" ", ",", ";", "\t"])
@@ -209,9 +177,6 @@ def test_missing_unknown_and_wrong_arrays(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", vertices=POINTS)
     with pytest.raises(InputError, match="'points'"):
         read_cloud(tmp_path / "a.npz")
-    (tmp_path / "a.pcd").write_text(pcd_header("binary_compressed"))
-    with pytest.raises(InputError, match="unreadable"):
-        read_cloud(tmp_path / "a.pcd")
 
 
 @pytest.mark.parametrize("suffix", ["ply", "pcd", "npz", "xyz"])

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from alike import check_kept
 
 from anther.perception.cloud import Cloud
-from anther.perception.flowers import PEDICEL, Flowers, assume_flowers, find_flowers, flower_centres
+from anther.perception.flowers import PEDICEL, assume_flowers, find_flowers, flower_centres
 from anther.perception.masks import FLOWER, PLANT
 from anther.perception.skeleton import Skeleton
 from anther.perception.stem import BRANCH, TRUSS, Stem, find_stem
@@ -97,11 +98,7 @@ def test_no_flower_is_a_valid_result() -> None:
 
 
 def test_save_and_load(tmp_path) -> None:
-    found = find_flowers(cloud_of(flower([0.05, 0, 0.4])), SKELETON, STEM)
-    found.save(tmp_path / "flowers.npz")
-    again = Flowers.load(tmp_path / "flowers.npz")
-    assert np.array_equal(again.positions, found.positions)
-    assert np.array_equal(again.attachment, found.attachment)
+    check_kept(find_flowers(cloud_of(flower([0.05, 0, 0.4])), SKELETON, STEM), tmp_path / "flowers.npz")
 
 
 def test_flowers_nobody_saw_are_supposed_at_the_ends_of_trusses_or_branches_or_else_the_stem() -> None:

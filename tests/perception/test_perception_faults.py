@@ -219,12 +219,6 @@ def test_a_plant_whose_stem_is_outside_the_workspace(capture: Capture, plant: Si
         plan_grasps(stem, skeleton, cloud)
 
 
-def test_a_workspace_without_the_plant(capture: Capture) -> None:
-    with pytest.raises(StageFailure, match=r"Check the masks|Is the plant within") as failure:
-        perceived(capture, workspace=moved_aside(0.9))
-    assert failure.value.kind == "no_plant_found"
-
-
 @pytest.mark.parametrize("scale", [1000.0, 0.001])
 def test_depth_in_other_units_is_refused(capture: Capture, scale: float) -> None:
     with pytest.raises(InputError, match=r"depth: got a median of.*metres"):

@@ -40,10 +40,3 @@ def test_the_command_writes_everything(data: Path, tmp_path: Path, name: str, ca
     assert load_grasps(tmp_path / "grasp.json")[0].arc_length == pytest.approx(printed["grasp"]["arc_length"])
     assert (tmp_path / "overview.png").stat().st_size > 10_000
     assert len((tmp_path / "skeleton.swc").read_text().splitlines()) > len(skeleton.nodes)
-
-
-def test_the_command_refuses_wrong_units_and_leaves_nothing(data: Path, tmp_path: Path, capsys) -> None:
-    cloud = str(data / "clouds" / "sorghum_kinect_fused.npz")
-    assert main(["skeletonize", cloud, "--units", "m", "--out", str(tmp_path / "out")]) == 2
-    assert "--units mm" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()

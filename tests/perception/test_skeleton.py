@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
+from alike import check_kept
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -178,17 +179,8 @@ def test_hopeless_clouds_are_refused(points: np.ndarray, message: str) -> None:
         skeletonize(Cloud(points))
 
 
-def test_wrong_units_are_named() -> None:
-    with pytest.raises(InputError, match="units"):
-        skeletonize(Cloud(simple_plant() * 1000))
-
-
 def test_save_and_load(plant: Skeleton, tmp_path) -> None:
-    plant.save(tmp_path / "skeleton.npz")
-    again = Skeleton.load(tmp_path / "skeleton.npz")
-    for name in ("nodes", "parent", "radius", "width"):
-        assert np.array_equal(getattr(again, name), getattr(plant, name))
-    assert again.notes == plant.notes
+    check_kept(plant, tmp_path / "skeleton.npz")
 
 
 def test_a_skeleton_without_width_can_be_kept(tmp_path) -> None:

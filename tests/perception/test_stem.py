@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from alike import check_kept
 from made_plants import segment_distance, simple_plant
 from scipy.spatial.transform import Rotation
 
@@ -266,12 +267,7 @@ def test_no_stem_is_said_clearly(skeleton: Skeleton, hint: str) -> None:
 
 
 def test_save_and_load(tmp_path) -> None:
-    stem = find_stem(drawn(line([0, 0, 0], [0, 0, 0.3]), radius=[0.004]))
-    stem.save(tmp_path / "stem.npz")
-    again = Stem.load(tmp_path / "stem.npz")
-    for name in ("node_ids", "arc_length", "attachments", "organ"):
-        assert np.array_equal(getattr(again, name), getattr(stem, name))
-    assert again.fork == stem.fork
+    check_kept(find_stem(drawn(line([0, 0, 0], [0, 0, 0.3]), radius=[0.004])), tmp_path / "stem.npz")
 
 
 def test_a_file_that_does_not_say_where_the_stem_forks_is_refused(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from alike import check_kept
 from hypothesis import given
 from hypothesis import strategies as st
 from sample_plants import branched, read_paper_plant, stem_along, straight_stem, turned
@@ -16,7 +17,7 @@ from anther.perception.cloud import Cloud
 from anther.perception.flowers import Flowers
 from anther.perception.skeleton import Skeleton
 from anther.plant._shape import bar_radius, edge_radii, leaf_mass
-from anther.plant.model import PEPPER, TOMATO, Material, Params, PlantModel, build_plant
+from anther.plant.model import PEPPER, TOMATO, Material, Params, build_plant
 from anther.rods import natural_frequencies, simulate
 
 NO_FLOWERS = Flowers(np.zeros((0, 3)), np.zeros(0, dtype=int))
@@ -173,18 +174,7 @@ def test_stiffness_scales_frequencies_and_pedicels_keep_theirs() -> None:
 
 def test_round_trip(tmp_path: Path) -> None:
     skeleton, stem, flowers = branched()
-    plant = build_plant(skeleton, stem, flowers, None, PEPPER)
-    plant.save(tmp_path / "plant.npz")
-    again = PlantModel.load(tmp_path / "plant.npz")
-    assert again.material == plant.material
-    assert again.notes == plant.notes
-    assert np.array_equal(again.rods.nodes, plant.rods.nodes)
-    assert plant.rods.natural is not None
-    assert again.rods.natural is not None
-    assert np.array_equal(again.rods.natural.curvature, plant.rods.natural.curvature)
-    (tmp_path / "broken.npz").write_bytes((tmp_path / "plant.npz").read_bytes()[:200])
-    with pytest.raises(InputError, match="plant model"):
-        PlantModel.load(tmp_path / "broken.npz")
+    check_kept(build_plant(skeleton, stem, flowers, None, PEPPER), tmp_path / "plant.npz")
 
 
 def test_a_flower_seen_at_its_branch_still_gets_a_whole_pedicel() -> None:

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from alike import check_kept
 
 from anther.core.errors import InputError
 from anther.core.geometry import Array, Intrinsics, inverse, look_at, transform_points
 from anther.core.oscillation import choose_rate
 from anther.perception.flowers import Flowers
-from anther.pollination.response import Response, measure_response
+from anther.pollination.response import measure_response
 from anther.pollination.response._following import without_outliers
 from anther.pollination.response._petals import petal_weight
 from anther.robot.devices import Frame
@@ -262,8 +263,4 @@ def test_flowers_far_and_near_are_followed_alike() -> None:
 
 def test_a_response_survives_the_disk(tmp_path: Path) -> None:
     response = measure_response(record(0.002, 5.0, count=12), CAMERA, T_WORLD_CAM, flowers(), 5.0)
-    response.save(tmp_path / "r.npz")
-    back = Response.load(tmp_path / "r.npz")
-    assert back.notes == response.notes
-    for name in [field.name for field in fields(Response) if field.name not in ("notes", "stem")]:
-        assert np.array_equal(getattr(back, name), getattr(response, name), equal_nan=name != "visible")
+    check_kept(response, tmp_path / "r.npz")

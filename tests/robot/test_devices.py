@@ -10,7 +10,7 @@ from inspect import isfunction
 import numpy as np
 import pytest
 from fake_robot import LIMITS, fake_robot
-from live_cameras import Bench, FakeWebcam, realsense, running, webcam
+from live_cameras import Bench, realsense, running
 from made_arm import CELL, six
 from small_planner import SmallPlanner
 from straight_plant import straight_plant
@@ -103,14 +103,11 @@ def robot(request: pytest.FixtureRequest) -> Robot:
     return ROBOTS[request.param]()
 
 
-@pytest.fixture(params=[*ROBOTS, "replayed", "webcam", "realsense"])
+@pytest.fixture(params=[*ROBOTS, "replayed", "realsense"])
 def camera(request: pytest.FixtureRequest) -> Iterator[Camera]:
-    """A camera; the live ones run for as long as the test."""
+    """A camera; the live one runs for as long as the test. A webcam is in `test_conformance.py`."""
     if request.param == "replayed":
         yield replayed()
-    elif request.param == "webcam":
-        with webcam(FakeWebcam()) as live:
-            yield live
     elif request.param == "realsense":
         pytest.importorskip("pyrealsense2", reason="no pyrealsense2", exc_type=ImportError)
         with running(Bench()) as bench, realsense(bench) as live:

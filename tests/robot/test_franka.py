@@ -77,14 +77,6 @@ def when(fr3: FakeFranka, watch_for: float, do: Watch) -> Watch:
     return watch
 
 
-def stopped_after(fr3: FakeFranka, since: float) -> float:
-    """Return how long after `since` [s] the arm's command moved last [s]."""
-    fr3.sleep(0.25)
-    times, speed = fr3.speed()
-    assert speed[-10:].max() < 1e-3
-    return max(float(times[speed > 5e-3].max(initial=0.0)) - since, 0.0)
-
-
 def jerks(aims: np.ndarray) -> tuple[float, float]:
     """Return the greatest acceleration and jerk of joints (T, 7), one row a cycle."""
     a = np.diff(aims, 2, axis=0) / CYCLE**2
@@ -112,7 +104,7 @@ def test_what_comes_too_late_ends_in_a_braked_hold(arm: Franka, fr3: FakeFranka)
     begin = begun(arm.joints(), 0.6)
     with pytest.raises(DeviceError, match="next motion comes too late"):
         arm.follow(begin, None, lambda: fr3.sleep(0.6))
-    assert stopped_after(fr3, fr3.now) == 0.0
+    assert fr3.stopped_after(fr3.now) == 0.0
     assert fr3.mode is RobotMode.Idle  # its own braking, no reflex
     fastest, way = begin.positions[-1], 0.6**2 / (2 * Path.brakes * ACCELERATION)
     assert np.abs(fr3.aim - fastest).max() == pytest.approx(way, rel=0.2)
@@ -182,7 +174,7 @@ def test_it_stops_when_the_robot_is_heard_no_more(arm: Franka, fr3: FakeFranka) 
     path = far(arm, 0.4)
     with pytest.raises(DeviceError, match="ms old"):
         arm.follow(path, when(fr3, 0.1, cut))
-    assert stopped_after(fr3, since[0]) < LOST * CYCLE + 2.0 / ACCELERATION  # by the robot itself
+    assert fr3.stopped_after(since[0]) < LOST * CYCLE + 2.0 / ACCELERATION  # by the robot itself
     with pytest.raises(DeviceError, match=r"the robot|ms old"):
         arm.follow(path)
 
@@ -214,7 +206,7 @@ def test_the_robots_own_reasons_end_a_motion_and_refuse_the_next(
 ) -> None:
     with pytest.raises(DeviceError, match=message):
         arm.follow(far(arm, 0.4), when(fr3, 0.1, lambda sample: fr3.reflex(error, mode)))
-    assert stopped_after(fr3, fr3.now) < 0.3
+    assert fr3.stopped_after(fr3.now) < 0.3
     with pytest.raises(DeviceError, match=message):
         arm.follow(far(arm, 0.01))
     assert fr3.calls == ["start"]
@@ -257,7 +249,7 @@ def test_readings_that_nobody_looks_at_end_the_motion(arm: Franka, fr3: FakeFran
 
     with pytest.raises(DeviceError, match=r"nobody looked at the arm's readings|ms old"):
         arm.follow(far(arm), when(fr3, 0.1, hang))
-    assert stopped_after(fr3, since[0]) < Loop.unseen + 0.02 + 2.0 / (Path.brakes * ACCELERATION)
+    assert fr3.stopped_after(since[0]) < Loop.unseen + 0.02 + 2.0 / (Path.brakes * ACCELERATION)
     assert fr3.mode is RobotMode.Idle
 
 
@@ -280,7 +272,7 @@ def test_a_driver_that_is_gone_leaves_an_arm_that_its_loop_brakes(arm: Franka, f
     thread = in_full_motion(arm, fr3)
     arm._pipe.close()
     since = fr3.now
-    assert stopped_after(fr3, since) < min(STANDS, 0.1)
+    assert fr3.stopped_after(since) < min(STANDS, 0.1)
     thread.join()
     assert fr3.mode is RobotMode.Idle
 
@@ -288,7 +280,7 @@ def test_a_driver_that_is_gone_leaves_an_arm_that_its_loop_brakes(arm: Franka, f
 def test_a_loop_that_is_gone_leaves_an_arm_that_the_robot_brakes(arm: Franka, fr3: FakeFranka) -> None:
     thread = in_full_motion(arm, fr3)
     fr3.dead, since = True, fr3.now
-    assert stopped_after(fr3, since) < LOST * CYCLE + 0.65 / ACCELERATION + 0.01
+    assert fr3.stopped_after(since) < LOST * CYCLE + 0.65 / ACCELERATION + 0.01
     assert fr3.mode is RobotMode.Reflex
     fr3.dead = False
     thread.join()

@@ -82,14 +82,6 @@ def far(arm: Arm, way: float = 0.4) -> JointTrajectory:
     return SmallPlanner(MODEL).move(arm.joints(), arm.joints() + way)
 
 
-def stopped_after(robot: FakeController, since: float) -> float:
-    """Return how long after `since` [s] the arm moved last [s]."""
-    sleep(0.4)
-    times, speed = robot.speed()
-    assert speed[-10:].max() < 1e-3
-    return max(float(times[speed > 1e-3].max(initial=-np.inf)) - since, 0.0)
-
-
 def longest_stop(speed: float) -> float:
     """Return the longest that an arm may move on when nothing more is said [s]: the message's motion, and braking."""
     return ros2.AHEAD + speed / float(ACCELERATION.min()) + 2 / 200  # and two cycles of the controller
@@ -210,7 +202,7 @@ def test_when_the_network_comes_back_the_way_to_rest_does_not_begin_anew(
     halfway(path, break_it)
     with pytest.raises(DeviceError, match="ms old"):
         arm.follow(path)
-    assert stopped_after(robot, clock()) == 0.0
+    assert robot.stopped_after(clock()) == 0.0
     began = len(robot.log)
     wire.deliver(wire.said[-1][1])
     sleep(0.7)
@@ -241,7 +233,7 @@ def test_joints_that_are_renamed_on_the_way_stop_it(arm: ros2.JointTrajectoryArm
     halfway(path, lambda: setattr(robot, "names", ["j0", "j1", "elbow"]))
     with pytest.raises(DeviceError, match="missing"):
         arm.follow(path)
-    assert stopped_after(robot, clock()) < 0.05
+    assert robot.stopped_after(clock()) < 0.05
 
 
 def test_a_controller_that_goes_away_is_told(wire: FakeNode, arm: ros2.JointTrajectoryArm) -> None:
@@ -263,7 +255,7 @@ def test_it_brakes_by_itself_when_nothing_more_is_heard(
     arm.follow(path)
     last = robot.heard[-1][0]
     assert np.abs(robot.q - path.positions[-1]).max() > 0.05  # it did stop on the way
-    assert stopped_after(robot, last) < longest_stop(np.abs(path.velocities).max())
+    assert robot.stopped_after(last) < longest_stop(np.abs(path.velocities).max())
 
 
 def test_a_wrench_is_felt_and_must_not_fall_silent(wire: FakeNode, robot: FakeController) -> None:
@@ -346,7 +338,7 @@ def test_a_driver_that_is_killed_leaves_an_arm_at_rest(robot: FakeController) ->
         driver.kill()
         killed = clock()
     speed = robot.speed()[1].max()
-    assert stopped_after(robot, killed) <= longest_stop(speed)
+    assert robot.stopped_after(killed) <= longest_stop(speed)
     assert robot.refused == []
 
 

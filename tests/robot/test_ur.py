@@ -49,14 +49,6 @@ def begun(arm: Arm, speed: float = 0.5, seconds: float = 0.5) -> JointTrajectory
     return JointTrajectory(t[:, 0], arm.joints() + rate * t**2 / (2 * seconds), rate * t / seconds)
 
 
-def stopped_after(ur: FakeUR, since: float) -> float:
-    """Return how long after `since` [s] the arm moved last [s]."""
-    sleep(0.3)
-    times, speed = ur.speed()
-    assert speed[-10:].max() < 1e-3
-    return max(float(times[speed > 5e-3].max(initial=0.0)) - since, 0.0)
-
-
 def test_every_motion_has_its_own_program_and_watchdog_and_none_is_left_armed(arm: UniversalRobot, ur: FakeUR) -> None:
     """UR's script manual: a watchdog ends with its program only."""
     assert ur.heard == []
@@ -92,20 +84,6 @@ def test_the_driver_brakes_within_the_arms_acceleration(arm: UniversalRobot, ur:
     rate = np.diff(np.interp(coarse, t, q[:, 0])) / 0.03
     assert (-np.diff(rate) / 0.03).max() < 1.5 * 5.0
     assert rate[-1] == pytest.approx(0.0, abs=1e-3)
-
-
-def test_it_stops_when_its_joints_become_stale(arm: UniversalRobot, ur: FakeUR) -> None:
-    since = list[float]()
-
-    def break_it() -> None:
-        since.append(clock())
-        ur.lag = 0.2
-
-    path = far(arm, 0.4)
-    halfway(path, break_it)
-    with pytest.raises(DeviceError, match="ms old"):
-        arm.follow(path)
-    assert stopped_after(ur, since[0]) < 0.05 + 0.3  # to notice, and to brake from full speed
 
 
 def test_a_controller_that_says_nothing_is_not_connected_to(ur: FakeUR, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -155,7 +133,7 @@ def test_the_robots_own_reasons_end_a_motion_and_refuse_the_next(
     halfway(path, do)
     with pytest.raises(DeviceError, match=message):
         arm.follow(path)
-    assert stopped_after(ur, since[0]) < 0.4
+    assert ur.stopped_after(since[0]) < 0.4
     commands = len(ur.heard)
     if "paused" in change or "protective" in change:
         assert ur.program is None  # stopped: it does not go on when the stop is released, or somebody presses play
@@ -184,7 +162,7 @@ def test_commands_that_come_too_late_end_the_motion(arm: UniversalRobot, ur: Fak
 
     with pytest.raises(DeviceError, match=r"a command came .* ms after"):
         arm.follow(far(arm), watch)
-    assert stopped_after(ur, seen[0]) < STANDS + 0.1
+    assert ur.stopped_after(seen[0]) < STANDS + 0.1
     assert ur.protective == (how == "hangs")  # the driver brakes; where it cannot, the watchdog does
 
 
@@ -200,7 +178,7 @@ def test_an_arm_whose_driver_hangs_stands_soon(arm: UniversalRobot, ur: FakeUR) 
     while np.abs(ur.v).max() < 0.5:
         time.sleep(0.005)
     ur.dead, since, speed = True, clock(), np.abs(ur.v).max()
-    after = stopped_after(ur, since)
+    after = ur.stopped_after(since)
     ur.dead = False
     moving.join()
     assert after < 1 / UniversalRobot.watchdog + 1.2 * speed / 5.0 + 0.05
@@ -248,5 +226,5 @@ def test_a_driver_that_is_killed_leaves_an_arm_at_rest(ur: FakeUR) -> None:
             time.sleep(0.005)
         driver.kill()
         killed, speed = clock(), np.abs(ur.v).max()
-    assert stopped_after(ur, killed) < 1 / UniversalRobot.watchdog + 1.2 * speed / 5.0 + 0.05
+    assert ur.stopped_after(killed) < 1 / UniversalRobot.watchdog + 1.2 * speed / 5.0 + 0.05
     assert ur.protective

@@ -22,7 +22,7 @@ from anther.rods import (
 )
 from anther.rods._assembly import assemble, elastic_energy, move_frames, new_blocks, new_lanes
 from anther.rods._linear import dense
-from anther.rods._model import Frames, build_model
+from anther.rods._model import Frames, build_model, with_natural
 from anther.rods._tree_solver import constrain, factor, solve
 
 
@@ -284,3 +284,19 @@ def test_impossible_material_is_refused(name, value):
 def test_what_is_not_a_tree_is_refused(parent):
     with pytest.raises(InputError, match="parent"):
         Rods(np.eye(3), parent, 1e-3, 1e8, 1e3)
+
+
+@pytest.mark.parametrize("planted", [False, True])
+def test_a_model_that_is_written_into_leaves_the_next_as_it_was(planted):
+    """What is built of rods is kept, for the next model of them and of the same with another natural shape."""
+    rods = with_gravity_equilibrium(random_tree(3), Clamp.root(random_tree(3)))
+    both = rods, with_natural(rods, replace(rods.natural, twist=rods.natural.twist + 0.1))
+
+    def values():
+        return [value for each in both for part in build_model(each, NO_GRAVITY, planted) for value in part]
+
+    before = values()
+    for value in values():
+        value[...] = 7
+    for was, now in zip(before, values(), strict=True):
+        np.testing.assert_array_equal(was, now)

@@ -15,6 +15,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from logged_arm import LoggedArm
 from slow_clock import SLOWER
 from small_planner import SmallPlanner
 
@@ -92,9 +93,11 @@ class Duration:
         return self._seconds
 
 
-class FakeFranka:
+class FakeFranka(LoggedArm):
     """Attributes: `q`, `aim` where it is and is commanded; `log` of (time, aim) of every cycle; `sag` between the two;
     the rest is set by tests: `mute` says nothing, `lag` [s], `dead` hears nothing, `force` [N]."""
+
+    slowest = 5e-3
 
     def __init__(self) -> None:
         model()  # before the robot's clock runs
@@ -126,12 +129,6 @@ class FakeFranka:
     def close(self) -> None:
         self._over = True
         self.thread.join()
-
-    def speed(self) -> tuple[Array, Array]:
-        """Return times (T,) [s] and the greatest speed of any joint then (T,) [rad/s]."""
-        rows = list(self.log)
-        t, q = np.array([r[0] for r in rows]), np.array([r[1] for r in rows])
-        return t[1:], np.abs(np.diff(q, axis=0)).max(axis=1) / CYCLE
 
     def stand(self, error: str, mode: RobotMode) -> None:
         """Be in a mode at rest; return once it has been told."""

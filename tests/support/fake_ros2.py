@@ -14,6 +14,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from logged_arm import LoggedArm
 from scipy.interpolate import BPoly
 
 from anther.core.geometry import Array
@@ -23,7 +24,7 @@ CLOCK = 3.7  # s by which the robot's clock is ahead
 RATE = 200.0
 
 
-class FakeController:
+class FakeController(LoggedArm):
     """Attributes: `q` where the arm is; `log` of (time, joints); `heard` of (time, message); `refused`, with reasons.
 
     `tell` publishes (names, joints, stamp) and `hear` takes a message, both of whatever carries them.
@@ -38,7 +39,7 @@ class FakeController:
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        self.clock, self._sleep, self._tell = clock, sleep, tell
+        self.clock, self.sleep, self._tell = clock, sleep, tell
         self.q, self._names = np.array(joints, dtype=float), tuple(names)
         self.names = ["gripper", *reversed(names)]  # as told: in an order of its own, with a joint beside
         self.mute, self.stuck, self.ahead, self.offset = False, False, CLOCK, np.zeros(len(names))
@@ -69,18 +70,12 @@ class FakeController:
             times, rows = np.r_[0.0, times], np.concatenate([here[None], rows])
         self._told = (now, times, rows)
 
-    def speed(self) -> tuple[Array, Array]:
-        """Return times (T,) [s] and the greatest speed of any joint then (T,) [rad/s]."""
-        rows = list(self.log)
-        t, q = np.array([r[0] for r in rows]), np.array([r[1] for r in rows])
-        return t[1:], np.abs(np.diff(q, axis=0)).max(axis=1) / np.diff(t)
-
     def _run(self) -> None:
         with prioritize_thread():  # a robot's own computer is not busy with tests
             due = self.clock()
             while not self._over:
                 due += 1 / RATE
-                self._sleep(max(due - self.clock(), 0))
+                self.sleep(max(due - self.clock(), 0))
                 now = self.clock()
                 if self._told is not None and not self.stuck:
                     since, times, rows = self._told

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from logged_arm import LoggedArm
 
 from anther.core.geometry import Array
 from anther.robot.arm import sawyer
@@ -25,7 +26,7 @@ ENCODERS = 1e-6  # rad, of their noise
 LIMB = "/robot/limb/right/"
 
 
-class FakeSawyer:
+class FakeSawyer(LoggedArm):
     """Attributes: `q` where it is; `log` of (time, joints); `heard` of the times of commands [s], on its `clock`;
     `commands` of (time, mode, joints, rates)."""
 
@@ -38,7 +39,7 @@ class FakeSawyer:
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        self.clock, self._sleep = clock, sleep
+        self.clock, self.sleep = clock, sleep
         self.q, self.v = np.array(joints), np.zeros(7)
         self.names = ["head_pan", *reversed(sawyer.JOINTS), "torso_t0"]
         self.enabled, self.stopped, self.pressed, self.error = True, False, False, False
@@ -73,12 +74,6 @@ class FakeSawyer:
         self._thread.join()
         self.node.close()
 
-    def speed(self) -> tuple[Array, Array]:
-        """Return times (T,) [s] and the greatest speed of any joint then (T,) [rad/s]."""
-        rows = list(self.log)
-        t, q = np.array([r[0] for r in rows]), np.array([r[1] for r in rows])
-        return t[1:], np.abs(np.diff(q, axis=0)).max(axis=1) / np.diff(t)
-
     def _command(self, message: Any) -> None:
         order = [message.names.index(name) for name in sawyer.JOINTS]
         rate = message.velocity[order] if message.mode == 4 else np.zeros(7)
@@ -102,7 +97,7 @@ class FakeSawyer:
         before = due = self.clock()
         while not self._over:
             due += 1 / self._rate
-            self._sleep(max(due - self.clock(), 0))
+            self.sleep(max(due - self.clock(), 0))
             now = self.clock()
             self._move(now, now - before)
             before = now

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from logged_arm import LoggedArm
 from small_planner import SmallPlanner
 
 from anther.core.geometry import Array
@@ -35,10 +36,12 @@ def model() -> ArmModel:
     return find_arm("ur5e")
 
 
-class FakeUR:
+class FakeUR(LoggedArm):
     """Attributes: `q` where it is, `log` of (time, joints), `heard` of (time, target) of servoJ [s] on its `clock`,
     `calls` of names by every object, `programs` started; the rest is set by tests, such as whether a
     protective stop `pauses` a program, or ends it."""
+
+    slowest = 5e-3
 
     def __init__(
         self,
@@ -54,11 +57,10 @@ class FakeUR:
         self.version, self.model, self.remote, self.mode = "5.11.1.108318", "UR5", True, 7
         self.pressed = self.protective = self.paused = self.mute = self.dead = self.unlockable = self.pauses = False
         self.safeguard, self.connected, self.slider, self.scaling, self.force = False, True, 1.0, 1.0, 1.0
-        self.lag, self.ahead, self.offset = 0.0, CLOCK, np.zeros(6)
+        self.ahead, self.offset = CLOCK, np.zeros(6)
         self.log, self.heard, self.calls = list[tuple[float, Array]](), list[tuple[float, Array]](), list[str]()
         self.program: FakeControl | None = None
         self.programs = 0
-        self._said, self._past = list[tuple[float, Array]](), list[tuple[float, float, Array]]()
         self._over = False
         self._tell(self.clock())
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -76,14 +78,8 @@ class FakeUR:
         self._over = True
         self._thread.join()
 
-    def speed(self) -> tuple[Array, Array]:
-        """Return times (T,) [s] and the greatest speed of any joint then (T,) [rad/s]."""
-        rows = list(self.log)
-        t, q = np.array([r[0] for r in rows]), np.array([r[1] for r in rows])
-        return t[1:], np.abs(np.diff(q, axis=0)).max(axis=1) / np.diff(t)
-
     def said(self) -> tuple[float, Array]:
-        return self._said[0]
+        return self._said
 
     def _run(self) -> None:
         with prioritize_thread():  # a controller is not busy with tests
@@ -115,10 +111,8 @@ class FakeUR:
         self.q = self.q + self.v * dt
 
     def _tell(self, now: float) -> None:
-        self._past = [*self._past, (now, now + self.ahead, self.q + self.offset)]
-        ready = [row for row in self._past if row[0] <= now - self.lag]
-        if ready and not self.mute:
-            self._said, self._past = [ready[-1][1:]], self._past[len(ready) :]
+        if not self.mute:
+            self._said = now + self.ahead, self.q + self.offset
 
     def note(self, name: str) -> None:
         self.calls.append(name)

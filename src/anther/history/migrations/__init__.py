@@ -1,8 +1,8 @@
-"""The schema of the history, version by version, for Alembic.
+"""The schema of the history: a new one gets the tables of the classes, an older one the versions that it lacks.
 
-A database runs the versions it lacks in the transaction that first opens it, behind a lock, so that two programs that
-start at once do not both run them, and a program that dies half way leaves the old version. Never edit a version that
-was released: add one (`versions/`), and name it in `HEAD`.
+That happens in the transaction that first opens the database, behind a lock, so that two programs that start at once do
+not both do it, and a program that dies half way leaves what was there. Whoever changes the classes adds a version for
+Alembic (`versions/`), and names it in `HEAD`; never edit one that was released.
 """
 
 from __future__ import annotations
@@ -12,9 +12,16 @@ from pathlib import Path
 from sqlalchemy import Connection, inspect, text
 
 from anther.core.errors import bad_input
+from anther.history._tables import Base
 
 HEAD = "0007"
 """The newest version. It is written here so that Alembic is loaded only where there is something to do."""
+VIEW = (
+    "CREATE VIEW trials AS SELECT v.id, v.time, p.species, p.label AS plant, v.held_unharmed, v.failure, v.run, "
+    "g.arc_length_m, s.frequency_hz, s.amplitude_m FROM visits v JOIN plants p ON p.id = v.plant_id "
+    "LEFT JOIN grasps g ON g.visit_id = v.id LEFT JOIN shakes s ON s.visit_id = v.id"
+)
+"""For people who write SQL."""
 
 
 def version(connection: Connection) -> str | None:
@@ -40,8 +47,13 @@ def migrate(connection: Connection) -> None:
     config = Config(attributes={"connection": connection})
     config.set_main_option("script_location", str(Path(__file__).parent).replace("%", "%%"))
     found = version(connection)
+    if found is None:
+        Base.metadata.create_all(connection, checkfirst=False)
+        connection.execute(text(VIEW))
+        command.stamp(config, HEAD)
+        return
     known = {step.revision for step in ScriptDirectory.from_config(config).walk_revisions()}
-    if found is not None and found not in known:
+    if found not in known:
         raise bad_input(
             "trial history",
             given=f"schema version {found[:40]}",
