@@ -130,9 +130,7 @@ def row_world(row: Row, truth: Truth = NOMINAL, arm: ArmModel = SAWYER) -> world
         plant = held_by_string(as_true(plant, truth), cut)  # softer or heavier, it must still hang
     reach = arm.reach + arm.tool.tip + 0.2
     near = [part for part in row.obstacles() if _gap(part.box, arm.shoulder) < reach]
-    return world.Cell(
-        plant, arm.waiting if waits is None else waits, world.Params(plant=cut), truth, arm, obstacles=near
-    )
+    return world.Cell(plant, arm.waiting, world.Params(plant=cut), truth, arm, obstacles=near)
 
 
 def build_row(
