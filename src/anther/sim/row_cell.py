@@ -17,6 +17,8 @@ from anther.core.runs import Advance
 from anther.perception.capture import Capture, Keep
 from anther.robot.arm.model import ArmModel
 from anther.robot.arm.sawyer import SAWYER
+from anther.robot.arm.views import Params as ViewParams
+from anther.robot.arm.views import plan_views
 from anther.robot.devices import Tap, no_tap
 from anther.sim import cell as world
 from anther.sim.capture import Sight, camera_errors, capture_from_poses
@@ -121,8 +123,11 @@ def _gap(box: Box, place: Array) -> float:
     return float(np.linalg.norm(np.clip(place, box.lower, box.upper) - place))
 
 
-def row_world(row: Row, truth: Truth = NOMINAL, arm: ArmModel = SAWYER) -> world.Cell:
-    """Return MuJoCo's world of an arm before a row: the plant that is asked for on its string, and what is in reach."""
+def row_world(row: Row, truth: Truth = NOMINAL, arm: ArmModel = SAWYER, joints: Array | None = None) -> world.Cell:
+    """Return MuJoCo's world of an arm before a row: the plant that is asked for on its string, and what is in reach.
+
+    The arm stands at `joints` (J,) [rad]; None: as before a pot.
+    """
     fine_below = 0.55  # m under the flowers: an arm holds it within 0.4 m of them (facts: rows 0)
     cut = replace(world.Params().plant, fine_above=float(row.flowers[2]) - fine_below)
     plant = held_by_string(row.worked, cut)
@@ -130,7 +135,8 @@ def row_world(row: Row, truth: Truth = NOMINAL, arm: ArmModel = SAWYER) -> world
         plant = held_by_string(as_true(plant, truth), cut)  # softer or heavier, it must still hang
     reach = arm.reach + arm.tool.tip + 0.2
     near = [part for part in row.obstacles() if _gap(part.box, arm.shoulder) < reach]
-    return world.Cell(plant, arm.waiting, world.Params(plant=cut), truth, arm, obstacles=near)
+    joints = arm.waiting if joints is None else joints
+    return world.Cell(plant, joints, world.Params(plant=cut), truth, arm, obstacles=near)
 
 
 def build_row(
@@ -138,11 +144,14 @@ def build_row(
 ) -> SimulatedCell:
     """Build the cell of an arm on a cart that has driven up to the plant that is asked for.
 
-    A camera on the cart has taken the views on the way (`row_drive.drive_up`); the arm stands where it waits. See
-    `simulated_cell.build`.
+    A camera on the cart has taken the views on the way (`row_drive.drive_up`). See `simulated_cell.build`.
+
+    Raises:
+        StageFailure: "unreachable" when there is no place for the arm to wait.
     """
     row = before_arm(row, arm)
-    place, mujoco = row_layout(row, arm), row_world(row, truth, arm)
+    place = row_layout(row, arm)
+    mujoco = row_world(row, truth, arm, _waits(place, arm))
     scene, rng = row_scene(row, mujoco.plant), np.random.default_rng([row.seed, 14 + 10 * visit])
     noise = int(np.random.default_rng([row.seed, 15 + 10 * visit]).integers(1 << 31))
 
@@ -152,6 +161,15 @@ def build_row(
         return capture_from_poses(_in_wind(mujoco, scene, len(true)), believed, T_world_cam_true=true, **how)[0]
 
     return around(mujoco, scene, take_views, place, noise, tap)
+
+
+def _waits(place: Layout, arm: ArmModel) -> Array:
+    """Return joints (J,) [rad] at which the plant is before the arm and nothing in its way.
+
+    Of those from which its own camera could see the plant they are nearest to where it waits before a pot.
+    """
+    found = plan_views(place.region, place.solids, ViewParams(count=6, widest=50.0), arm=arm).joints
+    return found[np.argmin(np.abs(found - arm.waiting).max(axis=1))]
 
 
 def _in_wind(mujoco: world.Cell, scene: Scene, views: int) -> Sight:
