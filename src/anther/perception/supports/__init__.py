@@ -102,7 +102,7 @@ def _note(support: Support, plant: Array, cell: float) -> str:
     long = float(np.linalg.norm(support.axis[-1] - support.axis[0]))
     text = f"{support.name}, {long:.2f} m long, is no plant: kept as an obstacle"
     low = support.axis[np.argmin(support.axis[:, 2])]
-    near = float(KDTree(plant).query(low)[0]) < support.radius + 3 * cell
+    near = float(np.linalg.norm(plant - low, axis=1).min()) < support.radius + 3 * cell
     above = low[2] - plant[:, 2].min() > 0.1 * np.ptp(plant[:, 2])
     if support.soft and near and above:
         text += "; it ends at the plant: below it may be wound round the stem, and counts as stem there"
@@ -203,20 +203,25 @@ class _Rod:
 
     def near(self, lines: Array, cell: float) -> NDArray[np.bool_]:
         """Return which lines (L, 2, 3) run within the rod or along its surface."""
-        inner = np.stack([0.85 * lines[:, 0] + 0.15 * lines[:, 1], 0.15 * lines[:, 0] + 0.85 * lines[:, 1]])
-        off = np.stack([self.cylinder(some)[1] for some in inner])
-        return np.all(off < self.radius + 1.5 * cell, axis=0)
+        off = np.stack([self.cylinder(some)[1] for some in _inner(lines)])
+        return np.all(off < self.radius + 2 * cell, axis=0)
 
 
 def _rods(scene: _Scene) -> Iterator[_Rod]:
     """Yield the rods that are likely enough supports, the longest lines first."""
     shortest = max(0.4 * scene.size, 0.1)  # m: a shorter straight thing is a petiole, or a seedling's stem (guesses)
-    lines, looked = straight_lines(scene.points, scene.cell, shortest, scene.gap), 0
-    most_lines = 16  # looked at; more are never needed by a row of five
-    while len(lines) and looked < most_lines:
-        looked += 1
-        found = _fitted(scene, lines[0])
-        lines = lines[1:]
+    lines, plant = straight_lines(scene.points, scene.cell, shortest, scene.gap), list[_Rod]()
+    most = 16  # followed; more are never needed by a row of five
+    while len(lines) and len(plant) < most:
+        line = _Line.of(scene, lines[0])
+        lines = lines[~line.near(lines, scene.cell)]
+        if not len(line.t):  # all of it was a rod that is found
+            continue
+        at, ring = _clearest_ring(line, scene.cell)
+        begin = line.start + at * line.along + ring[:2] @ line.across
+        if any(rod.holds(begin[None], scene.cell)[0] for rod in plant):
+            continue
+        found = _followed(scene, line, at, ring)
         if found is None:
             continue
         rod, evidence = found
@@ -224,74 +229,110 @@ def _rods(scene: _Scene) -> Iterator[_Rod]:
         if log_odds(evidence) > _PRICE:
             yield rod
             scene = scene.without(rod)
+        else:
+            plant.append(rod)
 
 
-def _fitted(scene: _Scene, line: Array) -> tuple[_Rod, Evidence] | None:
-    """Return the rod along a line (2, 3) and its evidence; None where too little of one is seen."""
-    length, cell = float(np.linalg.norm(line[1] - line[0])), scene.cell
-    along = (line[1] - line[0]) / length
-    across, step = np.linalg.svd(along[None])[2][1:], 4 * scene.cell
-    rel = scene.points - line[0]
-    t, xy = rel @ along, rel @ across.T
-    within = np.flatnonzero(np.abs(xy).max(axis=1) < 4 * _LARGEST)
-    within = within[np.argsort(t[within])]
-    t, xy = t[within], np.ascontiguousarray(xy[within])
-    count = int(np.ptp(t) / step) + 1
-    first = np.searchsorted(t, t[0] + step * np.arange(count + 1))
-    first[-1] = len(t)
-    begun = _begin(t, xy, length, cell)
-    place, path, size = np.zeros((count, 2)), np.zeros((count, 2)), np.zeros(count)
-    many, others = np.zeros(count), np.zeros(count)
-    start = min(int((begun[0] - t[0]) / step), count - 1)
-    follow(xy, first, start, begun[1], cell, int(scene.gap / step), place, path, size, many, others)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Line:
+    """A straight line and the N points around it, in their order along it.
+
+    Attributes:
+        start: (3,) its begin [m].
+        along, across: (3,) and (2, 3) unit vectors.
+        length: [m].
+        t, xy: (N,) along and (N, 2) across it [m].
+    """
+
+    start: Array
+    along: Array
+    across: Array
+    length: float
+    t: Array
+    xy: Array
+
+    @classmethod
+    def of(cls, scene: _Scene, ends: Array) -> _Line:
+        """Return the line between two ends (2, 3), with what is near it and its continuation."""
+        length = float(np.linalg.norm(ends[1] - ends[0]))
+        along = (ends[1] - ends[0]) / length
+        across = np.linalg.svd(along[None])[2][1:]
+        xy = (scene.points - ends[0]) @ across.T
+        near = np.flatnonzero(np.abs(xy).max(axis=1) < 4 * _LARGEST)  # a rod that bends stays there
+        t = (scene.points[near] - ends[0]) @ along
+        order = np.argsort(t)
+        return cls(ends[0], along, across, length, t[order], np.ascontiguousarray(xy[near[order]]))
+
+    def near(self, lines: Array, cell: float) -> NDArray[np.bool_]:
+        """Return which lines (L, 2, 3) are the same but for two cells."""
+        rel = (_inner(lines) - self.start) @ self.across.T
+        return np.all(np.linalg.norm(rel, axis=2) < 2 * cell, axis=0)
+
+
+def _inner(lines: Array) -> Array:
+    """Return (2, L, 3) points near the ends of lines (L, 2, 3)."""
+    return np.stack([0.85 * lines[:, 0] + 0.15 * lines[:, 1], 0.15 * lines[:, 0] + 0.85 * lines[:, 1]])
+
+
+def _clearest_ring(line: _Line, cell: float) -> tuple[float, Array]:
+    """Return where along a line a ring is clearest [m], and that ring: x, y and radius [m]."""
+    most = 200  # points that vote
+    half, best, at, ring = max(line.length / 8, 8 * cell), -1.0, 0.0, np.zeros(3)
+    for middle in np.array([0.25, 0.5, 0.75]) * line.length:
+        low, high = np.searchsorted(line.t, [middle - half, middle + half])
+        some = line.xy[low:high]
+        some = some[np.linalg.norm(some, axis=1) < 2 * _LARGEST + 2 * cell]
+        score, *found = clearest_ring(some[:: max(1, len(some) // most)], _LARGEST, cell)
+        score *= max(1, len(some) // most)
+        if score > best:
+            best, at, ring = score, float(middle), np.array(found)
+    return at, ring
+
+
+def _followed(scene: _Scene, line: _Line, at: float, ring: Array) -> tuple[_Rod, Evidence] | None:
+    """Return the rod of which a ring is seen at a place [m] along a line, and its evidence; None where it is short."""
+    step, cell = 4 * scene.cell, scene.cell
+    count = int((line.t[-1] - line.t[0]) / step) + 1
+    first = np.append(np.searchsorted(line.t, line.t[0] + step * np.arange(count)), len(line.t))
+    place, path = np.zeros((2, count, 2))
+    size, many, others = np.zeros((3, count))
+    start = min(int((at - line.t[0]) / step), count - 1)
+    follow(line.xy, first, start, ring, cell, int(scene.gap / step), place, path, size, many, others)
     seen = np.flatnonzero(many)
     least = 6  # sections that show a rod
     if len(seen) < least:
         return None
-    t = t[0] + step * (np.arange(count) + 0.5)
+    t = line.t[0] + step * (np.arange(count) + 0.5)
     alone = (many > 0) & (others < 0.25 * many)
-    typical = alone if np.count_nonzero(alone) >= least else many > 0
-    radius = float(np.median(size[typical]))
+    radius = float(np.median(size[alone] if np.count_nonzero(alone) >= least else size[seen]))
     offset, slope, off = _straight_fit(t[seen], place[seen])
     good = seen[off < 4 * max(float(np.median(off)), 0.3 * cell)]
     thickness = _thickness(t[good], size[good])
     bow, noise = _bow(t[good], place[good])
-    low, high = int(seen[0]), int(seen[-1])
-    ends = t[low] + step * (np.arange(high - low + 2) - 0.5)
+    low, high = int(seen[0]), int(seen[-1]) + 1
+    ends = line.t[0] + step * np.arange(low, high + 1)
     if radius + 0.2 * cell <= _STRING:  # taut
         aside = offset + ends[:, None] * slope
     else:
-        aside = np.stack([np.interp(ends, t[low : high + 1], path[low : high + 1, k]) for k in range(2)], axis=1)
-    rod = _Rod(line[0] + ends[0] * along, along, across, step, aside, radius, alone[low : high + 1])
+        aside = np.stack([np.interp(ends, t[low:high], column[low:high]) for column in path.T], axis=1)
+    rod = _Rod(line.start + ends[0] * line.along, line.along, line.across, step, aside, radius, alone[low:high])
+    own = rod.holds(scene.points, 1.5 * cell)
     evidence = Evidence(
         length=float(np.ptp(t[good])),
         bow=bow,
         noise=max(noise, 0.05 * cell),
-        taper=(np.sign(along[2]) or 1.0) * thickness.taper,
+        taper=(np.sign(line.along[2]) or 1.0) * thickness.taper,
         ripple=thickness.ripple,
         ripple_noise=thickness.noise,
         slenderness=float(np.ptp(t[good])) / radius,
+        filled=float(np.median(many[good] * cell**2 / (2 * np.pi * np.maximum(size[good], 0.5 * cell) * step))),
         orphans=0,
-        beyond=_beyond(scene, rod),
-        greenness=_greenness(scene, rod),
+        beyond=_beyond(scene, rod, own),
+        greenness=_greenness(scene, own),
     )
     if log_odds(evidence) > _PRICE:  # else nothing that comes loose would matter
         evidence = replace(evidence, orphans=_orphans(scene, rod))
     return rod, evidence
-
-
-def _begin(t: Array, xy: Array, length: float, cell: float) -> tuple[float, Array]:
-    """Return where along a line a ring is clearest [m], and that ring: x, y and radius [m]."""
-    most = 300  # points that vote
-    half, best, at, ring = max(length / 8, 8 * cell), -1.0, 0.0, np.zeros(3)
-    for middle in (0.25 * length, 0.5 * length, 0.75 * length):
-        low, high = np.searchsorted(t, [middle - half, middle + half])
-        some = xy[low:high]
-        some = some[np.hypot(some[:, 0], some[:, 1]) < 2 * _LARGEST + 2 * cell]
-        score, *found = clearest_ring(some[:: max(1, len(some) // most)], _LARGEST, cell)
-        if score > best:
-            best, at, ring = score, middle, np.array(found)
-    return at, ring
 
 
 class _Thickness(NamedTuple):
@@ -350,8 +391,7 @@ def _orphans(scene: _Scene, rod: _Rod) -> int:
     return int(np.count_nonzero(np.bincount(after[joined & (after != home)]) > 0.005 * len(after)))
 
 
-def _beyond(scene: _Scene, rod: _Rod) -> bool:
-    own = rod.holds(scene.points, 1.5 * scene.cell)
+def _beyond(scene: _Scene, rod: _Rod, own: NDArray[np.bool_]) -> bool:
     if own.all():
         return True
     up = rod.along * (np.sign(rod.along[2]) or 1.0)
@@ -360,9 +400,8 @@ def _beyond(scene: _Scene, rod: _Rod) -> bool:
     return bool(ends[1] > rest.max() + further or (up[2] < 0.5 and ends[0] < rest.min() - further))
 
 
-def _greenness(scene: _Scene, rod: _Rod) -> tuple[float, float, float] | None:
+def _greenness(scene: _Scene, own: NDArray[np.bool_]) -> tuple[float, float, float] | None:
     if scene.greenness is None:
         return None
-    own = rod.holds(scene.points, scene.cell)
     rest = scene.greenness[~own] if not own.all() else scene.greenness
     return float(np.median(scene.greenness[own])), float(np.median(rest)), float(np.std(rest))

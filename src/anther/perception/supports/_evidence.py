@@ -19,6 +19,7 @@ class Evidence:
         ripple: scatter of the log of the radius about its taper.
         ripple_noise: what of it differs from each section to the next.
         slenderness: its length over its radius.
+        filled: points on the rod's surface, over those that would cover it, one a cell.
         orphans: pieces of the plant that come loose when the rod is taken away.
         beyond: whether its upper end (of a level one, either) is beyond the rest of the plant.
         greenness: of the rod and, median and spread, of the rest; None without colour.
@@ -31,6 +32,7 @@ class Evidence:
     ripple: float
     ripple_noise: float
     slenderness: float
+    filled: float
     orphans: int
     beyond: bool
     greenness: tuple[float, float, float] | None = None
@@ -49,6 +51,9 @@ def log_odds(e: Evidence) -> float:
     round_ = max(np.log(bumpy[1] / bumpy[0]) - e.ripple**2 * (1 / bumpy[0] - 1 / bumpy[1]), -4.0)
     grown = np.logaddexp(_normal(e.taper, -0.4, 0.35), _normal(e.taper, 0, 1.0)) - np.log(2)
     even = _normal(e.taper, 0, float(np.hypot(0.05, e.ripple_noise))) - grown
+    filled = np.log(max(e.filled, 1e-3))
+    surface, foliage = _normal(filled, np.log(0.8), 0.4), _normal(filled, np.log(0.3), 0.5)  # a stem has one as well
+    solid = max(surface - np.logaddexp(surface, foliage) + np.log(2), -4.0)
     bare = max(np.log(0.8 / 0.3) + e.orphans * np.log(0.2 / 0.7), -4.0)  # geometric, 0.25 and 2.3 in the mean
     free = np.log(0.4 / 0.05) if e.beyond else np.log(0.6 / 0.95)
     slender = np.log(max(e.slenderness, 1.0))
@@ -58,7 +63,7 @@ def log_odds(e: Evidence) -> float:
         own, middle, spread = e.greenness
         colour = float(np.clip(_normal(own, 0, 0.2) - _normal(own, middle, max(spread, 0.1)), -1.5, 1.5))
     prior = -3.0  # one in twenty (a guess)
-    return float(prior + straight + round_ + even + thin + bare + free + colour)
+    return float(prior + straight + round_ + even + solid + thin + bare + free + colour)
 
 
 def _normal(x: float, mean: float, sigma: float) -> float:

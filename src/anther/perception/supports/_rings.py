@@ -19,12 +19,12 @@ def clearest_ring(xy, largest, cell):
     for j in range(1, int(largest / pixel) + 1):
         radius = j * pixel
         for share in (0.0, 0.5, 1.0):
-            turns = max(int(2 * np.pi * share * j), 1)
+            turns = max(int(np.pi * share * j), 1)
             for k in range(turns):
                 x, y = share * radius * np.cos(2 * np.pi * k / turns), share * radius * np.sin(2 * np.pi * k / turns)
                 votes = 0.0
                 for p in range(len(xy)):
-                    off = abs(np.hypot(xy[p, 0] - x, xy[p, 1] - y) - radius)
+                    off = abs(np.sqrt((xy[p, 0] - x) ** 2 + (xy[p, 1] - y) ** 2) - radius)
                     if off < pixel:
                         votes += 1.0
                     elif off < 3 * pixel:
@@ -84,7 +84,7 @@ def fitted_ring(xy, x, y, radius, cell):
         on, beside = 0.0, 0.0
         for p in range(len(xy)):
             ux, uy = xy[p, 0] - x, xy[p, 1] - y
-            off = max(np.hypot(ux, uy), 1e-9)
+            off = max(np.sqrt(ux * ux + uy * uy), 1e-9)
             e = off - r
             if abs(e) > 0.7 * cell:
                 if 0.0 < e < 2.7 * cell:
