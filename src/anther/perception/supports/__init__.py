@@ -211,26 +211,27 @@ def _rods(scene: _Scene) -> Iterator[_Rod]:
     """Yield the rods that are likely enough supports, the longest lines first."""
     shortest = max(0.4 * scene.size, 0.1)  # m: a shorter straight thing is a petiole, or a seedling's stem (guesses)
     lines, plant = straight_lines(scene.points, scene.cell, shortest, scene.gap), list[_Rod]()
-    most = 16  # followed; more are never needed by a row of five
+    most = 32  # followed; more are never needed by a row of five
     while len(lines) and len(plant) < most:
         line = _Line.of(scene, lines[0])
         lines = lines[~line.near(lines, scene.cell)]
         if not len(line.t):  # all of it was a rod that is found
             continue
-        at, ring = _clearest_ring(line, scene.cell)
-        begin = line.start + at * line.along + ring[:2] @ line.across
-        if any(rod.holds(begin[None], scene.cell)[0] for rod in plant):
+        found = list[tuple[_Rod, Evidence]]()
+        for largest in (_STRING, _LARGEST):  # a string's few points lie on many a wider ring as well
+            at, ring = _clearest_ring(line, scene.cell, largest)
+            begin = line.start + at * line.along + ring[:2] @ line.across
+            if not any(rod.holds(begin[None], scene.cell)[0] for rod in plant):
+                found += _followed(scene, line, at, ring)
+        if not found:
             continue
-        found = _followed(scene, line, at, ring)
-        if found is None:
-            continue
-        rod, evidence = found
+        rod, evidence = max(found, key=lambda pair: log_odds(pair[1]))
         lines = lines[~rod.near(lines, scene.cell)]
         if log_odds(evidence) > _PRICE:
             yield rod
             scene = scene.without(rod)
         else:
-            plant.append(rod)
+            plant += [rod for rod, _ in found]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -274,23 +275,23 @@ def _inner(lines: Array) -> Array:
     return np.stack([0.85 * lines[:, 0] + 0.15 * lines[:, 1], 0.15 * lines[:, 0] + 0.85 * lines[:, 1]])
 
 
-def _clearest_ring(line: _Line, cell: float) -> tuple[float, Array]:
-    """Return where along a line a ring is clearest [m], and that ring: x, y and radius [m]."""
+def _clearest_ring(line: _Line, cell: float, largest: float) -> tuple[float, Array]:
+    """Return where along a line a ring of such a radius at most is clearest [m], and that ring: x, y and radius [m]."""
     most = 200  # points that vote
     half, best, at, ring = max(line.length / 8, 8 * cell), -1.0, 0.0, np.zeros(3)
     for middle in np.array([0.25, 0.5, 0.75]) * line.length:
         low, high = np.searchsorted(line.t, [middle - half, middle + half])
         some = line.xy[low:high]
-        some = some[np.linalg.norm(some, axis=1) < 2 * _LARGEST + 2 * cell]
-        score, *found = clearest_ring(some[:: max(1, len(some) // most)], _LARGEST, cell)
+        some = some[np.linalg.norm(some, axis=1) < 2 * largest + 2 * cell]
+        score, *found = clearest_ring(some[:: max(1, len(some) // most)], largest, cell)
         score *= max(1, len(some) // most)
         if score > best:
             best, at, ring = score, float(middle), np.array(found)
     return at, ring
 
 
-def _followed(scene: _Scene, line: _Line, at: float, ring: Array) -> tuple[_Rod, Evidence] | None:
-    """Return the rod of which a ring is seen at a place [m] along a line, and its evidence; None where it is short."""
+def _followed(scene: _Scene, line: _Line, at: float, ring: Array) -> list[tuple[_Rod, Evidence]]:
+    """Return the rod of which a ring is seen at a place [m] along a line, and its evidence; nothing if it is short."""
     step, cell = 4 * scene.cell, scene.cell
     count = int((line.t[-1] - line.t[0]) / step) + 1
     first = np.append(np.searchsorted(line.t, line.t[0] + step * np.arange(count)), len(line.t))
@@ -301,13 +302,14 @@ def _followed(scene: _Scene, line: _Line, at: float, ring: Array) -> tuple[_Rod,
     seen = np.flatnonzero(many)
     least = 6  # sections that show a rod
     if len(seen) < least:
-        return None
+        return []
     t = line.t[0] + step * (np.arange(count) + 0.5)
     alone = (many > 0) & (others < 0.25 * many)
-    radius = float(np.median(size[alone] if np.count_nonzero(alone) >= least else size[seen]))
+    clean = np.flatnonzero(alone) if np.count_nonzero(alone) >= least else seen
+    radius = float(np.median(size[clean]))
     offset, slope, off = _straight_fit(t[seen], place[seen])
     good = seen[off < 4 * max(float(np.median(off)), 0.3 * cell)]
-    thickness = _thickness(t[good], size[good])
+    thickness = _thickness(t[clean], size[clean])
     bow, noise = _bow(t[good], place[good])
     low, high = int(seen[0]), int(seen[-1]) + 1
     ends = line.t[0] + step * np.arange(low, high + 1)
@@ -326,13 +328,14 @@ def _followed(scene: _Scene, line: _Line, at: float, ring: Array) -> tuple[_Rod,
         ripple_noise=thickness.noise,
         slenderness=float(np.ptp(t[good])) / radius,
         filled=float(np.median(many[good] * cell**2 / (2 * np.pi * np.maximum(size[good], 0.5 * cell) * step))),
+        alone=float(alone[low:high].mean()),
         orphans=0,
         beyond=_beyond(scene, rod, own),
         greenness=_greenness(scene, own),
     )
     if log_odds(evidence) > _PRICE:  # else nothing that comes loose would matter
         evidence = replace(evidence, orphans=_orphans(scene, rod))
-    return rod, evidence
+    return [(rod, evidence)]
 
 
 class _Thickness(NamedTuple):

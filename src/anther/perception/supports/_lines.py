@@ -23,14 +23,14 @@ def straight_lines(points: Array, cell: float, shortest: float, gap: float) -> A
         gap: over which a line may be hidden [m].
     """
     rng = np.random.default_rng(0)
-    pairs, most = 150_000, 1500  # drawn: a string with 1 % of the points is hit fifteen times; and followed
+    pairs = 150_000  # drawn: a string with 1 % of the points is hit fifteen times
     chosen = rng.integers(0, len(points), (pairs, 2))
     lower = points.min(axis=0) - 2 * cell
     place = np.floor((points - lower) / cell).astype(np.int64)
     grid = np.zeros(place.max(axis=0) + 3, dtype=bool)
     for step in (*np.eye(3, dtype=int), *-np.eye(3, dtype=int), np.zeros(3, dtype=int)):
         grid[tuple((place + step).T)] = True  # what touches a point's cell by a face too
-    lines = np.empty((most, 2, 3))
+    lines = np.empty((pairs, 2, 3))
     order = (np.arange(40) * 0.618) % 1  # evenly spread, whichever first few are taken
     found = _follow_pairs((points - lower) / cell, chosen, grid, shortest / cell, int(gap / cell), order, lines, np.empty(3))
     lines = lines[:found]
@@ -40,7 +40,7 @@ def straight_lines(points: Array, cell: float, shortest: float, gap: float) -> A
 
 @compiled
 def _follow_pairs(points, chosen, grid, shortest, gap, order, lines, along):
-    """Fill in lines (most, 2, 3) through pairs whose way is occupied, and return how many; lengths in cells."""
+    """Fill in lines (pairs, 2, 3) through pairs whose way is occupied, and return how many; lengths in cells."""
     found = 0
     for i, j in chosen:
         a, length = points[i], 0.0
@@ -71,8 +71,6 @@ def _follow_pairs(points, chosen, grid, shortest, gap, order, lines, along):
             for n in range(3):
                 lines[found, end, n] = a[n] + reach * along[n]
         found += 1
-        if found == len(lines):
-            break
     return found
 
 

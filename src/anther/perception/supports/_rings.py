@@ -16,7 +16,7 @@ def clearest_ring(xy, largest, cell):
     """
     pixel = 0.5 * cell
     best = (0.0, 0.0, 0.0, pixel)
-    for j in range(1, int(largest / pixel) + 1):
+    for j in range(1, max(int(largest / pixel), 1) + 1):
         radius = j * pixel
         for share in (0.0, 0.5, 1.0):
             turns = max(int(np.pi * share * j), 1)
@@ -58,13 +58,14 @@ def follow(xy, first, start, ring, cell, gap, place, path, size, many, others):
             points = xy[first[k] : first[k + 1]]
             fx, fy, fr, on, beside = fitted_ring(points, x + dx, y + dy, radius, cell)
             if on >= 3 and on >= 0.3 * usual:
-                usual = on if usual == 0.0 else 0.9 * usual + 0.1 * on
+                if usual == 0.0:  # a rod stays as thick as it is where it begins
+                    usual, radius = on, fr
+                usual += 0.1 * (on - usual)
                 hidden = 0
                 place[k, 0], place[k, 1], size[k], many[k], others[k] = fx, fy, fr, on, beside
                 ax, ay = fx - x - dx, fy - y - dy
                 x, y = x + dx + 0.5 * ax, y + dy + 0.5 * ay  # alpha-beta filter
                 dx, dy = dx + 0.2 * ax, dy + 0.2 * ay
-                radius += 0.2 * (fr - radius)
             else:
                 hidden += 1
                 x, y = x + dx, y + dy
