@@ -29,8 +29,8 @@ from anther.perception.supports._rings import clearest_ring, follow
 
 __all__ = ["Evidence", "find_supports", "log_odds", "notes_beside"]
 
-_PRICE = 3.0
-"""Log-odds that a support must have, ln of 20: to cut a stem away is so much worse than to keep one (a judgement)."""
+_PRICE = 6.0
+"""Log-odds that a support must have, ln of 400: to cut a stem away is so much worse than to keep one (a judgement)."""
 _STRING, _LARGEST = 0.003, 0.03
 """Radii [m] of the thickest string (twine is 1 to 3 mm thick, and a depth camera adds as much: a guess) and of the
 thickest support: the pipes of a greenhouse's rails measure 51 mm."""
@@ -124,7 +124,7 @@ class _Scene:
         points: (N, 3) [m].
         greenness: (N,) 2 g - r - b over r + g + b, or None without colour.
         cell: edge of a cell [m].
-        size: the middle one of the three extents, of a row a plant's own; at least a fifth of the largest [m].
+        size: its height, or the middle one of the three extents if that is less; at least a fifth of the largest [m].
     """
 
     points: Array
@@ -151,7 +151,7 @@ class _Scene:
         if cloud.colors is not None:
             r, g, b = cloud.colors[tree.batch_knn_search(thin, 1, num_threads=2)[0][:, 0]].T.astype(np.float64)
             greenness = (2 * g - r - b) / (r + g + b + 1)
-        return cls(thin, greenness, cell, float(max(np.median(extent), 0.2 * extent.max())))
+        return cls(thin, greenness, cell, float(max(min(np.median(extent), extent[2]), 0.2 * extent.max())))
 
     def without(self, rod: _Rod) -> _Scene:
         """Return it without a rod's points."""
@@ -327,7 +327,7 @@ def _followed(scene: _Scene, line: _Line, at: float, ring: Array) -> list[tuple[
         ripple=thickness.ripple,
         ripple_noise=thickness.noise,
         slenderness=float(np.ptp(t[good])) / radius,
-        filled=float(np.median(many[good] * cell**2 / (2 * np.pi * np.maximum(size[good], 0.5 * cell) * step))),
+        filled=float(np.median(many[good] * cell**2 / (np.maximum(2 * np.pi * size[good], cell) * step))),
         alone=float(alone[low:high].mean()),
         orphans=0,
         beyond=_beyond(scene, rod, own),

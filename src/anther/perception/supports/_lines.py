@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 
 from anther.core.compiling import compiled
 from anther.core.geometry import Array
+from anther.perception.cloud._fusion import voxel_means
 
 
 def straight_lines(points: Array, cell: float, shortest: float, gap: float) -> Array:
     """Return lines (L, 2, 3) through the points (N, 3), one a cell, the longest first.
 
-    Random pairs of points are joined; what is occupied along nine tenths of the way is followed beyond both ends.
+    Random pairs of places are joined; what is occupied along nine tenths of the way is followed beyond both ends.
 
     Args:
         points: [m].
@@ -23,16 +24,17 @@ def straight_lines(points: Array, cell: float, shortest: float, gap: float) -> A
         gap: over which a line may be hidden [m].
     """
     rng = np.random.default_rng(0)
-    pairs = 150_000  # drawn: a string with 1 % of the points is hit fifteen times
-    chosen = rng.integers(0, len(points), (pairs, 2))
+    pairs = 150_000  # drawn: a string with 1 % of them is hit fifteen times
     lower = points.min(axis=0) - 2 * cell
+    ends = voxel_means(points - lower, 3 * cell)  # fewer on what is broad
+    chosen = rng.integers(0, len(ends), (pairs, 2))
     place = np.floor((points - lower) / cell).astype(np.int64)
     grid = np.zeros(place.max(axis=0) + 3, dtype=bool)
     for step in (*np.eye(3, dtype=int), *-np.eye(3, dtype=int), np.zeros(3, dtype=int)):
         grid[tuple((place + step).T)] = True  # what touches a point's cell by a face too
     lines = np.empty((pairs, 2, 3))
     order = (np.arange(40) * 0.618) % 1  # evenly spread, whichever first few are taken
-    found = _follow_pairs((points - lower) / cell, chosen, grid, shortest / cell, int(gap / cell), order, lines, np.empty(3))
+    found = _follow_pairs(ends / cell, chosen, grid, shortest / cell, int(gap / cell), order, lines, np.empty(3))
     lines = lines[:found]
     length = np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1)
     return lower + cell * lines[np.argsort(-length)]
@@ -56,7 +58,7 @@ def _follow_pairs(points, chosen, grid, shortest, gap, order, lines, along):
         while looked < len(order) and missed <= 0.15 * len(order):
             missed += not _occupied(grid, a, along, order[looked] * length)
             looked += 1
-            if looked == 6 and missed > 1:
+            if looked <= 6 and missed > 1:
                 break
         if looked < len(order) or missed > 0.15 * len(order):
             continue
