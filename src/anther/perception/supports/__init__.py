@@ -29,8 +29,8 @@ from anther.perception.supports._rings import clearest_ring, follow
 
 __all__ = ["Evidence", "find_supports", "log_odds", "notes_beside"]
 
-_PRICE = 6.0
-"""Log-odds that a support must have, ln of 400: to cut a stem away is so much worse than to keep one (a judgement)."""
+_PRICE = 3.0
+"""Log-odds that a support must have, ln of 20: to cut a stem away is so much worse than to keep one (a judgement)."""
 _STRING, _LARGEST = 0.003, 0.03
 """Radii [m] of the thickest string (twine is 1 to 3 mm thick, and a depth camera adds as much: a guess) and of the
 thickest support: the pipes of a greenhouse's rails measure 51 mm."""
@@ -221,15 +221,14 @@ def _rods(scene: _Scene) -> Iterator[_Rod]:
         for largest in (_STRING, _LARGEST):  # a string's few points lie on many a wider ring as well
             at, ring = _clearest_ring(line, scene.cell, largest)
             begin = line.start + at * line.along + ring[:2] @ line.across
-            if not any(rod.holds(begin[None], scene.cell)[0] for rod in plant):
+            if not any(rod.cylinder(begin[None])[1] + abs(rod.radius - ring[2]) < 2 * scene.cell for rod in plant):
                 found += _followed(scene, line, at, ring)
         if not found:
             continue
         rod, evidence = max(found, key=lambda pair: log_odds(pair[1]))
-        lines = lines[~rod.near(lines, scene.cell)]
         if log_odds(evidence) > _PRICE:
             yield rod
-            scene = scene.without(rod)
+            scene, lines = scene.without(rod), lines[~rod.near(lines, scene.cell)]
         else:
             plant += [rod for rod, _ in found]
 
@@ -307,6 +306,10 @@ def _followed(scene: _Scene, line: _Line, at: float, ring: Array) -> list[tuple[
     alone = (many > 0) & (others < 0.25 * many)
     clean = np.flatnonzero(alone) if np.count_nonzero(alone) >= least else seen
     radius = float(np.median(size[clean]))
+    alike = np.abs(size - radius) < 0.4 * radius + 0.3 * cell  # else it goes on as something else: a stem as a string
+    seen, clean = seen[alike[seen]], clean[alike[clean]]
+    if len(clean) < least:
+        return []
     offset, slope, off = _straight_fit(t[seen], place[seen])
     good = seen[off < 4 * max(float(np.median(off)), 0.3 * cell)]
     thickness = _thickness(t[clean], size[clean])

@@ -45,7 +45,8 @@ def log_odds(e: Evidence) -> float:
 
     Each term is the log-ratio of the probabilities of what is seen; the distributions are guesses.
     """
-    taut, bent, wander = (e.noise**2 + (share * e.length) ** 2 for share in (0.0005, 0.003, 0.005))
+    # rms over the length: of strings and tubes, of bamboo (guesses), and of 23 straight lines along seedlings' stems
+    taut, bent, wander = (e.noise**2 + (share * e.length) ** 2 for share in (0.0005, 0.003, 0.006))
     made = np.logaddexp(_bowed(e.bow, taut), _bowed(e.bow, bent)) - np.log(2)
     straight = made - _bowed(e.bow, wander)
     bumpy = e.ripple_noise**2 + np.square([0.01, 0.06])  # of what is made, and of what grew (guesses)
@@ -53,10 +54,13 @@ def log_odds(e: Evidence) -> float:
     grown = np.logaddexp(_normal(e.taper, -0.4, 0.35), _normal(e.taper, 0, 1.0)) - np.log(2)
     even = _normal(e.taper, 0, float(np.hypot(0.05, e.ripple_noise))) - grown
     filled = np.log(max(e.filled, 1e-3))
-    surface, foliage = _normal(filled, np.log(0.8), 0.4), _normal(filled, np.log(0.3), 0.5)  # a stem has one as well
+    surface, foliage = (
+        _normal(filled, np.log(0.8), 0.4),
+        _normal(filled, np.log(0.3), 0.5),
+    )  # guesses; stems have one
     solid = max(surface - np.logaddexp(surface, foliage) + np.log(2), -4.0)
-    clear, leafy = 2 * np.log(max(e.alone, 0.05)) + np.log(3), np.log(2 * max(1 - e.alone, 0.05))  # beta distributions
-    free_of_organs = max(clear - np.logaddexp(clear, leafy) + np.log(2), -4.0)  # a stem may be bare as well
+    clear, leafy = 2 * np.log(max(e.alone, 0.05)) + np.log(3), np.log(2 * max(1 - e.alone, 0.05))  # beta (guesses)
+    lone = max(clear - np.logaddexp(clear, leafy) + np.log(2), -4.0)  # a stem may be bare as well
     bare = max(np.log(0.8 / 0.3) + e.orphans * np.log(0.2 / 0.7), -4.0)  # geometric, 0.25 and 2.3 in the mean
     free = np.log(0.4 / 0.05) if e.beyond else np.log(0.6 / 0.95)
     slender = np.log(max(e.slenderness, 1.0))
@@ -66,7 +70,7 @@ def log_odds(e: Evidence) -> float:
         own, middle, spread = e.greenness
         colour = float(np.clip(_normal(own, 0, 0.2) - _normal(own, middle, max(spread, 0.1)), -1.5, 1.5))
     prior = -3.0  # one in twenty (a guess)
-    return float(prior + straight + round_ + even + solid + thin + free_of_organs + bare + free + colour)
+    return float(prior + straight + round_ + even + solid + thin + lone + bare + free + colour)
 
 
 def _normal(x: float, mean: float, sigma: float) -> float:

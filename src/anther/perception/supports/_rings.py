@@ -60,7 +60,6 @@ def follow(xy, first, start, ring, cell, gap, place, path, size, many, others):
             if on >= 3 and on >= 0.3 * usual:
                 if usual == 0.0:  # a rod stays as thick as it is where it begins
                     usual, radius = on, fr
-                usual += 0.1 * (on - usual)
                 hidden = 0
                 place[k, 0], place[k, 1], size[k], many[k], others[k] = fx, fy, fr, on, beside
                 ax, ay = fx - x - dx, fy - y - dy
@@ -79,7 +78,7 @@ def fitted_ring(xy, x, y, radius, cell):
     """Return x, y and radius of the ring through points (N, 2) near a guess, how many are on it, and just outside."""
     on, beside = 0.0, 0.0
     r = radius
-    for turn in range(6):
+    for _ in range(6):
         a00, a01, a02, a11, a12, a22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         b0, b1, b2 = 0.0, 0.0, 0.0
         on, beside = 0.0, 0.0
