@@ -215,7 +215,7 @@ def _rods(scene: _Scene) -> Iterator[_Rod]:
     while len(lines) and len(plant) < most:
         line = _Line.of(scene, lines[0])
         lines = lines[~line.near(lines, scene.cell)]
-        if not len(line.t):  # all of it was a rod that is found
+        if line.occupied(scene.cell) < 0.7:  # the rest was a rod that is found
             continue
         found = list[tuple[_Rod, Evidence]]()
         for largest in (_STRING, _LARGEST):  # a string's few points lie on many a wider ring as well
@@ -262,6 +262,11 @@ class _Line:
         t = (scene.points[near] - ends[0]) @ along
         order = np.argsort(t)
         return cls(ends[0], along, across, length, t[order], np.ascontiguousarray(xy[near[order]]))
+
+    def occupied(self, cell: float) -> float:
+        """Return the share of the line beside which points are, at most two cells off."""
+        beside = (np.abs(self.xy).max(axis=1) < 2 * cell) & (self.t > 0) & (self.t < self.length)
+        return len(np.unique((self.t[beside] / (2 * cell)).astype(int))) * 2 * cell / self.length
 
     def near(self, lines: Array, cell: float) -> NDArray[np.bool_]:
         """Return which lines (L, 2, 3) are the same but for two cells."""

@@ -24,7 +24,7 @@ def straight_lines(points: Array, cell: float, shortest: float, gap: float) -> A
         gap: over which a line may be hidden [m].
     """
     rng = np.random.default_rng(0)
-    pairs = 150_000  # drawn: a string with 1 % of them is hit fifteen times
+    pairs = 400_000  # drawn: a string with 0.5 % of them is hit ten times
     lower = points.min(axis=0) - 2 * cell
     ends = voxel_means(points - lower, 3 * cell)  # fewer on what is broad
     chosen = rng.integers(0, len(ends), (pairs, 2))
