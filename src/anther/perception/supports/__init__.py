@@ -1,8 +1,8 @@
 """Supports: strings, wires, stakes, poles and pipes among a plant's points, set apart. N points, L lines, K sections.
 
 A support is straight over its length, equally thick at both ends, carries no organs and is not green; a stem wanders,
-tapers, and falls apart into loose leaves when it is taken away. Long straight lines through occupied cells are cut into
-sections, and each is weighed: the log-odds of a rigid rod against a piece of plant decide (`log_odds`).
+tapers, and falls apart into loose leaves when it is taken away. Along long straight lines through occupied cells the
+ring of a rod is followed, and weighed: the log-odds of a rigid rod against a piece of plant decide (`log_odds`).
 """
 
 from __future__ import annotations
@@ -211,12 +211,13 @@ def _rods(scene: _Scene) -> Iterator[_Rod]:
     """Yield the rods that are likely enough supports, the longest lines first."""
     shortest = max(0.4 * scene.size, 0.1)  # m: a shorter straight thing is a petiole, or a seedling's stem (guesses)
     lines, plant = straight_lines(scene.points, scene.cell, shortest, scene.gap), list[_Rod]()
-    most = 32  # followed; more are never needed by a row of five
-    while len(lines) and len(plant) < most:
+    most, looked = 64, 0  # lines looked at; more are never needed by a row of five
+    while len(lines) and looked < most:
         line = _Line.of(scene, lines[0])
         lines = lines[~line.near(lines, scene.cell)]
         if line.occupied(scene.cell) < 0.7:  # the rest was a rod that is found
             continue
+        looked += 1
         found = list[tuple[_Rod, Evidence]]()
         for largest in (_STRING, _LARGEST):  # a string's few points lie on many a wider ring as well
             at, ring = _clearest_ring(line, scene.cell, largest)
