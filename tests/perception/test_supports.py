@@ -151,6 +151,8 @@ EVIDENCE = Evidence(
     ripple=0.005,
     ripple_noise=0.005,
     slenderness=100.0,
+    filled=0.8,
+    alone=0.9,
     orphans=0,
     beyond=False,
 )
@@ -161,6 +163,8 @@ EVIDENCE = Evidence(
     [
         ({}, {"bow": 0.004}),
         ({}, {"slenderness": 25.0}),
+        ({}, {"filled": 0.3}),
+        ({}, {"alone": 0.4}),
         ({}, {"taper": -0.5}),
         ({}, {"ripple": 0.05}),
         ({}, {"orphans": 2}),
