@@ -11,13 +11,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from test_viewer import shaken
 
+from anther.core.geometry import Intrinsics, look_at
+from anther.perception import Capture
 from anther.plant.visit import TruthRecord, Visit
 from anther.pollination.execution import Step
 from anther.pollination.response import Response
 from anther.show import report
-from anther.show.pictures.report import draw_steps
+from anther.show.pictures.report import draw_steps, overlay
 from anther.show.report import write_report
 from anther.show.results import PARAMS, RunResults, read_run
 
@@ -186,3 +189,20 @@ def test_steps_keep_their_width_on_a_phone_beside_long_names_of_limits() -> None
     width = figure.bbox.width
     assert all(axes.get_window_extent().width > 0.6 * width for axes in figure.axes)
     assert all(axes.get_legend().get_window_extent().x1 <= width for axes in figure.axes)
+
+
+@pytest.mark.parametrize("turned", [0.0, 90.0, 180.0, -90.0])
+def test_views_are_drawn_upright_however_the_camera_lies(turned: float) -> None:
+    """The red upper edge of what a level camera sees stays the upper edge."""
+    about = np.eye(4)
+    about[:3, :3] = Rotation.from_euler("z", turned, degrees=True).as_matrix()
+    T_world_cam = look_at([0.0, 0, 0.5], [1.0, 0, 0.4]) @ about
+    seen = np.zeros((90, 90, 3), np.uint8)
+    seen[:30] = 200, 0, 0
+    rgb = np.rot90(seen, round(turned / 90))  # in a camera that is turned clockwise, counter-clockwise
+    capture = Capture(
+        np.ones((1, 90, 90), np.float32), Intrinsics(90, 90, 80.0, 80.0, 45.0, 45.0), T_world_cam[None], rgb[None]
+    )
+    picture = overlay(capture, None, 0)
+    assert picture[:8, :, 0].min() > 150
+    assert picture[-8:, :, 0].max() < 50

@@ -47,14 +47,15 @@ def overlay(capture: Capture, masks: Masks | None, view: int) -> NDArray[Any]:
     size = (capture.intrinsics.width // 3, capture.intrinsics.height // 3)
     picture = capture.rgb[view] if capture.rgb is not None else _depth_colours(capture.depth[view])
     picture = cv2.resize(np.ascontiguousarray(picture), size, interpolation=cv2.INTER_AREA)
-    upside_down = capture.T_world_cam[view, 2, 1] > 0
+    up = capture.T_world_cam[view, 2, :2]  # of the world, in the image: to the right and down
+    turns = round(float(np.arctan2(up[0], -up[1])) / (np.pi / 2))  # quarters from the image's own up, clockwise
     if masks is None:
-        return picture[::-1, ::-1] if upside_down else picture
+        return np.rot90(picture, turns)
     labels = cv2.resize(np.ascontiguousarray(masks.labels[view]), size, interpolation=cv2.INTER_NEAREST)
     for label, colour in ((PLANT, (60, 230, 110)), (FLOWER, (255, 60, 220))):
         outline, _ = cv2.findContours((labels == label).astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
         cv2.drawContours(picture, outline, -1, colour, 1)
-    return picture[::-1, ::-1] if upside_down else picture
+    return np.rot90(picture, turns)
 
 
 def _depth_colours(depth: NDArray[Any]) -> NDArray[Any]:
