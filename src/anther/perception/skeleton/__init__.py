@@ -169,7 +169,7 @@ def skeletonize(cloud: Cloud, params: Params | None = None, middle: ArrayLike | 
     params = params or Params()
     points = _plant_points(cloud)
     size = _plant_size(points)
-    points = points[np.linalg.norm(points - np.median(points, axis=0), axis=1) <= LARGEST]  # strays no grid holds
+    points = points[np.abs(points - np.median(points, axis=0)).max(axis=1) <= LARGEST]  # strays no grid holds
     scene = _thinned(points, float(np.subtract(*np.quantile(points[:, 2], [0.995, 0.005]))))  # as fine as of one plant
     plants = find_plants(scene, params.root, params.plant, middle)
     if len(plants) > 1:
