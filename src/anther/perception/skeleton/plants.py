@@ -93,6 +93,8 @@ def find_plants(
     fitted = (-12.54, 4.62, 2.72, 6.19, 4.22)
     chance = probability(fitted, _evidence(graph, minima))
     named = None if root is None else _named(graph, np.asarray(root, dtype=np.float64), minima, chance)
+    if named is not None and named not in minima:
+        minima, chance = np.append(minima, named), np.append(chance, 0.0)
     chance = np.where(minima == named, 1.0, chance)  # who names it knows
     feet = minima[chance >= 0.5]
     if len(feet) < 2:
@@ -158,7 +160,8 @@ def _middle_one(
 def _named(graph: _Graph, root: Array, minima: NDArray[Any], chance: Array) -> int | None:
     """Return the foot that a place (3,) [m] names; None where it is no foot, but on the only plant.
 
-    A minimum that is not likely enough to be a foot of its own counts as one where somebody names it.
+    A minimum that is not likely enough to be a foot of its own counts as one where somebody names it, and so does any
+    place of the plant below which none is: what hangs may be seen from there up alone.
 
     Raises:
         InputError: nothing is near it, two stems are as near, or it is on no stem though several are in view.
@@ -185,6 +188,8 @@ def _named(graph: _Graph, root: Array, minima: NDArray[Any], chance: Array) -> i
             return int(feet[order[0]])
         if len(feet) == 1:
             return None
+        if on_it:
+            return voxel
     where = f"{root.round(3).tolist()}, {away[voxel]:.3g} m from the plant{', between two stems' if between else ''}"
     listed = "; ".join(", ".join(f"{value:.3f}" for value in place) for place in roots[order[:2]])
     raise bad_input("root", given=where, allowed=f"on a stem; the nearest stand at {listed} m", do="Name one of them.")
