@@ -116,3 +116,13 @@ def test_what_names_no_stem_is_refused_and_the_nearest_are_named(
     numbers = [float(n) for n in re.findall(r"-?\d+\.\d{3}", str(refused.value))]
     nearest = FEET[np.argmin(np.linalg.norm(FEET[:, :2] - (params.root or (0.0, 0.0))[:2], axis=1))]
     assert min(abs(n - nearest[0]) for n in numbers) < 0.02
+
+
+@pytest.mark.parametrize("length", [0.02, 0.05])
+def test_the_end_of_what_hangs_between_two_plants_can_be_named(scene: tuple[Array, Array], length: float) -> None:
+    """It is no foot, and so short an end is none that is counted: who names it knows."""
+    knee, rng = np.array([0.085, -0.005, 0.34]), np.random.default_rng(0)
+    end = knee - [0, 0, length]
+    hanging = [tube(a, b, (0.005, 0.005), 0.002, rng) for a, b in (([0.0, 0.02, 0.34], knee), (knee, end))]
+    found = find_plants(np.concatenate([scene[0], *hanging]), end)
+    assert np.linalg.norm(found.roots[found.asked] - end) < 0.015
