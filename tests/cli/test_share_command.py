@@ -80,7 +80,7 @@ def test_what_tells_names_and_places_is_left_behind_and_geometry_is_kept(capture
 def test_boxes_by_hand_and_an_archive(capture: Path, tmp_path: Path) -> None:
     out = tmp_path / "shared.zip"
     words = ["--no-faces", "--mask", "0:1,2,3,4", "all:0,0,2,2"]
-    assert main(["import", "share", str(capture), str(out), *words]) == 0
+    assert main(["capture", "share", str(capture), str(out), *words]) == 0
     with zipfile.ZipFile(out) as archive:
         assert {entry.date_time for entry in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
         archive.extractall(tmp_path / "there")
@@ -89,7 +89,7 @@ def test_boxes_by_hand_and_an_archive(capture: Path, tmp_path: Path) -> None:
     assert len(about["masked"]) == 1 + found.views
     assert (found.rgb[0, 2:6, 1:4] == 128).all()
     assert (found.rgb[:, :2, :2] == 128).all()
-    assert main(["import", "share", str(capture), str(out)]) == 2, "nothing is overwritten"
+    assert main(["capture", "share", str(capture), str(out)]) == 2, "nothing is overwritten"
 
 
 @pytest.mark.parametrize("box", ["0:0,0,1,1000000", "99:0,0,5,5", "0:0,0,0,5", "0:1,2,3", "x:0,0,5,5"])

@@ -52,8 +52,8 @@ ACTIONS = {
     },
 }
 """Command -> what else it does, each with options of its own: `anther history outcome ...`."""
-SHORT = {"samples": ["doctor", "samples"]}
-"""Word -> what it stands for."""
+SHORT = {"samples": ["doctor", "samples"], "capture": ["import"]}
+"""Word -> what it stands for: `anther samples`, `anther capture share`."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:

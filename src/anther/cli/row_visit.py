@@ -15,8 +15,7 @@ from anther.plant.visit import Visit
 from anther.pollination import visit_row_stem
 from anther.show.results import EXECUTED, SUMMARY
 from anther.show.summary import summarise
-from anther.sim import Row, build_row, mapped_string
-from anther.sim.row_drive import STEM_TO_STEM
+from anther.sim import STEM_TO_STEM, Row, build_row, mapped_string
 
 
 @dataclass(frozen=True, slots=True)

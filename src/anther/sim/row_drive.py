@@ -124,7 +124,7 @@ line: the camera then still has the plant in view (its half field of view across
 STEM_TO_STEM = 2.0
 """What a cart takes from one stem to the next [s]: 0.4 m at 0.3 m/s until it stands (a guess)."""
 BETWEEN_VIEWS = 0.5
-"""[s]: two stems lie between the first and the last, while the arm works at one of them the plant sways on."""
+"""While the cart drives [s]: as long as it takes for 0.15 m."""
 
 
 def drive_up(row: Row, rng: np.random.Generator, truth: Truth = NOMINAL) -> tuple[Array, Array]:
@@ -141,9 +141,8 @@ def drive_up(row: Row, rng: np.random.Generator, truth: Truth = NOMINAL) -> tupl
     T_cart_cam = side_camera(row, d455())
     ahead = WIDEST * (row.measures.near - T_cart_cam[0, 3])
     before = np.linspace(-2 * ahead, 0, VIEWS)  # of where it stands in the end
-    steps = np.diff(before)
-    drift = np.append(-np.cumsum(rng.normal(0, SLIP * np.sqrt(steps))[::-1])[::-1], 0.0)
-    odometry = before * (1 + rng.normal(0, SCALE)) + drift
+    drift = np.append(0.0, np.cumsum(rng.normal(0, SLIP * np.sqrt(np.diff(before)))))
+    odometry = before * (1 + rng.normal(0, SCALE)) + drift - drift[-1]
     rocked = pose_errors(VIEWS, camera_errors(truth, ROCK), rng)
     rocked[-1] = np.eye(4)
     calibrated = perturbed_hand_eye(T_cart_cam, rng, factor=truth.hand_eye_error)
