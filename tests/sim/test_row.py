@@ -151,6 +151,22 @@ def test_a_plant_hangs_on_what_it_weighs_and_rests_as_it_grew(crop: str) -> None
 
 
 @pytest.mark.parametrize("crop", CROPS)
+def test_a_flower_is_of_the_stem_that_it_grows_on(crop: str) -> None:
+    """Of a pepper's two stems the first one's flowers are its visit's; a tomato has one stem."""
+    plant = worked(crop)
+    first, *others = plant.twines
+    own = plant.on_first_string()
+
+    def nearer(place: np.ndarray, twine: Twine) -> float:
+        return float(np.linalg.norm(place[:2] - plant.end[twine.segment][:2]))
+
+    for flower, place in enumerate(plant.flower_position):
+        assert own[flower] == all(nearer(place, first) < nearer(place, other) for other in others)
+    assert own.any()
+    assert own.all() == (crop == "tomato")
+
+
+@pytest.mark.parametrize("crop", CROPS)
 def test_nothing_bends_a_stem_on_its_string(crop: str) -> None:
     """What the springs of the main stem must carry is a small share of what they would without the string."""
     plant = row(crop).worked

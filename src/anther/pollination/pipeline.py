@@ -238,6 +238,7 @@ def pollinate(
     Raises:
         StageFailure: a stage before the execution cannot go on; its kind says why.
     """
+    params = _as_carried(params, cell.odometry)
     with CaptureWriter(run.path("capture")) as writer, IncomingViews(cell.workspace) as incoming:
 
         def keep(view: View) -> None:  # it is written and looked at while the arm goes on to the next
@@ -268,6 +269,14 @@ def pollinate(
     observed = [ObservedShake.of(shake, answer, NOT_MEASURED if joints is None else measure_grip(trial, shake, joints))]
     learned = run.timed("learning", lambda _: refine(rods, observed, pads=params.shake.pads))
     return Done(shake, trial, answer, learned.material, rods.material, learned.pads, alone, planned)
+
+
+def _as_carried(params: Params, odometry: float) -> Params:
+    """Return the parameters for views whose camera a cart carried with this `Cell.odometry`; 0: an arm did."""
+    registration = params.cloud.registration
+    if registration is None or not odometry:
+        return params
+    return replace(params, cloud=replace(params.cloud, registration=replace(registration, walk=odometry)))
 
 
 def _grip_motion(planner: MotionPlanner, grasp: Grasp) -> GripMotion:

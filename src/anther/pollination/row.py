@@ -14,9 +14,6 @@ from anther.plant.string import HeldString
 from anther.pollination.pipeline import Done, FindMasks, Params, pollinate
 from anther.robot.cell import Cell
 
-ODOMETRY = 0.01
-"""Standard deviation of a cart's odometry after a metre on its rails [m], a guess: its wheels slip on the pipes."""
-
 
 def visit_row_stem(
     cell: Cell,
@@ -32,7 +29,7 @@ def visit_row_stem(
 ) -> Done:
     """See, grasp and shake the stem that hangs on a hook, and measure how its flowers answer.
 
-    The views come in the order of the cart's way, the last where it stands.
+    Views that a cart's camera takes come in the order of its way, the last where it stands (`Cell.odometry`).
 
     Args:
         cell: the robot, its cart before the stem.
@@ -48,11 +45,6 @@ def visit_row_stem(
         StageFailure: a stage before the execution cannot go on; its kind says why.
     """
     params = params or Params()
-    by_cart, string = params.cloud.registration, HeldString.of(crop, hook, foot)
-    if by_cart is not None and not by_cart.walk:
-        by_cart = replace(by_cart, walk=ODOMETRY)
-    hung = replace(
-        params, plant=replace(params.plant, string=string), cloud=replace(params.cloud, registration=by_cart)
-    )
+    hung = replace(params, plant=replace(params.plant, string=HeldString.of(crop, hook, foot)))
     believed = material or (PEPPER if crop == "pepper" else TOMATO)
     return pollinate(cell, believed, run, hung, find_masks, earlier)

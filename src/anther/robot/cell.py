@@ -67,11 +67,12 @@ class Cell:
     """One robot before one plant, simulated or real.
 
     Attributes:
-        take_views: moves the wrist camera around the plant and returns the views; tells each as it is taken.
+        take_views: moves a camera past the plant and returns the views; tells each as it is taken.
         plan_around: Cloud -> a motion planner that keeps clear of what the cloud shows.
         robot: arm, gripper and cameras.
         workspace: box the plant stands in, world [m].
         limits: what no command may exceed.
+        odometry: of a cart that carries that camera, standard deviation per axis after a metre [m]; 0: an arm does.
     """
 
     take_views: Callable[[Advance, Keep], Capture]
@@ -79,3 +80,4 @@ class Cell:
     robot: Robot
     workspace: Box
     limits: SafetyLimits
+    odometry: float = 0.0

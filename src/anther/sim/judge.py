@@ -186,7 +186,8 @@ class Verdict:
         push: largest force on the plant before closing [N], leaves included.
         harm: the loads that the plant bore, what it bears, and how probable harm was.
         flower_amplitude: (F,) semi-major axis of each flower's swing at the shake's frequency, over the middle 60 % of
-            the shake [m]: as `anther.pollination.response` measures it.
+            the shake [m]: as `anther.pollination.response` measures it. Of a plant with a string for each of its
+            stems, here and below, those of the first: the others are another visit's.
         flower_acceleration_peak: (F,) the largest in a period, its median over the periods of that part [m/s2].
         effort: largest share of a motor's torque limit that the arm used.
         held_beside: names of other organs that were between the pads with what is held.
@@ -400,11 +401,12 @@ def _leaf_acceleration(cell: Cell, times: Array, poses: Array | None) -> float:
 
 def _flower_motion(cell: Cell, times: Array, poses: Array | None, frequency: float) -> tuple[Array, Array]:
     """Return the amplitude of each flower's swing and the peak of its acceleration, each (F,)."""
-    plant = cell.plant
+    plant, own = cell.plant, cell.plant.on_first_string()
+    segment, place = plant.flower_segment[own], plant.flower_position[own]
     if poses is None or len(times) < 20:
-        return np.full(len(plant.flower_segment), np.nan), np.full(len(plant.flower_segment), np.nan)
-    T = poses[:, plant.flower_segment]
-    path = np.einsum("tfij,fj->tfi", T[..., :3, :3], plant.flower_position) + T[..., :3, 3]
+        return np.full(len(segment), np.nan), np.full(len(segment), np.nan)
+    T = poses[:, segment]
+    path = np.einsum("tfij,fj->tfi", T[..., :3, :3], place) + T[..., :3, 3]
     steady = slice(round(0.2 * len(times)), round(0.8 * len(times)))
     dt = float(np.median(np.diff(times)))
     size = np.linalg.norm(_acceleration(path, dt), axis=2)

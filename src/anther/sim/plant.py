@@ -205,6 +205,22 @@ class SimPlant:
             out[self.parent[k]] += out[k]
         return out
 
+    def on_first_string(self) -> NDArray[np.bool_]:
+        """Return (F,) whether a flower grows on the stem of the first string; all do where there is no second."""
+        first, *others = [self._way_down(twine.segment) for twine in self.twines] or [set()]
+        elsewhere = np.isin(np.arange(len(self.parent)), list(set().union(*others) - first))
+        for k in range(1, len(elsewhere)):
+            elsewhere[k] |= elsewhere[self.parent[k]]
+        return ~elsewhere[self.flower_segment]
+
+    def _way_down(self, segment: int) -> set[int]:
+        """Return the segments from one down to the base."""
+        way = set[int]()
+        while segment >= 0:
+            way.add(segment)
+            segment = int(self.parent[segment])
+        return way
+
     def stem_segments(self) -> NDArray[np.int64]:
         """Return the segments of the main stem, from the soil to the head (pepper: to the first fork)."""
         return np.flatnonzero(self.organ == Organ.STEM)

@@ -47,6 +47,8 @@ def before_arm(row: Row, arm: ArmModel = SAWYER) -> Row:
     return row.at([-x, -beside[1], FLOWERS_Z - row.flowers[2]])
 
 
+ODOMETRY = 0.01
+"""What is believed of the cart's odometry (`robot.Cell`), a guess: its wheels slip on the pipes [m]."""
 HOOK_ERROR = 0.02
 """Of the place of a hook or a foot along and across the row in a map, standard deviation [m]: a guess."""
 
@@ -160,7 +162,7 @@ def build_row(
         how: dict[str, Any] = {"rng": rng, "errors": camera_errors(truth), "progress": advance, "keep": keep}
         return capture_from_poses(_in_wind(mujoco, scene, len(true)), believed, T_world_cam_true=true, **how)[0]
 
-    return around(mujoco, scene, take_views, place, noise, tap)
+    return around(mujoco, scene, take_views, place, noise, tap, odometry=ODOMETRY)
 
 
 def _waits(place: Layout, arm: ArmModel) -> Array:

@@ -1,8 +1,9 @@
-"""A cart with a camera at its side that drives along a row: what it takes on its way, and what is true of it.
+"""A cart with cameras at its side that drives along a row: what they take on its way, and what is true of it.
 
-The camera lies on its side, so that heads, strings and wire are in view from a narrow path: it stands as far from the
-plants as the path allows, at the height of their flowers, and looks up as far as the flowers stay in view. The cart's
-frame is x towards the plants, y along the rails, z up from the floor, x = y = 0 where it stands. V frames.
+Cameras lie on their side, so that heads and strings are in view from a narrow path: they stand as far from the plants
+as the path allows, at the height of their flowers. The one of the map looks up to the wire as far as the flowers stay
+in view; the one of the visits looks level, since stems are held below their flowers. The cart's frame is x towards the
+plants, y along the rails, z up from the floor, x = y = 0 where it stands. V frames.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ from anther.sim.truth import NOMINAL, Truth
 BEYOND = 0.4
 """From where a drive begins to the first hook, and from the last one to its end [m]."""
 SLIP = 0.01
-"""Of the cart's odometry: standard deviation after a metre [m]; it grows with the root of the way. A guess."""
+"""Of the cart's odometry: standard deviation after a metre [m]; it grows with the root of the way. A guess, which
+`Truth.pose_error` multiplies."""
 SCALE = 0.005
 """Of the cart's odometry: standard deviation of its scale, a guess."""
 ROCK = CameraErrors(pose_rotation=float(np.radians(0.1)), pose_translation=0.001)
@@ -75,16 +77,25 @@ class Drive:
             yield from zip(self.odometry.tolist(), pool.map(take, range(len(self.place))), strict=True)
 
 
-def side_camera(row: Row, intrinsics: Intrinsics) -> Array:
-    """Return T_cart_cam (4, 4) of the camera that looks from the cart at the near line of a row."""
-    m, flowers = row.measures, np.vstack([plant.flower_position for plant in row.plants[: row.near]])
-    eye = np.array([0.05 - m.corridor / 2, 0.0, np.median(flowers[:, 2]) - row.origin[2]])
-    away = m.near - eye[0]
-    low, high = np.arctan2(-0.3, away), np.arctan2(m.wire + 0.3 - eye[2], away)  # m, from below flowers to tags
-    tilt = min((low + high) / 2, low + np.arctan(intrinsics.width / 2 / intrinsics.fx))
+def side_camera(row: Row, tilt: float = 0.0) -> Array:
+    """Return T_cart_cam (4, 4) of the camera that looks from the cart at the near line of a row, up by a tilt [rad]."""
+    eye = _eye(row)
     on_its_side = transform([[0, -1, 0], [1, 0, 0], [0, 0, 1]], np.zeros(3))
     ahead = np.array([np.cos(tilt), 0, np.sin(tilt)])
     return look_at(eye, eye + ahead) @ on_its_side
+
+
+def _eye(row: Row) -> Array:
+    flowers = np.vstack([plant.flower_position for plant in row.plants[: row.near]])
+    return np.array([0.05 - row.measures.corridor / 2, 0.0, np.median(flowers[:, 2]) - row.origin[2]])
+
+
+def _up_to_the_wire(row: Row, intrinsics: Intrinsics) -> float:
+    """Return by how much the camera of the map is tilted [rad]: from below the flowers to the tags of the posts."""
+    eye, m = _eye(row), row.measures
+    away = m.near - eye[0]
+    low, high = np.arctan2(-0.3, away), np.arctan2(m.wire + 0.3 - eye[2], away)
+    return float(min((low + high) / 2, low + np.arctan(intrinsics.width / 2 / intrinsics.fx)))
 
 
 def drive_past(
@@ -105,9 +116,8 @@ def drive_past(
     rng, camera, errors = np.random.default_rng([seed, 17]), intrinsics or d455(848, 480), camera_errors(truth)
     hooks = np.array([twine.hook for plant in row.plants[: row.near] for twine in plant.twines])[:, 1]
     place = np.arange(hooks.min() - BEYOND, hooks.max() + BEYOND + speed / RATE, speed / RATE)
-    drift = np.cumsum(rng.normal(0, SLIP * np.sqrt(speed / RATE), len(place)))
-    odometry = (place - place[0]) * (1 + rng.normal(0, SCALE)) + drift
-    T_cart_cam = side_camera(row, camera)
+    odometry = _odometry(place, rng, truth)
+    T_cart_cam = side_camera(row, _up_to_the_wire(row, camera))
     carts = _carts(row.origin * [1, 0, 1], place)
     away = row.measures.near - T_cart_cam[0, 3]
     blur = truth.exposure_time * speed * camera.fy / away
@@ -138,16 +148,22 @@ def drive_up(row: Row, rng: np.random.Generator, truth: Truth = NOMINAL) -> tupl
         rng: of the errors of odometry, rocking and calibration.
         truth: of these.
     """
-    T_cart_cam = side_camera(row, d455())
+    T_cart_cam = side_camera(row)
     ahead = WIDEST * (row.measures.near - T_cart_cam[0, 3])
     before = np.linspace(-2 * ahead, 0, VIEWS)  # of where it stands in the end
-    drift = np.append(0.0, np.cumsum(rng.normal(0, SLIP * np.sqrt(np.diff(before)))))
-    odometry = before * (1 + rng.normal(0, SCALE)) + drift - drift[-1]
+    read = _odometry(before, rng, truth)
     rocked = pose_errors(VIEWS, camera_errors(truth, ROCK), rng)
     rocked[-1] = np.eye(4)
     calibrated = perturbed_hand_eye(T_cart_cam, rng, factor=truth.hand_eye_error)
     stands = row.origin * [1, 0, 1] + [0, ahead, 0]
-    return _carts(stands, odometry) @ calibrated, _carts(stands, before) @ rocked @ T_cart_cam
+    return _carts(stands, read - read[-1]) @ calibrated, _carts(stands, before) @ rocked @ T_cart_cam
+
+
+def _odometry(place: Array, rng: np.random.Generator, truth: Truth) -> Array:
+    """Return what odometry reads (V,) at places (V,) along the rails, 0 at the first [m]."""
+    slip = SLIP * truth.pose_error
+    drift = np.append(0.0, np.cumsum(rng.normal(0, slip * np.sqrt(np.diff(place)))))
+    return np.asarray((place - place[0]) * (1 + rng.normal(0, SCALE)) + drift)
 
 
 def _carts(stands: Array, along: Array) -> Array:

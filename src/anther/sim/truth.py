@@ -93,7 +93,8 @@ class Truth:
         joint_stiffness: factor on the arm's `stiffness` [-]; inf: rigid joints.
         joint_scatter: standard deviation of ln of each joint's own stiffness beside it [-].
         motor_gain: what the gripper's motor moves over what it was asked to [-].
-        pose_error, hand_eye_error: factors on the errors of the arm's poses and of the hand-eye calibration [-].
+        pose_error, hand_eye_error: factors on the errors of the poses that arm and cart tell, and of the hand-eye
+            calibration [-].
         clock_offset: by which the side camera's clock is late on the arm's [s].
         exposure_time: in which an image is blurred by motion [s].
         exposure_spread: standard deviation of the gain from image to image [-].

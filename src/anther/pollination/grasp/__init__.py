@@ -20,7 +20,7 @@ from anther.perception.cloud import Cloud
 from anther.perception.masks import FLOWER
 from anther.perception.skeleton import Skeleton
 from anther.perception.stem import Stem
-from anther.pollination.grasp._candidates import Candidates, candidates_along, place_confidence
+from anther.pollination.grasp._candidates import Candidates, candidates_along, hidden_share, place_confidence
 from anther.pollination.grasp._clearance import (
     BRANCH,
     FLOWER_POINT,
@@ -268,6 +268,7 @@ def _costs(c: Candidates, met: Clearance, cloud: Cloud, params: Params, length: 
     """Return what speaks against each candidate (C,), by name; 1 is clearly bad. The weights are our judgement."""
     flowers = cloud.points[cloud.labels == FLOWER] if cloud.labels is not None else np.zeros((0, 3))
     flower_distance = KDTree(flowers).query(c.points)[0] if len(flowers) else np.full(len(c.points), np.inf)
+    petiole = 0.3  # chance of one in 25 mm of a stem, pads and petiole: leaves are 8 cm apart (facts: rows D)
     squeezed = met.squeezed(c.radius)
     aside = OFF_BY + np.minimum(squeezed / 2, 0.004)
     pushed = met.push * c.arc_length / (np.pi / 4 * np.maximum(c.radius, 1e-4) ** 3)  # strain at the root, M r / (E I)
@@ -279,6 +280,7 @@ def _costs(c: Candidates, met: Clearance, cloud: Cloud, params: Params, length: 
         "near a petiole": 0.7 * np.clip(1 - met.distance[:, BRANCH] / DOUBT, 0, 1),
         "pushes a petiole": np.minimum(4.0 * pushed / root_strain, 6),
         "a branch between the fingers": np.minimum(squeezed / 0.002, 6),
+        "the stem is hidden": 6.0 * petiole * hidden_share(c, cloud.points),
         "crowded with petioles": met.enclosed[:, BRANCH] / 6,  # 18 mm of them, in balls 3 mm apart
         "leaves between the fingers": np.minimum(met.enclosed[:, LEAF] / 10, 1),
         "near a flower": np.exp(-flower_distance / 0.03),

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from anther.core.geometry import Array
 from anther.perception.skeleton import Skeleton
@@ -145,6 +146,19 @@ def flange_pose(point: Array, tangent: Array, approach: Array, depth: float) -> 
     T[..., :3, :3] = np.stack([tangent, np.cross(approach, tangent), approach], axis=-1)
     T[..., :3, 3] = point - depth * approach
     return T
+
+
+def hidden_share(c: Candidates, surface: Array) -> Array:
+    """Return (C,) the share of the stem about each place of which none of the surface points (N, 3) [m] shows anything.
+
+    What holds on to a stem there is not seen either.
+    """
+    _, first, back = np.unique(c.station, return_index=True, return_inverse=True)
+    along = np.linspace(-0.012, 0.012, 7)[:, None]  # m, what the pads hold and a petiole beside
+    line = c.points[first, None] + along * c.tangents[first, None]
+    near = 0.005  # m from the surface that the skeleton has, and how far the axis may be off
+    found = KDTree(surface).query(line, distance_upper_bound=0.05)[0] < c.radius[first, None] + near
+    return 1 - found.mean(axis=1)[back]
 
 
 def place_confidence(stem: Stem, skeleton: Skeleton, arcs: Array) -> Array | None:
