@@ -41,11 +41,13 @@ class Drawn:
     def __init__(self, dies: tuple[int, ...] = ()) -> None:
         self.orders: list[Order] = []
         self.asked: list[int] = []
+        self.hooks: list[Any] = []
         self.dies = dies
 
     def __call__(self, row: Any, order: Order, history: str, folder: Path, *, quiet: bool) -> Report:
         self.orders.append(order)
         self.asked.append(row.asked)
+        self.hooks.append(row.worked.twines[0].hook)
         if len(self.orders) in self.dies:
             raise Killed
         return drawn_work([Worked(12.0, True, True, None), Worked(20.0, False, False, "slipped")], 0, 0.0)(order)
@@ -91,6 +93,17 @@ def test_every_stem_of_a_row_is_visited_and_told(call, capsys) -> None:
     stems = read_stems("simulated tomato 3, 1 x 4")
     assert [stem.plant for stem in stems] == [order.plant for order in (*visits.orders[:2], *visits.orders[:1:-1])]
     assert all(stem.open_flowers and stem.certainty > 0.95 for stem in stems)
+
+
+def test_both_stems_of_a_pepper_are_visited(call, capsys) -> None:
+    visits = Drawn()
+    assert call("row", "--simulate", "pepper", "--plants", "2", "--seed", "3", visits=visits) == 0
+    assert "4 stems: 4 visited" in capsys.readouterr().out
+    strings = {
+        (order.side, plant, tuple(hook)) for order, plant, hook in zip(visits.orders, visits.asked, visits.hooks)
+    }
+    assert len(strings) == 4
+    assert {(side, plant) for side, plant, _ in strings} == {("left", 0), ("right", 0)}
 
 
 def test_the_same_again_goes_on_after_a_kill_and_later_visits_only_what_is_due(call, capsys) -> None:

@@ -451,6 +451,20 @@ def test_the_more_is_in_the_way_the_more_it_costs(name, met, kind, worse):
     assert more > 0.2
 
 
+def test_the_more_of_the_stem_is_hidden_the_more_a_place_costs_and_another_is_taken():
+    stem, skeleton, cloud = make_plant(branches=())
+    height = cloud.points[:, 2] + 0.3
+    seen = Cloud(cloud.points[np.abs(height - 0.25) > 0.05])  # a leaf was before its middle, where it else is held
+    ranking = _rank(stem, skeleton, seen, Params(), toward_base=False)
+    cost, arc = ranking.costs["the stem is hidden"], ranking.candidates.arc_length
+    assert cost[np.abs(arc - 0.25) < 0.03].min() > 1
+    assert cost[np.abs(arc - 0.25) > 0.07].max() == 0
+    edge = np.abs(arc - 0.2) < 0.01
+    assert 0 < cost[edge].max() < 1.8
+    assert abs(plan_grasps(stem, skeleton, cloud)[0].arc_length - 0.25) < 0.05 + 1e-9
+    assert abs(plan_grasps(stem, skeleton, seen)[0].arc_length - 0.25) > 0.05
+
+
 def test_every_edge_has_balls_from_its_start_to_its_end():
     skeleton = Skeleton(np.array([[0, 0, 0], [0, 0, 0.02], [0.011, 0, 0.02]]), np.array([-1, 0, 1]), np.full(3, 0.002))
     balls = _balls_along(skeleton, np.array([1, 2]), 0.003, np.zeros(3))

@@ -166,6 +166,21 @@ def test_a_flower_is_of_the_stem_that_it_grows_on(crop: str) -> None:
     assert own.all() == (crop == "tomato")
 
 
+def test_a_pepper_turned_to_its_other_string_has_its_other_stem_for_its_main_one() -> None:
+    plant = worked("pepper")
+    turned = plant.turned_to(1)
+    assert [twine.hook.tolist() for twine in turned.twines] == [twine.hook.tolist() for twine in plant.twines[::-1]]
+    assert (turned.on_first_string() == ~plant.on_first_string()).all()
+    stem, other = turned.stem_segments(), plant.stem_segments()
+    assert turned.twines[0].segment in stem
+    assert turned.twines[0].segment not in other
+    assert np.isin(stem, other).sum() == 5, "below the fork"
+    assert (plant.parent[stem[1:]] == stem[:-1]).all(), "one way from the foot to the head"
+    for name in ("organ", "face_organ"):
+        assert not np.array_equal(getattr(turned, name), getattr(plant, name))
+        np.testing.assert_array_equal(getattr(turned.turned_to(1), name), getattr(plant, name))
+
+
 @pytest.mark.parametrize("crop", CROPS)
 def test_nothing_bends_a_stem_on_its_string(crop: str) -> None:
     """What the springs of the main stem must carry is a small share of what they would without the string."""

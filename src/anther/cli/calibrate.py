@@ -151,11 +151,11 @@ def _names(folder: Path, poses: dict[str, Array]) -> tuple[list[str], list[str]]
 
 def _find(folder: Path, names: list[str], board: Any) -> tuple[Any, tuple[int, int]]:
     """Return the corners and the images' size, read one at a time."""
-    import cv2
     from rich.console import Console
     from rich.progress import track
 
     from anther.core.files import named_file
+    from anther.core.opencv import cv2
     from anther.perception.images import read_image
     from anther.robot.calibration import find_corners
 

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from anther.core.errors import AntherError, InputError, StageFailure, bad_input
 from anther.core.geometry import Array, inverse, transform_points
+from anther.core.opencv import cv2
 from anther.robot.arm.board_views import board_planner, find_first_reachable
 from anther.robot.arm.planner import Planner
 from anther.robot.calibration import (

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 import time
 from collections import Counter
-from dataclasses import replace
 from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
@@ -73,7 +72,7 @@ def _grow(args: Args) -> SimulatedHouse:
     if args.file is not None:
         rows, name = list(read_rows(args.file)), args.file.stem
     else:
-        rows = drawn_rows(args.simulate, args.seed, args.plants, args.rows)
+        rows = drawn_rows(args.simulate, args.plants, args.rows)
         name = f"{args.rows} x {args.plants}"
     name = args.house or f"simulated {args.simulate} {args.seed}, {name}"
     return grow_house(name, args.simulate, args.seed, rows, placed=args.file is not None)
@@ -101,8 +100,7 @@ class _Work:
             print(f"{which} ...", file=sys.stderr, flush=True)
         name = f"{order.shift}-{order.row}-{order.side}-{order.hook + 1}-{order.begin:%H%M%S}"
         folder = Path(self._args.out) / name.replace("/", "-")
-        row = replace(side.row, asked=order.hook)
-        report = visit_stem(row, order, self._args.history, folder, quiet=self._quiet)
+        report = visit_stem(side.asking(order.hook), order, self._args.history, folder, quiet=self._quiet)
         self._done += 1
         took, computed = (report.ended - order.begin).total_seconds(), time.monotonic() - began
         print(f"{which}: {report.visit.result_words}, {took:.1f} s (simulated in {computed:.0f} s)", flush=True)

@@ -14,12 +14,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
-
 from anther.cli.args.share import Args
 from anther.cli.output import free
 from anther.core.errors import MissingExtra, bad_input
 from anther.core.files import existing, replacing, write_json
+from anther.core.opencv import cv2
 from anther.perception.capture import Capture, in_threads
 
 SHARE = "share.json"

@@ -27,6 +27,8 @@ from anther.sim.row_drive import BEYOND
 
 LARGEST = -(-MOST * 3 // 5)
 """Plants that a side of a path can have: the near line of the largest row that is grown."""
+STRINGS: dict[Crop, int] = {"tomato": 1, "pepper": 2}
+"""Strings, hooks and stems of a plant."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,11 +37,17 @@ class SimulatedSide:
 
     Attributes:
         hooks: along the rails, in order [m].
-        row: as it grew; its plants of the near line are those of the hooks.
+        row: as it grew.
+        stems: of each hook, the plant of the row's near line and which of that plant's strings hangs there.
     """
 
     hooks: tuple[float, ...]
     row: Row
+    stems: tuple[tuple[int, int], ...]
+
+    def asking(self, hook: int) -> Row:
+        """Return the row with the stem of a hook asked for."""
+        return self.row.asking(*self.stems[hook])
 
     @property
     def post(self) -> tuple[str, float]:
@@ -70,14 +78,14 @@ class SimulatedHouse:
                 continue
             where = cast("Literal['left', 'right']", name)
             rng = np.random.default_rng([self.seed, 16, k, int(time.timestamp())])
-            plants = side.row.plants[: len(side.hooks)]
+            plants = [side.asking(hook).worked for hook in range(len(side.hooks))]
             looks = np.array([_looks(plant) for plant in plants])
             at = np.sort(np.array(side.hooks) + rng.normal(0, HOOK_ERROR, len(plants)))
             at = at + 1e-6 * np.arange(len(at))
             yield RowPass(
                 self.name, row, where, time, at, (side.post,), min(side.post[1], at[0]), at[-1] + BEYOND,
                 looks * (1 + error * rng.normal(size=looks.shape)), error * looks,
-                open_flowers=np.array([float(len(plant.flower_position)) for plant in plants]),
+                open_flowers=np.array([float(plant.on_first_string().sum()) for plant in plants]),
                 fruit=np.full(len(plants), np.nan), position_std=HOOK_ERROR,
             )  # fmt: skip
 
@@ -85,14 +93,16 @@ class SimulatedHouse:
 def _looks(plant: SimPlant) -> tuple[float, float]:
     """Return what tells a stem from others: its mean radius and how high its flowers hang [m]."""
     stem = plant.stem_segments()
-    return float(plant.radius_start[stem].mean()), float(np.median(plant.flower_position[:, 2]))
+    flowers = plant.flower_position[plant.on_first_string()]
+    return float(plant.radius_start[stem].mean()), float(np.median(flowers[:, 2]))
 
 
-def drawn_rows(crop: Crop, seed: int, plants: int, rows: int) -> list[RowOfFile]:
+def drawn_rows(crop: Crop, plants: int, rows: int) -> list[RowOfFile]:
     """Return rows called "1", "2", ... whose plants hang on both sides of their paths; no hook has its place yet."""
     plants = int(check_range("plants", plants, 2, 2 * LARGEST))
-    left = FileSide([float(k) for k in range(plants - plants // 2)])
-    right = FileSide([float(k) for k in range(plants // 2)])
+    left, right = (
+        FileSide([float(k) for k in range(STRINGS[crop] * count)]) for count in (plants - plants // 2, plants // 2)
+    )
     return [RowOfFile(str(k + 1), left, right) for k in range(int(check_range("rows", rows, 1, 1000)))]
 
 
@@ -105,19 +115,22 @@ def grow_house(name: str, crop: Crop, seed: int, rows: list[RowOfFile], *, place
         placed: whether their hooks have their places along the rails; else these are as they grew.
 
     Raises:
-        InputError: a side has more hooks than `LARGEST`.
+        InputError: a side has more hooks than `LARGEST` plants.
     """
     sides: dict[tuple[str, str], SimulatedSide | None] = {}
     for k, (row, side) in enumerate((row, side) for row in rows for side in SIDES):
         hooks = getattr(row, side).hooks
-        if len(hooks) > LARGEST:
+        most = STRINGS[crop] * LARGEST
+        if len(hooks) > most:
             given, do = f"{len(hooks)} hooks", "Cut the row: its plants are simulated with all of their leaves."
-            raise bad_input(f"row '{row.name}', {side}", given=given, allowed=f"up to {LARGEST}", do=do)
+            raise bad_input(f"row '{row.name}', {side}", given=given, allowed=f"up to {most}", do=do)
         if not hooks:
             sides[row.name, side] = None
             continue
-        grown = grow_row(crop, 1000 * seed + k, min(max(5 * len(hooks) // 3, FEWEST), MOST))
-        along = grown.hooks[: len(hooks), 1]
-        at = hooks if placed else [float(y) for y in along - along[0] + BEYOND]
-        sides[row.name, side] = SimulatedSide(tuple(at), grown)
+        plants = -(-len(hooks) // STRINGS[crop])
+        grown = grow_row(crop, 1000 * seed + k, min(max(5 * plants // 3, FEWEST), MOST))
+        hung = [(twine.hook[1], p, q) for p in range(plants) for q, twine in enumerate(grown.plants[p].twines)]
+        along, stems = zip(*[(y, (p, q)) for y, p, q in sorted(hung)[: len(hooks)]], strict=True)
+        at = hooks if placed else [float(y - along[0] + BEYOND) for y in along]
+        sides[row.name, side] = SimulatedSide(tuple(at), grown, stems)
     return SimulatedHouse(name, crop, seed, sides)

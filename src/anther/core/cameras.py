@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from anther.core.compiling import compiled
 from anther.core.errors import bad_input
 from anther.core.geometry import Array, Intrinsics
+from anther.core.opencv import cv2
 
 _BROWN = {
     "", "none", "plumb_bob", "rational_polynomial", "brown conrady", "modified brown conrady", "inverse brown conrady",

@@ -56,6 +56,7 @@ EXTRA_OF = {
     **dict.fromkeys(("embreex", "mujoco", "pinocchio", "coal", "roboplan", "airo_models"), "cell"),
     **dict.fromkeys(("foxglove", "mcap"), "log"),
     "viser": "view",
+    "cv2": "images",
 }
 """Module -> the extra that brings it, of those that whole rooms cannot do without."""
 

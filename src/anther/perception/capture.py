@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,6 +21,7 @@ from anther.core.checks import check_array, check_range, check_transform
 from anther.core.errors import InputError, bad_input
 from anther.core.files import written
 from anther.core.geometry import Array, Box, Intrinsics
+from anther.core.opencv import cv2
 from anther.perception.transforms import OPENGL_TO_OPENCV, PIXEL_CENTRE, check_views, in_threads, read_transforms
 
 __all__ = [

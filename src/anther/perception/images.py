@@ -6,13 +6,13 @@ import zlib
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from anther.core.errors import bad_input
 from anther.core.files import LARGEST_TEXT, whole_file
 from anther.core.libraries import MOST_PIXELS
+from anther.core.opencv import cv2
 
 
 def read_image(path: Path | str, flags: int, size: tuple[int, int] | None = None) -> NDArray[Any]:

@@ -16,7 +16,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import maximum_filter
@@ -24,6 +23,7 @@ from scipy.ndimage import maximum_filter
 from anther.core.checks import check_array, check_range, check_transform
 from anther.core.errors import bad_input
 from anther.core.geometry import Array, Intrinsics, inverse, transform_points
+from anther.core.opencv import cv2
 from anther.core.records import Range, Record, Shape
 from anther.perception.masks import green_pixels
 

@@ -13,7 +13,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,6 +20,7 @@ from anther.core.checks import check_array, check_range, check_transform
 from anther.core.errors import InputError, bad_input
 from anther.core.files import existing, named_file, read_json
 from anther.core.geometry import Array, Intrinsics
+from anther.core.opencv import cv2
 from anther.perception.images import read_image
 
 OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])

@@ -16,12 +16,12 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anther.core.checks import check_array, check_range, check_transform
 from anther.core.geometry import Array, Intrinsics, look_at, small_transform
+from anther.core.opencv import cv2
 from anther.core.records import Range, Record
 from anther.perception.capture import Capture, Keep, View, no_keep
 from anther.robot.devices import Frame

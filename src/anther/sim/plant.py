@@ -207,11 +207,35 @@ class SimPlant:
 
     def on_first_string(self) -> NDArray[np.bool_]:
         """Return (F,) whether a flower grows on the stem of the first string; all do where there is no second."""
-        first, *others = [self._way_down(twine.segment) for twine in self.twines] or [set()]
-        elsewhere = np.isin(np.arange(len(self.parent)), list(set().union(*others) - first))
-        for k in range(1, len(elsewhere)):
-            elsewhere[k] |= elsewhere[self.parent[k]]
-        return ~elsewhere[self.flower_segment]
+        return self._string_of()[self.flower_segment] <= 0
+
+    def turned_to(self, string: int) -> SimPlant:
+        """Return the plant with the stem of another of its strings as its main stem, and that string as its first.
+
+        What was its main stem is a branch then, above where the two part.
+        """
+        if string == 0:
+            return self
+        of, swap = self._string_of(), {Organ.STEM: Organ.BRANCH, Organ.BRANCH: Organ.STEM}
+        organ, face_organ = self.organ.copy(), self.face_organ.copy()
+        segment = self.vertex_segment[self.faces[:, 0]]
+        face_of = np.where(segment >= 0, of[segment], -1)
+        for k, old in ((0, Organ.STEM), (string, Organ.BRANCH)):
+            organ[(of == k) & (self.organ == old)] = swap[old]
+            face_organ[(face_of == k) & (self.face_organ == old)] = swap[old]
+        others = tuple(twine for k, twine in enumerate(self.twines) if k != string)
+        return replace(self, organ=organ, face_organ=face_organ, twines=(self.twines[string], *others))
+
+    def _string_of(self) -> NDArray[np.int64]:
+        """Return (K,) which string's stem a segment grows on; -1 where it is on all of them, or on none."""
+        ways = [self._way_down(twine.segment) for twine in self.twines]
+        of = np.full(len(self.parent), -1)
+        for k, way in enumerate(ways):
+            own = way - set().union(*ways[:k], *ways[k + 1 :])
+            of[list(own)] = k
+        for k in range(1, len(of)):
+            of[k] = of[self.parent[k]] if of[k] < 0 else of[k]
+        return of
 
     def _way_down(self, segment: int) -> set[int]:
         """Return the segments from one down to the base."""

@@ -7,13 +7,13 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import repeat
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from anther.core.checks import check_range
 from anther.core.geometry import Array, Intrinsics, inverse, look_at, transform_points
+from anther.core.opencv import cv2
 from anther.robot.devices import (
     LEAD,
     ArmRecord,

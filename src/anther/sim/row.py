@@ -66,13 +66,18 @@ class Row:
 
     @property
     def flowers(self) -> Array:
-        """(3,) the middle of the open flowers of the plant that is asked for [m]."""
-        return np.median(self.worked.flower_position, axis=0)
+        """(3,) the middle of the open flowers of the stem that is asked for [m]."""
+        return np.median(self.worked.flower_position[self.worked.on_first_string()], axis=0)
 
     @property
     def tags(self) -> tuple[Tag, ...]:
         """Those of its posts, in order along y."""
         return tuple(part for part in self.parts if isinstance(part, Tag))
+
+    def asking(self, plant: int, string: int = 0) -> Row:
+        """Return the row with another stem asked for: that of a string of a plant of the near line."""
+        turned = self.plants[plant].turned_to(string)
+        return replace(self, plants=(*self.plants[:plant], turned, *self.plants[plant + 1 :]), asked=plant)
 
     def at(self, way: ArrayLike) -> Row:
         """Return the row elsewhere, `way` (3,) from here [m]: where an arm has its base at -`way` in it."""

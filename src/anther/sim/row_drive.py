@@ -12,12 +12,12 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from anther.core.checks import check_range
 from anther.core.geometry import Array, Intrinsics, look_at, transform
+from anther.core.opencv import cv2
 from anther.sim.capture import CameraErrors, camera_errors, noisy_rgb, perturbed_hand_eye, pose_errors
 from anther.sim.render import Scene, d455
 from anther.sim.row import Row, row_scene

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
 from anther.core.geometry import Array, Box
+from anther.core.opencv import cv2
 from anther.sim.greenhouse import RGB, Painted
 from anther.sim.mesh import box, grid_faces, tube
 from anther.sim.plant import Organ

@@ -13,6 +13,7 @@ from __future__ import annotations
 import errno
 import fcntl
 import functools
+import importlib.util
 import json
 import os
 import platform
@@ -30,6 +31,7 @@ from typing import Any
 
 from anther.core.errors import AntherError, InputError, MissingExtra
 from anther.core.files import json_text, replacing, understood
+from anther.core.opencv import cv2
 from anther.history._jobs import Job
 
 TASKS, UNDER_WAY, RESULT = "tasks", "under_way", "task.json"
@@ -322,9 +324,8 @@ def _keep_to_one_thread(pinned: bool) -> None:
             f"worker on {socket.gethostname()}: has {worker.state.nthreads} threads; allowed: one a worker, as a task "
             "that kills its worker would take others with it. Start it with: dask worker --nthreads 1 --nworkers N"
         )
-    import cv2  # noqa: PLC0415
-
-    cv2.setNumThreads(1)
+    if importlib.util.find_spec("cv2"):
+        cv2.setNumThreads(1)
     if pinned and hasattr(os, "sched_setaffinity"):
         cores = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, {cores[int(worker.name) % len(cores)]})

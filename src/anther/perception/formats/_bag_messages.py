@@ -12,7 +12,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,6 +21,7 @@ from anther.core.compiling import numba
 from anther.core.errors import bad_input
 from anther.core.files import read_lines, understood
 from anther.core.geometry import Array, Intrinsics, inverse, transform_from_pose7
+from anther.core.opencv import cv2
 from anther.perception.formats._realsense_bag import unpacked
 from anther.perception.images import is_intact
 

@@ -14,7 +14,6 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,6 +22,7 @@ from anther.core.checks import check_array, check_range
 from anther.core.errors import InputError, bad_input
 from anther.core.files import LARGEST_TEXT, understood
 from anther.core.geometry import Array, Intrinsics, inverse
+from anther.core.opencv import cv2
 from anther.perception.capture import Capture, check_views
 from anther.perception.formats._matroska import Frame, Matroska, Track, read_matroska
 from anther.perception.formats.bags import (

@@ -15,7 +15,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -24,6 +23,7 @@ from anther.core.checks import check_range
 from anther.core.errors import bad_input
 from anther.core.files import existing, named_file, read_lines, understood, whole_file
 from anther.core.geometry import Array, Intrinsics, inverse, transform
+from anther.core.opencv import cv2
 from anther.perception.capture import PIXEL_CENTRE, Capture
 from anther.perception.cloud import Cloud
 from anther.perception.formats.clouds import RawPoints, checked_cloud, read_ply

@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from anther.core.checks import check_array
 from anther.core.errors import bad_input
 from anther.core.files import existing, named_file, read_object, understood
 from anther.core.geometry import Intrinsics
+from anther.core.opencv import cv2
 from anther.perception.capture import Capture, check_views
 from anther.perception.images import read_image
 

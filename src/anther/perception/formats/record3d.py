@@ -14,7 +14,6 @@ import zlib
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,6 +21,7 @@ from anther.core.checks import check_array
 from anther.core.errors import AntherError, MissingExtra, bad_input
 from anther.core.files import LARGEST, understood, whole_file
 from anther.core.geometry import Array, Intrinsics, transform_from_pose7
+from anther.core.opencv import cv2
 from anther.perception.capture import Capture
 from anther.perception.images import is_intact
 from anther.perception.transforms import OPENGL_TO_OPENCV, PIXEL_CENTRE, brought_to_one, check_views, same_shape

@@ -12,13 +12,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from anther.core.checks import check_array
 from anther.core.errors import StageFailure
 from anther.core.geometry import Box
+from anther.core.opencv import cv2
 from anther.core.records import Range, Record, Shape, Share, Stored
 from anther.perception.capture import Capture, View, in_threads
 from anther.perception.masks._cells import kinds

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from anther.core.opencv import cv2
 from anther.perception.capture import Capture
 from anther.perception.masks._light import GREEN, WHITE, YELLOW
 from anther.perception.masks._survey import Survey

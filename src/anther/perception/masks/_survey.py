@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from anther.core.geometry import Box, Intrinsics
+from anther.core.opencv import cv2
 from anther.perception.capture import Capture, in_threads, viewed_box
 from anther.perception.masks._light import GREEN, ColourRule, Light, green_rule, learned_rule
 from anther.perception.masks._voting import (

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from threading import Lock
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from anther.core.compiling import compiled, inlined, read_only
 from anther.core.geometry import Array, Box
+from anther.core.opencv import cv2
 from anther.perception.capture import View
 from anther.perception.masks._light import GREEN, GREEN_NO_DEPTH, OTHER, STEP, STEPS, WHITE, YELLOW, ColourRule
 

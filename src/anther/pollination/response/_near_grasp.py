@@ -9,12 +9,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from anther.core.errors import InputError
 from anther.core.geometry import Array, Intrinsics, inverse, transform_points
+from anther.core.opencv import cv2
 from anther.core.oscillation import fit_swing
 from anther.core.records import Range, Record, Shape
 from anther.pollination.response._following import without_outliers

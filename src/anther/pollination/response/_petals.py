@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from anther.core.geometry import Array
+from anther.core.opencv import cv2
 from anther.robot.devices import Frame
 
 Image = NDArray[np.float32]

@@ -9,11 +9,11 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from anther.core.geometry import Array, ComplexArray, Intrinsics, inverse, transform_points
+from anther.core.opencv import cv2
 from anther.core.oscillation import MUCH_ALIKE
 from anther.pollination.response._depth import depth_along
 from anther.pollination.response._following import placed

@@ -10,7 +10,6 @@ from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -21,6 +20,7 @@ from anther.core.choices import HandEyeMethod as Method
 from anther.core.errors import InputError, bad_input
 from anther.core.files import read_object, understood, write_json
 from anther.core.geometry import Array, Intrinsics, inverse, transform
+from anther.core.opencv import cv2
 from anther.core.records import Range, Record, Shape, decode, encode
 from anther.robot.calibration._intrinsics import LENS_SIZES
 from anther.robot.calibration._refinement import LEAST_PIXEL_NOISE, Noise, Problem, misfit, refine

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,6 +17,7 @@ from anther.core.checks import check_range
 from anther.core.errors import InputError, bad_input
 from anther.core.files import existing, number, read_json, read_rows
 from anther.core.geometry import Array, transform_from_pose7
+from anther.core.opencv import cv2
 from anther.core.records import Range, Record
 
 SPECS = (

@@ -9,13 +9,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from anther.core.errors import InputError, bad_input
 from anther.core.geometry import Array, Intrinsics, small_transform, transform_points
+from anther.core.opencv import cv2
 from anther.robot.calibration._inputs import LEAST_CORNERS, Board, explain_missing_board
 
 CELLS = (8, 6)

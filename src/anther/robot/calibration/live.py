@@ -15,7 +15,6 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -34,6 +33,7 @@ from anther.core.geometry import (
     transform_from_pose7,
     transform_points,
 )  # fmt: skip
+from anther.core.opencv import cv2
 from anther.robot.calibration import LOOSE, HandEye, calibrate
 from anther.robot.calibration._inputs import COLUMNS, Board, parse_board
 from anther.robot.calibration._intrinsics import read_intrinsics

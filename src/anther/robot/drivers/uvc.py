@@ -7,7 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,6 +14,7 @@ from anther.core.cameras import straightened, straightening
 from anther.core.checks import check_array, check_range
 from anther.core.errors import bad_input
 from anther.core.geometry import Intrinsics
+from anther.core.opencv import cv2
 from anther.robot.devices import DeviceError
 from anther.robot.drivers.free_running import FreeRunningCamera, Shot
 

@@ -13,7 +13,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from foxglove import Channel, Context, open_mcap
 from foxglove.mcap import MCAPWriteOptions
@@ -33,6 +32,7 @@ from foxglove.messages import LogLevel as Level
 
 from anther import __version__
 from anther.core.geometry import Array, Intrinsics, inverse, pose7, transform
+from anther.core.opencv import cv2
 from anther.perception.capture import Capture
 from anther.perception.cloud import Cloud
 from anther.perception.flowers import Flowers

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import cv2
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
+from anther.core.opencv import cv2
 from anther.perception.capture import Capture
 from anther.perception.masks import FLOWER, PLANT, Masks
 from anther.pollination.execution import Step
