@@ -14,7 +14,7 @@ pytest.importorskip("ortools", reason="OR-Tools is not installed: pip install 'a
 from anther.cli import row as command
 from anther.cli import row_visit, simulated_house
 from anther.cli.main import main
-from anther.core.errors import StageFailure
+from anther.core.errors import InputError, StageFailure
 from anther.core.runs import FILES
 from anther.history import Order, Report, count_trials, read_shift, read_stems
 from anther.history._jobs import Job
@@ -206,6 +206,19 @@ def test_a_stem_that_cannot_be_reached_is_a_visit_with_its_reason(tmp_path, monk
     page = (tmp_path / "run" / FILES["report"]).read_text()
     assert "row 1 left, hook 1" in page
     assert "the arm reaches two views" in page
+
+
+def test_views_that_cannot_be_worked_with_are_a_reason_and_no_end_of_the_shift(tmp_path, monkeypatch) -> None:
+    def unlike(*_: Any, **__: Any) -> Any:
+        raise InputError("plant size: got 0.01 m; allowed: 0.02 to 20. Look at the map.")
+
+    monkeypatch.setattr(row_visit, "build_row", unlike)
+    begin = datetime(2026, 6, 1, 10, tzinfo=UTC)
+    order = Order(1, "simulated 1", "tomato", "north 1 left 1", "north", "1", "left", 0, 0.4, begin, False)
+    row: Any = SimpleNamespace(seed=3)
+    visit = row_visit.visit_stem(row, order, str(tmp_path / "h.sqlite"), tmp_path / "run").visit
+    assert visit.failure == "no_plant_found"
+    assert "plant size" in (tmp_path / "run" / FILES["report"]).read_text()
 
 
 def test_many_houses_run_on_dask_each_with_its_history(call, capsys, monkeypatch) -> None:

@@ -49,6 +49,15 @@ def test_views_one_by_one_give_the_same_masks_and_cloud() -> None:
     np.testing.assert_array_equal(again.T_world_cam, whole.T_world_cam)
 
 
+def test_masks_that_networks_find_are_not_looked_for_by_colour() -> None:
+    capture = small_capture()
+    with IncomingViews(WORKSPACE, by_colour=False) as incoming:
+        for number in range(capture.views):
+            incoming.add(capture.view(number))
+        look = incoming.first_look(capture.views)
+    assert (len(look.observations), len(look.surfaces)) == (0, capture.views)
+
+
 @pytest.mark.parametrize("added", [0, 5, 7])
 def test_nothing_is_known_beforehand_of_other_views_than_were_added(added: int) -> None:
     """What takes views may leave one out afterwards."""

@@ -7,7 +7,7 @@ from datetime import timedelta
 from pathlib import Path
 
 from anther.cli.run_folder import finish, judge_done, note_parameters, note_times
-from anther.core.errors import StageFailure
+from anther.core.errors import InputError, StageFailure
 from anther.core.files import made_folder
 from anther.core.runs import Run
 from anther.history import Order, Report, earlier_shake, starting_material
@@ -54,6 +54,8 @@ def visit_stem(row: Row, order: Order, history: str, folder: Path, *, quiet: boo
             verdict = run.timed("judge", lambda _: judge_done(cell, done))
         except StageFailure as stopped:
             failure = stopped
+        except InputError as error:  # what the views show is not to be worked with: the next stem may be
+            failure = StageFailure("no_plant_found", str(error))
     visit = replace(
         summarise(visit, cell, done, verdict, failure),
         material_source=belief.source, material_reason=belief.reason, seconds=dict(run.seconds),

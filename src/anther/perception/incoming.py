@@ -27,11 +27,16 @@ class FirstLook:
 
 
 class IncomingViews:
-    """Looks at views in a thread beside what takes them. Use it in a `with`."""
+    """Looks at views in a thread beside what takes them. Use it in a `with`.
 
-    def __init__(self, workspace: Box) -> None:
-        self._workspace, self._pool = workspace, ThreadPoolExecutor(1)
-        self._looks = list[Future[tuple[masks.Observation, cloud.Surface]]]()
+    Args:
+        workspace: where the plant may be, world [m].
+        by_colour: whether `masks.segment` finds the masks; nothing is observed for other ways.
+    """
+
+    def __init__(self, workspace: Box, *, by_colour: bool = True) -> None:
+        self._workspace, self._by_colour, self._pool = workspace, by_colour, ThreadPoolExecutor(1)
+        self._looks = list[Future[tuple[masks.Observation | None, cloud.Surface]]]()
 
     def __enter__(self) -> IncomingViews:
         return self
@@ -49,7 +54,8 @@ class IncomingViews:
         if len(self._looks) != views:
             return FirstLook()
         observations, surfaces = zip(*(look.result() for look in self._looks), strict=True)
-        return FirstLook(observations, surfaces)
+        return FirstLook(tuple(found for found in observations if found is not None), surfaces)
 
-    def _look(self, view: View) -> tuple[masks.Observation, cloud.Surface]:
-        return masks.observed(view, self._workspace), cloud.surface(view, self._workspace)
+    def _look(self, view: View) -> tuple[masks.Observation | None, cloud.Surface]:
+        observed = masks.observed(view, self._workspace) if self._by_colour else None
+        return observed, cloud.surface(view, self._workspace)

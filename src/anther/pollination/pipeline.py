@@ -239,7 +239,8 @@ def pollinate(
         StageFailure: a stage before the execution cannot go on; its kind says why.
     """
     params = _as_carried(params, cell.odometry)
-    with CaptureWriter(run.path("capture")) as writer, IncomingViews(cell.workspace) as incoming:
+    looks = IncomingViews(cell.workspace, by_colour=find_masks is None)
+    with CaptureWriter(run.path("capture")) as writer, looks as incoming:
 
         def keep(view: View) -> None:  # it is written and looked at while the arm goes on to the next
             writer.add(view)
