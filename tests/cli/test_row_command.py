@@ -99,9 +99,8 @@ def test_both_stems_of_a_pepper_are_visited(call, capsys) -> None:
     visits = Drawn()
     assert call("row", "--simulate", "pepper", "--plants", "2", "--seed", "3", visits=visits) == 0
     assert "4 stems: 4 visited" in capsys.readouterr().out
-    strings = {
-        (order.side, plant, tuple(hook)) for order, plant, hook in zip(visits.orders, visits.asked, visits.hooks)
-    }
+    asked = zip(visits.orders, visits.asked, visits.hooks, strict=True)
+    strings = {(order.side, plant, tuple(hook)) for order, plant, hook in asked}
     assert len(strings) == 4
     assert {(side, plant) for side, plant, _ in strings} == {("left", 0), ("right", 0)}
 

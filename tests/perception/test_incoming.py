@@ -65,8 +65,11 @@ def test_nothing_is_known_beforehand_of_other_views_than_were_added(added: int) 
     assert (len(look.observations), len(look.surfaces)) == (0, 0)
 
 
-def test_a_trial_writes_and_looks_at_each_view_as_it_comes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    capture, given = small_capture(), list[FirstLook]()
+@pytest.mark.parametrize("odometry", [0.0, 0.01])
+def test_a_trial_writes_and_looks_at_each_view_as_it_comes(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, odometry: float
+) -> None:
+    capture, given = small_capture(), list[Any]()
 
     def take_views(advance: Any, keep: Keep) -> Capture:
         for number in range(capture.views):
@@ -74,12 +77,14 @@ def test_a_trial_writes_and_looks_at_each_view_as_it_comes(monkeypatch: pytest.M
         return capture
 
     def perceive(*arguments: Any) -> None:
-        given.append(arguments[-1])
+        given.extend(arguments)
         raise StageFailure("no_plant_found", "seen enough")
 
     monkeypatch.setattr(pipeline, "perceive", perceive)
-    cell: Any = SimpleNamespace(take_views=take_views, workspace=WORKSPACE)
+    cell: Any = SimpleNamespace(take_views=take_views, workspace=WORKSPACE, odometry=odometry)
     with Run(tmp_path, quiet=True) as run, pytest.raises(StageFailure, match="seen enough"):
         pipeline.pollinate(cell, TOMATO, run, pipeline.Params())
-    assert len(given[0].observations) == len(given[0].surfaces) == capture.views
+    params, look = given[3], given[-1]
+    assert params.cloud.registration.walk == odometry, "of the cart that carried the camera"
+    assert len(look.observations) == len(look.surfaces) == capture.views
     assert Capture.load(run.path("capture")).views == capture.views
