@@ -31,7 +31,7 @@ from typing import Literal
 import numpy as np
 from rich.console import RenderableType
 
-from anther.core import StageFailure
+from anther.core import InputError, StageFailure
 from anther.plant import Crop
 from anther.plant.limits import MOVED
 from anther.pollination import visit_row_stem
@@ -73,7 +73,10 @@ def one(row: Row, folder: Path) -> Row:
     except StageFailure as failure:
         return {"success": False, "failure": failure.kind, "message": str(failure)}
     hook, foot = mapped_string(grown, cell.world.arm)
-    found, done = performed(cell, lambda: visit_row_stem(cell.robot_side, case.species, hook, run, foot=foot))
+    try:
+        found, done = performed(cell, lambda: visit_row_stem(cell.robot_side, case.species, hook, run, foot=foot))
+    except InputError as error:  # what was seen is not to be worked with
+        return asdict(case) | {"success": False, "failure": "no_plant_found", "message": str(error)}
     log = cell.world.log()
     found |= touched(log) | {"string_pull": string_pull(cell.world, log), "plants": len(grown.plants)}
     found |= {"notes": notes(run)}

@@ -11,9 +11,9 @@ from anther.core.errors import StageFailure
 from anther.core.geometry import Array
 from anther.perception.cloud import Cloud
 from anther.perception.hanging import StringLine, find_hanging_stem
-from anther.perception.skeleton import skeletonize
+from anther.perception.skeleton import Skeleton, skeletonize
 from anther.plant.string import HeldString
-from anther.pollination.pipeline import Params, _hung
+from anther.pollination.pipeline import Params, _hung, _topped
 
 RADIUS = 0.005
 
@@ -104,3 +104,18 @@ def test_the_pipeline_takes_the_hook_unless_the_stem_is_named() -> None:
     assert named.stem.tip[2] > named.skeleton.root[2] + 0.4
     rooted = replace(hung, skeleton=replace(params.skeleton, root=(0.7, 0.0, 0.1)))
     assert _hung(cloud, rooted) == (cloud, rooted)
+
+
+def test_a_hanging_stem_ends_where_its_tree_does_though_more_of_it_is_seen() -> None:
+    z = np.linspace(0.0, 0.3, 31)
+    stem = np.stack([0.7 + 0 * z, 0 * z, z], axis=1)
+    leaf = np.array([[0.8, 0.0, 0.45]])  # higher, and beside the string's line
+    tree = Skeleton(np.vstack([stem, leaf]), np.arange(-1, 31), np.full(32, 0.005))
+    hung = replace(Params(), plant=replace(Params().plant, string=HeldString.of("tomato", (0.7, 0.0, 1.2))))
+
+    def tip(height: float) -> tuple[float, float, float] | None:
+        return _topped(tree, replace(hung, stem=replace(hung.stem, tip=(0.7, 0.0, height)))).stem.tip
+
+    assert tip(0.5) == pytest.approx((0.7, 0.0, 0.3))
+    assert tip(0.32) == (0.7, 0.0, 0.32)
+    assert _topped(tree, Params()) == Params()

@@ -157,6 +157,8 @@ def perceive(
         middle = None if workspace is None else (workspace.lower + workspace.upper) / 2
         shown, named = _hung(fused, params)
         tree = run.stage("skeleton", Skeleton.load, lambda _: skeleton.skeletonize(shown, named.skeleton, middle))
+        if params.stem.tip is None:
+            named = _topped(tree, named)
         centres = flowers.flower_centres(fused)
         main = run.stage("stem", Stem.load, lambda _: _main_stem(fused, tree, centres, named))
     found = run.stage("flowers", Flowers.load, lambda _: flowers.find_flowers(fused, tree, main, centres=centres))
@@ -175,6 +177,20 @@ def _hung(fused: Cloud, params: Params) -> tuple[Cloud, Params]:
     root, tip = (tuple(hung.axis[end].tolist()) for end in (0, -1))
     own = params.stem if params.stem.tip is not None else replace(params.stem, tip=tip)
     return hung.completed(fused), replace(params, skeleton=replace(params.skeleton, root=root), stem=own)
+
+
+def _topped(tree: Skeleton, params: Params) -> Params:
+    """Return the parameters with the hanging stem's tip on the tree: its top may be seen, and yet be no part of it."""
+    string, tip = params.plant.string, params.stem.tip
+    if string is None or tip is None:
+        return params
+    part = 0.03  # m: nearer, the tree has it, as thick as leaves hang about it
+    if np.linalg.norm(tree.nodes - tip, axis=1).min() < part:
+        return params
+    height = tree.nodes[:, 2]
+    along = np.linalg.norm(tree.nodes[:, :2] - string.line.at(height), axis=1) < string.line.stray(height)
+    top = tree.nodes[along][height[along].argmax()] if along.any() else tree.nodes[0]
+    return replace(params, stem=replace(params.stem, tip=tuple(top.tolist())))
 
 
 def _main_stem(fused: Cloud, tree: Skeleton, flowers_at: Array, params: Params) -> Stem:
