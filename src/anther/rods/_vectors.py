@@ -132,7 +132,7 @@ def mix(u: Vector, a: Vector, b: Vector, c: Vector) -> Vector:
     )
 
 
-@merged
+@inlined
 def dot(a: Vector, b: Vector) -> float:
     """Return a . b."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
@@ -194,7 +194,7 @@ def put(buffer: Any, row: int, lane: int, value: Any) -> None:
     buffer[row * LANES + lane] = value
 
 
-@merged
+@inlined
 def get3(buffer: Any, row: int, lane: int) -> Vector:
     """Return a vector from three rows."""
     return (buffer[row * LANES + lane], buffer[(row + 1) * LANES + lane], buffer[(row + 2) * LANES + lane])
@@ -207,7 +207,7 @@ def get6(buffer: Any, row: int, lane: int) -> Any:
     return (a[0], a[1], a[2], b[0], b[1], b[2])
 
 
-@merged
+@inlined
 def put3(buffer: Any, row: int, lane: int, v: Vector) -> None:
     """Write a vector to three rows."""
     buffer[row * LANES + lane] = v[0]

@@ -288,7 +288,8 @@ def _clearest_ring(line: _Line, cell: float, largest: float) -> tuple[float, Arr
         low, high = np.searchsorted(line.t, [middle - half, middle + half])
         some = line.xy[low:high]
         some = some[np.linalg.norm(some, axis=1) < 2 * largest + 2 * cell]
-        score, *found = clearest_ring(some[:: max(1, len(some) // most)], largest, cell)
+        fewer = np.ascontiguousarray(some[:: max(1, len(some) // most)])
+        score, *found = clearest_ring(fewer, max(int(largest / (0.5 * cell)), 1), 0.5 * cell)
         score *= max(1, len(some) // most)
         if score > best:
             best, at, ring = score, float(middle), np.array(found)

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
-from anther.core.compiling import compiled
+from anther.core.compiling import compiled, inlined
 from anther.core.geometry import Array
 from anther.perception.cloud._fusion import voxel_means
 
@@ -76,9 +73,9 @@ def _follow_pairs(points, chosen, grid, shortest, gap, order, lines, along):
     return found
 
 
-@compiled
-def _occupied(grid: NDArray[np.bool_], start: Array, along: Array, at: float) -> Any:
+@inlined
+def _occupied(grid, start, along, at):
     x, y, z = start[0] + at * along[0], start[1] + at * along[1], start[2] + at * along[2]
     if x < 0 or y < 0 or z < 0 or x >= grid.shape[0] or y >= grid.shape[1] or z >= grid.shape[2]:
         return False
-    return grid[int(x), int(y), int(z)]
+    return grid[np.int64(x), np.int64(y), np.int64(z)]

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 
-from anther.core.compiling import compiled
+from anther.core.compiling import compiled, inlined
 
 
 @compiled
-def clearest_ring(xy, largest, cell):
+def clearest_ring(xy, rings, pixel):
     """Return (score, x, y, radius) of the ring that points (N, 2) around a line show best [m].
 
-    The line runs on the ring or inside it. Of all such rings that one is taken on which points are, and beside which
-    none are: a matched filter, whose noise grows with the root of the ring's length.
+    The line runs on the ring or inside it. Of all such rings of up to `rings` pixels [m] that one is taken on which
+    points are, and beside which none are: a matched filter, whose noise grows with the root of the ring's length.
     """
-    pixel = 0.5 * cell
     best = (0.0, 0.0, 0.0, pixel)
-    for j in range(1, max(int(largest / pixel), 1) + 1):
+    for j in range(1, rings + 1):
         radius = j * pixel
         for share in (0.0, 0.5, 1.0):
-            turns = max(int(np.pi * share * j), 1)
+            turns = np.int64(np.pi * share * j)
+            turns = turns if turns > 1 else 1
             for k in range(turns):
                 x, y = share * radius * np.cos(2 * np.pi * k / turns), share * radius * np.sin(2 * np.pi * k / turns)
                 votes = 0.0
@@ -56,7 +56,7 @@ def follow(xy, first, start, ring, cell, gap, place, path, size, many, others):
         k = start
         while 0 <= k < count and hidden <= gap:
             points = xy[first[k] : first[k + 1]]
-            fx, fy, fr, on, beside = fitted_ring(points, x + dx, y + dy, radius, cell)
+            fx, fy, fr, on, beside = _fitted_ring(points, x + dx, y + dy, radius, cell)
             if on >= 3 and on >= 0.3 * usual:
                 if usual == 0.0:  # a rod stays as thick as it is where it begins
                     usual, radius = on, fr
@@ -73,8 +73,8 @@ def follow(xy, first, start, ring, cell, gap, place, path, size, many, others):
             k += way
 
 
-@compiled
-def fitted_ring(xy, x, y, radius, cell):
+@inlined
+def _fitted_ring(xy, x, y, radius, cell):
     """Return x, y and radius of the ring through points (N, 2) near a guess, how many are on it, and just outside."""
     on, beside = 0.0, 0.0
     r = radius
@@ -84,7 +84,8 @@ def fitted_ring(xy, x, y, radius, cell):
         on, beside = 0.0, 0.0
         for p in range(len(xy)):
             ux, uy = xy[p, 0] - x, xy[p, 1] - y
-            off = max(np.sqrt(ux * ux + uy * uy), 1e-9)
+            off = np.sqrt(ux * ux + uy * uy)
+            off = off if off > 1e-9 else 1e-9
             e = off - r
             if abs(e) > 0.7 * cell:
                 if 0.0 < e < 2.7 * cell:
@@ -111,5 +112,6 @@ def fitted_ring(xy, x, y, radius, cell):
         det = a00 * c00 + a01 * c01 + a02 * c02
         x += (c00 * b0 + c01 * b1 + c02 * b2) / det
         y += (c01 * b0 + c11 * b1 + c12 * b2) / det
-        r = max(r + (c02 * b0 + c12 * b1 + c22 * b2) / det, 0.1 * cell)
+        r += (c02 * b0 + c12 * b1 + c22 * b2) / det
+        r = r if r > 0.1 * cell else 0.1 * cell
     return x, y, r, on, beside
