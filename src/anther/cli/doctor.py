@@ -18,6 +18,7 @@ from packaging.requirements import Requirement
 from anther.cli.args.doctor import Args
 
 FOR = {
+    "images": "views of cameras: masks, clouds, row maps",
     "cell": "trials: an arm that moves, simulated or real",
     "view": "the 3-D viewer",
     "log": "the log of a trial, and its live view",

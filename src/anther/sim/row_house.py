@@ -153,9 +153,8 @@ class Block:
 
 TAG = 0.12
 """Edge of a tag's black square [m]: of 10 to 16 cm that one prints, a guess."""
-TAG_FAMILY = cv2.aruco.DICT_APRILTAG_36h11
 TAGS = 587
-"""How many there are of this family."""
+"""How many there are of the family 36h11."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -170,7 +169,8 @@ class Tag(Block):
 
     def painted(self) -> Painted:
         """Return its mesh: the tag's 8 x 8 cells and a white margin, a square each, on the plate's front."""
-        cells = cv2.aruco.generateImageMarker(cv2.aruco.getPredefinedDictionary(TAG_FAMILY), self.number, 8)
+        family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+        cells = cv2.aruco.generateImageMarker(family, self.number, 8)
         grey = np.pad(np.where(cells > 0, 235, 25), 1, constant_values=235)  # printed on matt paper: a guess
         (x, y, _), (_, left, top) = self.box.lower, self.box.upper
         step = (left - y) / len(grey)

@@ -130,14 +130,14 @@ class _Strip(NamedTuple):
     radius: float
     axis: Array
 
-    def cut(self, image: NDArray[Any], at: float, flags: int = cv2.INTER_LINEAR) -> NDArray[Any]:
+    def cut(self, image: NDArray[Any], at: float, *, blended: bool = True) -> NDArray[Any]:
         """Return the strip (rows along, columns across) about `at` pixels across from the centre."""
         (x, y), (n, m) = self.centre + at * self.across, self.half
         u, v = self.across, np.array([-self.across[1], self.across[0]])
         back = np.array([[u[0], v[0], x - n * u[0] - m * v[0]], [u[1], v[1], y - n * u[1] - m * v[1]]])
-        size = (2 * n + 1, 2 * m + 1)
+        size, how = (2 * n + 1, 2 * m + 1), cv2.INTER_LINEAR if blended else cv2.INTER_NEAREST
         return np.asarray(
-            cv2.warpAffine(image, back, size, flags=flags | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REPLICATE)
+            cv2.warpAffine(image, back, size, flags=how | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REPLICATE)
         )
 
 
@@ -158,7 +158,7 @@ def _strip(intrinsics: Intrinsics, place: Array, way: Array, radius: float) -> _
 
 def _followed(frames: Sequence[Frame], images: Sequence[NDArray[Any]], strip: _Strip) -> Array | None:
     """Return how far across the stem stands in each frame (T,) [px], NaN where lost; None where it is not seen."""
-    gap = np.abs(strip.cut(frames[0].depth, 0.0, cv2.INTER_NEAREST) - strip.depth)
+    gap = np.abs(strip.cut(frames[0].depth, 0.0, blended=False) - strip.depth)
     start = _stem_in((gap < DEPTH_REACH).mean(axis=0) > 0.5, strip)
     if start is None:
         return None

@@ -177,12 +177,7 @@ def _load(path: Path | str, kind: str, names: dict[str, str]) -> HandEye:
         return decode({name: stored[names.get(name, name)] for name in HandEye.__slots__}, HandEye)
 
 
-METHODS: dict[Method, int] = {
-    "tsai": cv2.CALIB_HAND_EYE_TSAI,
-    "park": cv2.CALIB_HAND_EYE_PARK,
-    "horaud": cv2.CALIB_HAND_EYE_HORAUD,
-    "daniilidis": cv2.CALIB_HAND_EYE_DANIILIDIS,
-}
+METHODS: tuple[Method, ...] = ("tsai", "park", "horaud", "daniilidis")
 """Tsai and Lenz 1989, Park and Martin 1994, Horaud and Dornaika 1995, Daniilidis 1999.
 
 Andreff is left out: its translation is unstable (facts: perception)."""
@@ -205,7 +200,7 @@ def closed_form(T_base_flange: Array, T_cam_board: Array, method: Method) -> tup
             t_gripper2base=list(flange[:, :3, 3]),
             R_target2cam=list(board[:, :3, :3]),
             t_target2cam=list(board[:, :3, 3]),
-            method=METHODS[method],
+            method=getattr(cv2, f"CALIB_HAND_EYE_{method.upper()}"),
         )
     except cv2.error:
         R = t = np.array(np.nan)

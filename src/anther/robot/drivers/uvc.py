@@ -47,7 +47,7 @@ class Uvc:
         latency: by which frames come after they were taken [s]: what exposure and cable take, unless the driver stamps
             frames itself (V4L2 does).
         clock: the robot's [s].
-        opener: cv2.VideoCapture, or what behaves like it.
+        opener: what behaves like cv2.VideoCapture; None: that.
 
     Raises:
         InputError: rate, lens or latency make no sense.
@@ -62,13 +62,14 @@ class Uvc:
         lens: tuple[float, ...] = (),
         latency: float = 0.0,
         clock: Callable[[], float] = time.monotonic,
-        opener: Callable[..., Any] = cv2.VideoCapture,
+        opener: Callable[..., Any] | None = None,
     ) -> None:
         if len(lens) not in (0, 4, 5, 8, 12, 14):
             raise bad_input("lens", given=f"{len(lens)} numbers", allowed="0, 4, 5, 8, 12 or 14", do="OpenCV's order.")
         self._rate = check_range("frame rate", rate, 0.1, 1000, "Hz")
         self._latency = check_range("latency", latency, 0, 2, "s")
-        self._source, self._clock, self._opener, self._intrinsics = source, clock, opener, intrinsics
+        self._source, self._clock, self._intrinsics = source, clock, intrinsics
+        self._opener = opener or cv2.VideoCapture
         self._maps = straightening("lens", intrinsics, check_array("lens", lens, (len(lens),)), "plumb_bob")
         self._is_file = not isinstance(source, int) and Path(source).is_file()
         self._no_depth = np.zeros((intrinsics.height, intrinsics.width), np.float32)
