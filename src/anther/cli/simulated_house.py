@@ -24,11 +24,10 @@ from anther.sim import Row, SimPlant, grow_row
 from anther.sim.row import FEWEST, MOST
 from anther.sim.row_cell import HOOK_ERROR
 from anther.sim.row_drive import BEYOND
+from anther.sim.row_plants import STRINGS
 
 LARGEST = -(-MOST * 3 // 5)
 """Plants that a side of a path can have: the near line of the largest row that is grown."""
-STRINGS: dict[Crop, int] = {"tomato": 1, "pepper": 2}
-"""Strings, hooks and stems of a plant."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +77,7 @@ class SimulatedHouse:
                 continue
             where = cast("Literal['left', 'right']", name)
             rng = np.random.default_rng([self.seed, 16, k, int(time.timestamp())])
-            plants = [side.asking(hook).worked for hook in range(len(side.hooks))]
+            plants = [side.row.plants[plant].turned_to(string) for plant, string in side.stems]
             looks = np.array([_looks(plant) for plant in plants])
             at = np.sort(np.array(side.hooks) + rng.normal(0, HOOK_ERROR, len(plants)))
             at = at + 1e-6 * np.arange(len(at))

@@ -20,7 +20,7 @@ from anther.sim.greenhouse import Painted, Setting, joined, leaves_at, shell
 from anther.sim.plant import Organ, SimPlant
 from anther.sim.render import Scene
 from anther.sim.row_house import CUBE, SLAB, TAGS, Measures, Part, Rod, Tag, draw_measures, installation, painted
-from anther.sim.row_plants import Place, high_wire_tomato, string_pepper
+from anther.sim.row_plants import STRINGS, Place, high_wire_tomato, string_pepper
 
 FEWEST, MOST = 3, 12
 """Plants in a row that is grown."""
@@ -128,7 +128,7 @@ def grow_row(
 
 def _line(m: Measures, crop: Crop, count: int, line: int, rng: np.random.Generator) -> list[Place]:
     """Return the places of the plants of a line of strings, 0 on the side of the path, in order along y."""
-    pitch = m.pitch * (2 if crop == "pepper" else 1)  # two stems a plant
+    pitch = m.pitch * STRINGS[crop]
     y = pitch * (np.arange(count) - (count - 1) / 2 + 0.5 * line)
     uneven = 0.03  # m, standard deviation of plants' places along the row: a guess
     y = y + np.clip(rng.normal(0, uneven, count), -pitch / 4, pitch / 4)

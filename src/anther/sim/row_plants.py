@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from anther.core.choices import Crop
 from anther.core.errors import StageFailure
 from anther.core.geometry import Array
 from anther.sim._settling import settle
@@ -91,6 +92,10 @@ HABIT: dict[str, dict[str, Spread]] = {
     },
 }
 """What is drawn of each plant."""
+
+
+STRINGS: dict[Crop, int] = {"tomato": 1, "pepper": 2}
+"""Strings of a plant, each with its own hook and stem."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -156,8 +156,10 @@ def hidden_share(c: Candidates, surface: Array) -> Array:
     _, first, back = np.unique(c.station, return_index=True, return_inverse=True)
     along = np.linspace(-0.012, 0.012, 7)[:, None]  # m, what the pads hold and a petiole beside
     line = c.points[first, None] + along * c.tangents[first, None]
-    near = 0.005  # m from the surface that the skeleton has, and how far the axis may be off
-    found = KDTree(surface).query(line, distance_upper_bound=0.05)[0] < c.radius[first, None] + near
+    reach = c.radius[first, None] + 0.005  # m from the surface that the skeleton has, and how far the axis may be off
+    ends, most = line.reshape(-1, 3), reach.max()
+    about = np.all((surface > ends.min(axis=0) - most) & (surface < ends.max(axis=0) + most), axis=1)
+    found = KDTree(surface[about]).query(line, distance_upper_bound=most)[0] < reach
     return 1 - found.mean(axis=1)[back]
 
 

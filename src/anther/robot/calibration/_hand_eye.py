@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -177,7 +177,7 @@ def _load(path: Path | str, kind: str, names: dict[str, str]) -> HandEye:
         return decode({name: stored[names.get(name, name)] for name in HandEye.__slots__}, HandEye)
 
 
-METHODS: tuple[Method, ...] = ("tsai", "park", "horaud", "daniilidis")
+METHODS: tuple[Method, ...] = get_args(Method)
 """Tsai and Lenz 1989, Park and Martin 1994, Horaud and Dornaika 1995, Daniilidis 1999.
 
 Andreff is left out: its translation is unstable (facts: perception)."""
