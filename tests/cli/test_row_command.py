@@ -127,7 +127,8 @@ def test_a_file_names_rows_and_hooks(call, tmp_path, capsys) -> None:
     assert call(*HOUSE, "--file", "north.toml", "--house", "north") == 0
     stems = read_stems("north")
     assert [(stem.row, stem.side) for stem in stems] == [("12", "left")] * 3
-    assert [stem.position for stem in stems] == pytest.approx([0.4, 0.8, 1.2], abs=0.05)
+    places = [stem.position for stem in stems]
+    assert places == pytest.approx([0.4, 0.8, 1.2], abs=0.1), "a quarter of a gap: odometry drifts by 5 cm on this way"
     assert "row 12 left, hook 3" in capsys.readouterr().out
 
 
