@@ -17,8 +17,7 @@ from anther.core.runs import Advance
 from anther.perception.capture import Capture, Keep
 from anther.robot.arm.model import ArmModel
 from anther.robot.arm.sawyer import SAWYER
-from anther.robot.arm.views import Params as ViewParams
-from anther.robot.arm.views import plan_views
+from anther.robot.arm.waiting import waiting_joints
 from anther.robot.devices import Tap, no_tap
 from anther.sim import cell as world
 from anther.sim.capture import Sight, camera_errors, capture_from_poses
@@ -115,7 +114,7 @@ def row_layout(row: Row, arm: ArmModel = SAWYER) -> Layout:
         region=box((-0.12, -0.15, -0.25), (0.12, 0.15, 0.35)),
         solids=(far, *solids[:-1]),
         pot=solids[-1] if solids else far,
-        arm_space=Box(np.array([other, -0.8, -0.6]), np.array([stems + 0.1, 0.8, 1.2])),
+        arm_space=Box(np.array([other, -0.8, -0.35]), np.array([stems + 0.1, 0.8, 1.2])),
         T_world_side_camera=look_at(eye, np.array([stems, 0.0, FLOWERS_Z])),
     )
 
@@ -166,12 +165,11 @@ def build_row(
 
 
 def _waits(place: Layout, arm: ArmModel) -> Array:
-    """Return joints (J,) [rad] at which the plant is before the arm and nothing in its way.
-
-    Of those from which its own camera could see the plant they are nearest to where it waits before a pot.
-    """
-    found = plan_views(place.region, place.solids, ViewParams(count=6, widest=50.0), arm=arm).joints
-    return found[np.argmin(np.abs(found - arm.waiting).max(axis=1))]
+    """Return joints (J,) [rad] at which the arm waits: out of most leaves, before the stem that is asked for."""
+    leaves, way_in = 0.25, 0.12  # m from where the straight way in begins, and its length
+    x, y, _ = (place.region.lower + place.region.upper) / 2
+    held = [(x, y, FLOWERS_Z - below) for below in (0.0, 0.1, 0.2, 0.3)]  # below the flowers
+    return waiting_joints(arm, held, (1.0, 0.0, 0.0), place.solids, before=way_in, back=leaves)
 
 
 def _in_wind(mujoco: world.Cell, scene: Scene, views: int) -> Sight:

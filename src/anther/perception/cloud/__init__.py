@@ -126,9 +126,10 @@ class Cloud(Stored):
         seen_through: share of what views judge of each other's points that they see through, 0..1, where that is more
             than right captures have (`_warnings.find_disagreement`); else 0.
         supports: strings, stakes, poles, whose points are not among `points` (`supports.find_supports`).
+        loose: (L, 3) of plants' surface that is seen connected to no plant [m]: mostly leaves before it.
     """
 
-    KIND, SCHEMA = "cloud", 4
+    KIND, SCHEMA = "cloud", 5
     points: Annotated[Array, Shape("N", 3), Range(unit="m"), UNSAVED]
     normals: Annotated[Array, Shape("N", 3), UNSAVED] | None = None
     colors: Annotated[NDArray[np.uint8], Shape("N", 3), UNSAVED] | None = None
@@ -141,6 +142,7 @@ class Cloud(Stored):
     footprint: Annotated[float, Range(unit="m")] | None = None
     seen_through: float = 0.0
     supports: tuple[Support, ...] = ()
+    loose: Annotated[Array, Shape("L", 3), Range(unit="m")] = field(default_factory=lambda: np.zeros((0, 3)))
 
     def _check(self) -> None:
         if self.labels is None:
@@ -155,8 +157,8 @@ class Cloud(Stored):
 
     @property
     def yielding(self) -> Array:
-        """(N, 3) points of what gives way [m]: the plant and strings."""
-        return np.concatenate([self.points, *(s.points for s in self.supports if s.soft)])
+        """(N, 3) points of what gives way [m]: plants, what is loose, and strings."""
+        return np.concatenate([self.points, self.loose, *(s.points for s in self.supports if s.soft)])
 
     def save(self, path: Path | str) -> None:
         """Write all points as binary PLY (labels as a vertex property) and the rest as .npz of the same name."""
@@ -242,7 +244,7 @@ def fuse(
         doubts = beside.submit(find_disagreement, capture, [p.points for p in pixels], poses, used)
         kept = attached_points(fused.points)
         notes += warn_of_cloud(fused.points, kept, box) + warn_of_coverage(fused.points[kept].mean(axis=0), poses[used])
-        fused = fused.only(kept)
+        loose, fused = fused.points[~kept], fused.only(kept)
         _require(len(fused.points), "connected points")
         report()
         obstacles = occupied_cells(*rest.result(), fused.points, obstacle_voxel)
@@ -260,6 +262,7 @@ def fuse(
         view_used=used,
         footprint=float(np.median(np.concatenate([p.points[:, 2] for p in pixels]))) / capture.intrinsics.fx,
         seen_through=through,
+        loose=loose,
     )
 
 

@@ -150,7 +150,8 @@ def plan_grasps(
         stem = replace(stem, arc_length=stem.arc_length * smaller)
         skeleton = replace(skeleton, nodes=skeleton.nodes * smaller, radius=skeleton.radius * smaller)
         supports = tuple(s.scaled(smaller) for s in cloud.supports)
-        cloud = replace(cloud, points=cloud.points * smaller, obstacles=cloud.obstacles * smaller, supports=supports)
+        lengths = {name: getattr(cloud, name) * smaller for name in ("points", "loose", "obstacles")}
+        cloud = replace(cloud, supports=supports, **lengths)
     ranking = _rank(stem, skeleton, cloud, params, toward_base=reach is not None)
     return [_enlarged(grasp, scale) for grasp in _first_reached(ranking, reach)]
 

@@ -93,7 +93,7 @@ def surroundings_of(stem: Stem, skeleton: Skeleton, cloud: Cloud) -> Surrounding
     fuzz = 0.004  # m: points this near the stem's surface are its own
     piece = 0.006  # m: leaves are counted as pieces of this size
     parts = [
-        (LEAF, free(thin_out(cloud.points[~is_flower], piece), fuzz)),
+        (LEAF, free(thin_out(np.concatenate([cloud.points[~is_flower], cloud.loose]), piece), fuzz)),
         (FLOWER_POINT, thin_out(cloud.points[is_flower], piece)),
         (BRANCH, branch_balls[:, :3]),
         (STEM, stem_balls[:, :3]),

@@ -240,7 +240,8 @@ class Planner:
             goal = self._back_out(q)[0]
         except StageFailure:
             return False
-        return self._search(self.home, goal, 0.2, self.search_step, 0) is not None
+        few = 3  # where more seeds are needed the way is long
+        return next(self._inner_paths(self.home, goal, 0.2, self.search_step, few), None) is not None
 
     def _join_places(self, start: Place, goal: Place) -> JointTrajectory:
         (begin, leave), (end, enter) = start, goal
@@ -273,8 +274,9 @@ class Planner:
 
     def _ways(self, start: Array, goal: Array, step: float) -> list[tuple[JointTrajectory, Array]]:
         """Return motions by the ways found, and the waypoints (N, J) of each; free as far as steps [rad] tell."""
+        enough = 3  # of which the quickest is improved
         tried = ((self._time_path(path, step) for path in paths) for paths in self._detours(start, goal, step))
-        ways = [way for some in tried if (way := next(filter(None, some), None))]
+        ways = list(islice((way for some in tried if (way := next(filter(None, some), None))), enough))
         rng = np.random.default_rng(0)
         for left in np.linspace(0.4, 0, 20, endpoint=False) if ways else ():  # [rad] of shift
             quickest, path = min(ways, key=lambda way: way[0].duration)
@@ -310,18 +312,28 @@ class Planner:
 
     def _is_free(self, path: Array, passed: Array, step: float) -> bool:
         """Return whether the flange stays within its space at joints (T, J) passed, and the path (N, J) is free."""
-        inside = self.space is None or bool(self.space.contains(self.arm.forward(passed)[:, :3, 3]).all())
-        return inside and self.world.path_free(path, step)
+        return self._inside(passed) and self.world.path_free(path, step)
+
+    def _inside(self, passed: Array) -> bool:
+        return self.space is None or bool(self.space.contains(self.arm.forward(passed)[:, :3, 3]).all())
 
     def _detours(self, start: Array, goal: Array, step: float) -> Iterator[tuple[Array, Array]]:
-        """Yield waypoints (N, J) of what RRT-Connect finds, shortened and as found, one a seed until it finds none."""
-        for seed in range(3):
-            found = self._search(start, goal, self._search_time, step, seed)
-            if found is None:
-                return
+        """Yield waypoints (N, J) of what RRT-Connect finds, shortened and as found, of a few seeds."""
+        for seed, found in islice(self._inner_paths(start, goal, self._search_time, step, 24), 4):
             cut = PathShortcuttingOptions(group_name=GROUP, max_step_size=step, max_iters=100, seed=seed)
             shorter = PathShortcutter(self.world.scene, cut).shortcut(found)
             yield np.array(shorter.positions), np.array(found.positions)
+
+    def _inner_paths(
+        self, start: Array, goal: Array, seconds: float, step: float, seeds: int
+    ) -> Iterator[tuple[int, JointPath]]:
+        """Yield seeds and what they find within the flange's space, of which the search itself knows nothing."""
+        for seed in range(seeds):
+            found = self._search(start, goal, seconds, step, seed)
+            if found is None:
+                return
+            if self._inside(_dense(np.array(found.positions))):
+                yield seed, found
 
     def _search(self, start: Array, goal: Array, seconds: float, step: float, seed: int) -> JointPath | None:
         """Return a path by RRT-Connect, checked at `step` [rad] only, or None."""
@@ -361,6 +373,13 @@ class Planner:
             raise StageFailure("collision", f"the flange at {at} m is not free, nor straight behind it.")
         way = path[: free[-1] + 1]
         return way[-1], motions.along_line(self.arm, way, free[-1] * self._line_step, self.params.approach_speed)
+
+
+def _dense(path: Array) -> Array:
+    """Return joints (T, J) along the straight ways between waypoints (N, J)."""
+    between = np.linspace(0, 1, 16, endpoint=False)[None, :, None]
+    ways = path[:-1, None] + between * np.diff(path, axis=0)[:, None]
+    return np.concatenate([ways.reshape(-1, path.shape[1]), path[-1:]])
 
 
 def shake_limit(arm: ArmModel, q: ArrayLike, direction: ArrayLike, frequencies: ArrayLike) -> Array:
