@@ -124,7 +124,8 @@ def grips_of(species: Crop, seed: int) -> Iterator[Grip]:
     """Yield a plant's grips at `HEIGHTS`."""
     truth = truth_of("wide", seed)
     it = known_plant.known(species, seed, truth, "fast", looks(truth))
-    pose, points = layout(USUAL_DISTANCE).T_world_side_camera, watch_points(it.model)
+    pose = layout(USUAL_DISTANCE).T_world_side_camera
+    points = watch_points(it.model, camera=(SIDE, pose), surface=it.seen.cloud.points)
     image, watched = Scene.of_plant(it.plant).render(SIDE, pose), it.model.rods.nodes[points]
     at = sight(Frame(0.0, image.rgb, image.depth), SIDE, pose, it.seen.flowers.positions, watched)
     rng = np.random.default_rng(seed)

@@ -31,11 +31,11 @@ from typing import Literal
 import numpy as np
 from rich.console import RenderableType
 
-from anther.core import InputError, StageFailure
+from anther.core import StageFailure
 from anther.plant import Crop
 from anther.plant.limits import MOVED
 from anther.pollination import visit_row_stem
-from anther.sim import build_row, grow_row, mapped_string
+from anther.sim import build_row, grow_row, mapped_others, mapped_string
 from anther.sim.cell import BENCH, NEIGHBOUR, POT, CellLog
 from anther.sim.judge import LETS_GO, string_pull
 from evaluation.harness import CROPS, Row, by_turns, failed, finish, options, run_cases
@@ -72,11 +72,10 @@ def one(row: Row, folder: Path) -> Row:
         cell = build_row(grown, truth=truth_of(case.truth, case.seed))
     except StageFailure as failure:
         return {"success": False, "failure": failure.kind, "message": str(failure)}
-    hook, foot = mapped_string(grown, cell.world.arm)
-    try:
-        found, done = performed(cell, lambda: visit_row_stem(cell.robot_side, case.species, hook, run, foot=foot))
-    except InputError as error:  # what was seen is not to be worked with
-        return asdict(case) | {"success": False, "failure": "no_plant_found", "message": str(error)}
+    (hook, foot), others = mapped_string(grown, cell.world.arm), mapped_others(grown, cell.world.arm)
+    found, done = performed(
+        cell, lambda: visit_row_stem(cell.robot_side, case.species, hook, run, foot=foot, others=others)
+    )
     log = cell.world.log()
     found |= touched(log) | {"string_pull": string_pull(cell.world, log), "plants": len(grown.plants)}
     found |= {"notes": notes(run)}

@@ -10,6 +10,7 @@ import pytest
 from made_foresight import ALONG, AXES, FLOWERS, KINDS, POINTS, TONES, World, lines_across, made_foresight
 from sample_plants import branched
 
+from anther.core.geometry import Intrinsics, look_at
 from anther.plant.limits import stalk_strain
 from anther.plant.model import TOMATO, build_plant
 from anther.pollination import decision
@@ -538,6 +539,24 @@ def test_the_points_that_are_watched_lie_far_from_each_other_and_on_no_stalk() -
     for n in range(1, 8):
         gap = np.linalg.norm(places[others, None] - places[chosen[:n]], axis=2).min(axis=1)
         assert np.linalg.norm(places[chosen[n]] - places[chosen[:n]], axis=1).min() == pytest.approx(gap.max())
+
+
+def test_points_are_watched_where_the_camera_sees_them() -> None:
+    """A camera that sees the upper half is shown nodes of the upper half, and none behind a wall; of few, any are."""
+    skeleton, stem, flowers = branched()
+    plant = build_plant(skeleton, stem, flowers, None, TOMATO)
+    places = plant.rods.nodes
+    middle = places.mean(axis=0)
+    pose, lens = look_at(middle - [0.5, 0, 0], middle), Intrinsics(200, 200, 200.0, 200.0, 99.5, 199.5)
+    chosen = watch_points(plant, most=30, camera=(lens, pose))
+    assert len(chosen) > 12
+    assert places[chosen, 2].min() > middle[2] - 0.01
+    aside, up = np.meshgrid(np.arange(0.004, 0.5, 0.001), np.arange(-0.5, 0.5, 0.001))
+    wall = middle + np.column_stack([np.full(aside.size, -0.3), aside.ravel(), up.ravel()])
+    seen = watch_points(plant, most=30, camera=(lens, pose), surface=wall)
+    assert places[chosen, 1].max() > middle[1] + 0.01 > places[seen, 1].max()
+    everything = watch_points(plant, most=30, camera=(lens, look_at(middle - [0.5, 0, 0], middle - [1.0, 0, 0])))
+    assert np.array_equal(everything, watch_points(plant, most=30))
 
 
 def springy(motors: np.ndarray, tones: np.ndarray, deviates: np.ndarray) -> np.ndarray:

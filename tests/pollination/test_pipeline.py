@@ -141,12 +141,13 @@ def test_a_watched_shake_ends_within_what_the_cell_allows(
 ) -> None:
     """Else the guard would end it in the middle; where there is no time to look, the plan alone is done."""
     monkeypatch.setattr(pipeline, "foresee", lambda *_, **__: None)
-    monkeypatch.setattr(pipeline, "watch_points", lambda _: [0])
+    monkeypatch.setattr(pipeline, "watch_points", lambda _, **__: [0])
     monkeypatch.setattr(pipeline, "_grip_motion", lambda *_: None)
     monkeypatch.setattr(pipeline, "Escalation", lambda *_, params, **__: params)
     robot = SimpleNamespace(side_camera=SimpleNamespace(intrinsics=None), T_world_side_camera=np.eye(4))
     cell: Any = SimpleNamespace(robot=robot, limits=replace(LIMITS, shake_duration=allowed))
-    seen: Any = SimpleNamespace(flowers=SimpleNamespace(positions=np.zeros((2, 3))))
+    cloud = SimpleNamespace(points=np.zeros((0, 3)))
+    seen: Any = SimpleNamespace(flowers=SimpleNamespace(positions=np.zeros((2, 3))), cloud=cloud)
     rods: Any = SimpleNamespace(rods=SimpleNamespace(nodes=np.zeros((1, 3))))
     made: Any = pipeline._watching(cell, cast(Any, None), rods, made_plan(), seen, pipeline.Params())
     assert (None if isinstance(made, str) else made.most_seconds) == lasts

@@ -7,7 +7,7 @@ from datetime import timedelta
 from pathlib import Path
 
 from anther.cli.run_folder import finish, judge_done, note_parameters, note_times
-from anther.core.errors import InputError, StageFailure
+from anther.core.errors import StageFailure
 from anther.core.files import made_folder
 from anther.core.runs import Run
 from anther.history import Order, Report, earlier_shake, starting_material
@@ -15,7 +15,7 @@ from anther.plant.visit import Visit
 from anther.pollination import visit_row_stem
 from anther.show.results import EXECUTED, SUMMARY
 from anther.show.summary import summarise
-from anther.sim import STEM_TO_STEM, Row, build_row, mapped_string
+from anther.sim import STEM_TO_STEM, Row, build_row, mapped_others, mapped_string
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,15 +47,15 @@ def visit_stem(row: Row, order: Order, history: str, folder: Path, *, quiet: boo
         try:
             cell = run.timed("cell", lambda _: build_row(row, visit=int(order.begin.timestamp()) % 2**20))
             hook, foot = mapped_string(row)
+            believed = belief.material
             done = visit_row_stem(
-                cell.robot_side, row.crop, hook, run, foot=foot, material=belief.material, earlier=earlier
-            )
+                cell.robot_side, row.crop, hook, run, foot=foot, others=mapped_others(row), material=believed,
+                earlier=earlier,
+            )  # fmt: skip
             done.shake.save(folder / EXECUTED)
             verdict = run.timed("judge", lambda _: judge_done(cell, done))
         except StageFailure as stopped:
             failure = stopped
-        except InputError as error:  # what the views show is not to be worked with: the next stem may be
-            failure = StageFailure("no_plant_found", str(error))
     visit = replace(
         summarise(visit, cell, done, verdict, failure),
         material_source=belief.source, material_reason=belief.reason, seconds=dict(run.seconds),

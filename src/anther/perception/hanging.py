@@ -26,10 +26,12 @@ class StringLine:
     Attributes:
         hook: (3,) where it hangs [m].
         foot: (3,) where the stem rises, below the hook but not plumb where strings slant [m]; None: plumb.
+        others: the lines of strings beside it, on which other stems hang.
     """
 
     hook: ArrayLike
     foot: ArrayLike | None = None
+    others: tuple[StringLine, ...] = ()
 
     def at(self, height: Array) -> Array:
         """Return where the string passes heights (N,) [m]: (N, 2) [m]."""
@@ -44,6 +46,22 @@ class StringLine:
         """
         below = np.asarray(self.hook)[2] - np.asarray(height, dtype=np.float64)
         return np.maximum(0.05, 0.08 * below) if self.foot is None else np.full_like(below, 0.08)
+
+    def is_nearest(self, points: Array) -> NDArray[np.bool_]:
+        """Return which points (N, 3) [m] are not nearer to another string than to this one.
+
+        Where two strings are closer than a map can tell them apart, which is so at the foot that two stems share, they
+        may be either's.
+        """
+        apart = 0.06  # m: three times what a map errs by
+        height, mine = points[:, 2], self.at(points[:, 2])
+        off, own = np.linalg.norm(points[:, :2] - mine, axis=1), np.ones(len(points), dtype=bool)
+        for line in self.others:
+            other = line.at(height)
+            own &= (off <= np.linalg.norm(points[:, :2] - other, axis=1)) | (
+                np.linalg.norm(mine - other, axis=1) < apart
+            )
+        return own
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,6 +103,7 @@ def find_hanging_stem(cloud: Cloud, string: StringLine) -> HangingStem:
     stray = float(string.stray(cloud.points[:, 2].min(initial=z)))
     beside = cloud.points[:, :2] - string.at(cloud.points[:, 2])
     near = (cloud.labels != FLOWER) & (np.abs(beside) < stray).all(axis=1)
+    near[near] = string.is_nearest(cloud.points[near])
     points, beside = cloud.points[near], beside[near]
     upright = np.ones(len(points)) if cloud.normals is None else 1 - np.abs(cloud.normals[near, 2])
     enough = 10.0  # points in 3 x 3 cells: a fifth of what one side of a stem of 10 mm shows in voxels of 1.5 mm

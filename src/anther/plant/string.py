@@ -26,6 +26,11 @@ TENSION = {"tomato": Believed.between(40.0, 60.0), "pepper": Believed.between(8.
 """Pull of a string at its hook [N] (facts: rows 0 and D, 4 to 6 kg hang on a tomato's); of a pepper's stem a guess."""
 
 
+Place = tuple[float, float, float]
+Ends = tuple[ArrayLike, ArrayLike | None]
+"""Where a string hangs and where its stem rises, (3,) each [m]; None: plumb below."""
+
+
 @dataclass(frozen=True, slots=True)
 class HeldString(Record):
     """The string of the asked stem, as far as it is known before anything is seen.
@@ -36,6 +41,7 @@ class HeldString(Record):
         tension: of it [N].
         tension_spread: of that [-].
         stretching: EA [N], of twine of 2 mm: a guess.
+        others: hook and foot of each string beside it, on which other stems hang [m]; a foot may be None as well.
     """
 
     CALLED = "string"
@@ -44,6 +50,7 @@ class HeldString(Record):
     tension: Annotated[float, Range(0, 1e3, "N")] = TENSION["tomato"].median
     tension_spread: Spread = TENSION["tomato"].spread
     stretching: Annotated[float, Range(1, 1e6, "N")] = 1500.0
+    others: tuple[tuple[Place, Place | None], ...] = ()
 
     def _check(self) -> None:
         if self.foot is not None and not self.foot[2] < self.hook[2]:
@@ -51,15 +58,16 @@ class HeldString(Record):
             raise bad_input("string", given=given, allowed="a foot below its hook", do="Look at the map.")
 
     @classmethod
-    def of(cls, crop: Crop, hook: ArrayLike, foot: ArrayLike | None = None) -> Self:
-        """Return what is believed of the string of a crop's stem: hook and foot (3,) [m], see there."""
-        ends = (None if end is None else tuple(np.asarray(end, dtype=np.float64).tolist()) for end in (hook, foot))
-        return cls(*ends, TENSION[crop].median, TENSION[crop].spread)  # type: ignore[arg-type]
+    def of(cls, crop: Crop, hook: ArrayLike, foot: ArrayLike | None = None, others: Sequence[Ends] = ()) -> Self:
+        """Return what is believed of the string of a crop's stem: hook and foot (3,) [m], and others', see there."""
+        hook_, foot_ = _place(hook), None if foot is None else _place(foot)
+        beside = tuple((_place(one), None if end is None else _place(end)) for one, end in others)
+        return cls(hook_, foot_, TENSION[crop].median, TENSION[crop].spread, others=beside)
 
     @property
     def line(self) -> StringLine:
         """Where it runs, by the map."""
-        return StringLine(self.hook, self.foot)
+        return StringLine(self.hook, self.foot, tuple(StringLine(*ends) for ends in self.others))
 
     def support(self, node: int, nodes: Array, factor: float = 1.0) -> Support:
         """Return the pull on one of a stem's nodes (N, 3) [m], whose foot is the first, `factor` times as hard.
@@ -70,6 +78,11 @@ class HeldString(Record):
         length = max(self.hook[2] - nodes[node, 2], least_height)
         along = nodes[node] - nodes[0]
         return Support.string(node, length / np.linalg.norm(along) * along, factor * self.tension, self.stretching)
+
+
+def _place(values: ArrayLike) -> Place:
+    x, y, z = np.asarray(values, dtype=np.float64).tolist()
+    return x, y, z
 
 
 def straightened(skeleton: Skeleton, stem: Stem, flowers: Flowers, hold: int) -> tuple[Skeleton, Flowers]:

@@ -418,7 +418,7 @@ def _watching(
         return f"the cell's shake_duration is less than the {SHORTEST:g} s that watching takes"
     if not len(seen.flowers.positions):
         return "no flower was found that could be watched"
-    points = watch_points(rods)
+    points = watch_points(rods, camera=(camera.intrinsics, pose), surface=seen.cloud.points)
     pressing = float(cell.limits.pressing.most(plan.grasp.stem_diameter))
     return Escalation(
         replace(plan, press=max(plan.press, pressing)),

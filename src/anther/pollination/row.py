@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from numpy.typing import ArrayLike
 
 from anther.core.choices import Crop
+from anther.core.errors import InputError, StageFailure
 from anther.core.runs import Run
 from anther.plant.belief import EarlierShake
 from anther.plant.model import PEPPER, TOMATO, Material
-from anther.plant.string import HeldString
+from anther.plant.string import Ends, HeldString
 from anther.pollination.pipeline import Done, FindMasks, Params, pollinate
 from anther.robot.cell import Cell
 
@@ -23,6 +25,7 @@ def visit_row_stem(
     params: Params | None = None,
     *,
     foot: ArrayLike | None = None,
+    others: Sequence[Ends] = (),
     material: Material | None = None,
     find_masks: FindMasks | None = None,
     earlier: EarlierShake | None = None,
@@ -38,6 +41,7 @@ def visit_row_stem(
         run: keeps what each stage makes.
         params: of the stages.
         foot: (3,) where the stem rises, by the map, in the frame of the cell [m]; None: plumb below its hook.
+        others: hook and foot of the strings beside it, by the map: what hangs there is another stem.
         material: what is believed of this plant, if it was visited before.
         find_masks, earlier: see `pollinate`.
 
@@ -45,6 +49,9 @@ def visit_row_stem(
         StageFailure: a stage before the execution cannot go on; its kind says why.
     """
     params = params or Params()
-    hung = replace(params, plant=replace(params.plant, string=HeldString.of(crop, hook, foot)))
+    hung = replace(params, plant=replace(params.plant, string=HeldString.of(crop, hook, foot, others)))
     believed = material or (PEPPER if crop == "pepper" else TOMATO)
-    return pollinate(cell, believed, run, hung, find_masks, earlier)
+    try:
+        return pollinate(cell, believed, run, hung, find_masks, earlier)
+    except InputError as error:  # what the views show is not to be worked with
+        raise StageFailure("no_plant_found", str(error)) from error

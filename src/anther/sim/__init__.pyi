@@ -6,7 +6,7 @@ from .plant import Organ, SimPlant
 from .render import Scene
 from .robot import robot_of
 from .row import Row, grow_row, row_scene
-from .row_cell import build_row, mapped_string
+from .row_cell import build_row, mapped_others, mapped_string
 from .row_drive import STEM_TO_STEM, Drive, drive_past
 from .simulated_cell import SimulatedCell, build, grow, layout, photograph, views_at
 from .tomato import grow_tomato
@@ -38,6 +38,7 @@ __all__ = [
     "grow_row",
     "grow_tomato",
     "layout",
+    "mapped_others",
     "mapped_string",
     "orbit_poses",
     "photograph",

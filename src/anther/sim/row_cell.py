@@ -24,7 +24,7 @@ from anther.sim.capture import Sight, camera_errors, capture_from_poses
 from anther.sim.render import Scene
 from anther.sim.row import Row, row_scene
 from anther.sim.row_drive import BETWEEN_VIEWS, drive_up
-from anther.sim.row_plants import held_by_string
+from anther.sim.row_plants import STRINGS, held_by_string
 from anther.sim.simulated_cell import Layout, SimulatedCell, around, usual_distance
 from anther.sim.sway import calm_time
 from anther.sim.true_plant import as_true
@@ -62,6 +62,20 @@ def mapped_string(row: Row, arm: ArmModel = SAWYER) -> tuple[Array, Array]:
     return hooks[row.asked], feet[row.asked]
 
 
+def mapped_others(row: Row, arm: ArmModel = SAWYER) -> list[tuple[Array, Array]]:
+    """Return hook and foot (3,) of every other string of the near line, as `mapped_string` does of the asked one."""
+    row = before_arm(row, arm)
+    (_, feet), found = _mapped_strings(row), list[tuple[Array, Array]]()
+    error = np.random.default_rng([row.seed, 20]).normal(0, HOOK_ERROR, (row.near, max(STRINGS.values()), 2))
+    for plant in range(row.near):
+        for string, twine in enumerate(row.plants[plant].twines):
+            if (plant, string) != (row.asked, 0):
+                hook = twine.hook + np.append(error[plant, string], 0.0)
+                foot = feet[plant] if row.crop == "pepper" else np.append(hook[:2], feet[plant, 2])
+                found.append((hook, foot))
+    return found
+
+
 def _mapped_strings(row: Row) -> tuple[Array, Array]:
     """Return where the map says that every plant's string hangs and its stem rises (P, 3), in the row's frame [m]."""
     rng = np.random.default_rng([row.seed, 16])
@@ -97,7 +111,8 @@ def row_layout(row: Row, arm: ArmModel = SAWYER) -> Layout:
     """Return where things are around an arm before a row (`before_arm`), all in its base frame.
 
     The other side of the path is kept clear of, and so are posts, pipes, wires and gutters within reach, and hooks and
-    other stems where the map has them: no camera looks at all of them. The side camera is on the cart.
+    other stems where the map has them: no camera looks at all of them. Nor does one look at the leaves above and
+    below the workspace: the flange stays out of there. The side camera is on the cart.
     """
     stems = row.origin[0] + row.measures.near
     other = row.origin[0] - row.measures.corridor / 2
@@ -108,13 +123,14 @@ def row_layout(row: Row, arm: ArmModel = SAWYER) -> Layout:
     def box(lower: tuple[float, float, float], upper: tuple[float, float, float]) -> Box:
         return Box(np.array([stems, 0, 0]) + lower, np.array([stems, 0, 0]) + upper)
 
+    workspace = box((-0.30, -0.30, -0.35), (0.25, 0.30, 0.60))
     eye = np.array([stems - 0.45, -0.30, FLOWERS_Z + 0.05])
     return Layout(
-        workspace=box((-0.30, -0.30, -0.35), (0.25, 0.30, 0.60)),
+        workspace=workspace,
         region=box((-0.12, -0.15, -0.25), (0.12, 0.15, 0.35)),
         solids=(far, *solids[:-1]),
         pot=solids[-1] if solids else far,
-        arm_space=Box(np.array([other, -0.8, -0.35]), np.array([stems + 0.1, 0.8, 1.2])),
+        arm_space=Box(np.array([other, -0.8, workspace.lower[2]]), np.array([stems + 0.1, 0.8, workspace.upper[2]])),
         T_world_side_camera=look_at(eye, np.array([stems, 0.0, FLOWERS_Z])),
     )
 

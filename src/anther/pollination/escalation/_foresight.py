@@ -11,9 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.core.geometry import Array, ComplexArray
+from anther.core.geometry import Array, ComplexArray, Intrinsics, inverse, transform_points
 from anther.plant.model import PlantModel
 from anther.pollination.decision import Answer
+from anther.pollination.response.points import NEAR
 from anther.pollination.shake.observables import semi_major
 from anther.pollination.shake.pads import PADS, Pads, friction_force, grip_rows, pad_nodes
 from anther.pollination.shake.search import held_radius, motions, scenarios
@@ -97,16 +98,49 @@ def foresee(
     return Foresight(frequencies, vectors, where, float(held_radius(plant, grip)[0]), pads.width)
 
 
-def watch_points(plant: PlantModel, most: int = 60) -> NDArray[np.int64]:
-    """Return up to so many nodes of stem, branches and leaves that lie far from each other: farthest first."""
+def watch_points(
+    plant: PlantModel, most: int = 60, *, camera: tuple[Intrinsics, Array] | None = None, surface: Array | None = None
+) -> NDArray[np.int64]:
+    """Return up to so many nodes of stem, branches and leaves that lie far from each other: farthest first.
+
+    Args:
+        plant: its model.
+        most: how many.
+        camera: intrinsics and T_world_cam (4, 4) of the one that watches: nodes that it sees; None: any nodes. Where it
+            sees fewer than it takes to judge a shake, any as well.
+        surface: (N, 3) of what may hide nodes from it, world [m].
+    """
     stalks = plant.is_pedicel | np.isin(np.arange(len(plant.is_pedicel)), plant.flower_nodes)
     nodes = np.flatnonzero(~stalks)
-    places = plant.rods.nodes[nodes]
+    places, few = plant.rods.nodes[nodes], 12
+    if camera is not None:
+        seen = _in_sight(places, places[:0] if surface is None else surface, *camera)
+        if seen.sum() >= few:
+            nodes, places = nodes[seen], places[seen]
     chosen, gap = [0], np.linalg.norm(places - places[0], axis=1)
     while len(chosen) < min(most, len(nodes)):
         chosen.append(int(gap.argmax()))
         gap = np.minimum(gap, np.linalg.norm(places - places[chosen[-1]], axis=1))
     return nodes[chosen]
+
+
+def _in_sight(points: Array, surface: Array, intrinsics: Intrinsics, T_world_cam: Array) -> NDArray[np.bool_]:
+    """Return which points (N, 3) are in a camera's picture, and behind none of a surface's points (M, 3) [m]."""
+    cell = 4  # px: a cloud's points are nearer to each other
+    shape = (intrinsics.height // cell + 1, intrinsics.width // cell + 1)
+
+    def shown(places: Array) -> tuple[NDArray[np.intp], Array, NDArray[np.bool_]]:
+        own = transform_points(inverse(T_world_cam), places)
+        pixels = intrinsics.project(np.where(own[:, 2:] > NEAR, own, 1.0))
+        inside = np.all((pixels >= 0) & (pixels < [intrinsics.width, intrinsics.height]), axis=1)
+        column, row = np.where(inside[:, None], pixels // cell, 0).astype(np.intp).T
+        return np.ravel_multi_index((row, column), shape), own[:, 2], inside & (own[:, 2] > NEAR)
+
+    nearest = np.full(shape[0] * shape[1], np.inf)
+    at, depth, inside = shown(surface)
+    np.minimum.at(nearest, at[inside], depth[inside])
+    at, depth, inside = shown(points)
+    return inside & (depth < nearest[at] + NEAR)
 
 
 def update_members(
