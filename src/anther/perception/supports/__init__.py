@@ -189,17 +189,29 @@ class _Rod:
 
     def cylinder(self, points: Array) -> tuple[Array, Array]:
         """Return how far along the line points (N, 3) are, in sections, and how far from the axis [m]."""
-        rel = points - self.start
-        t, xy = rel @ self.along / self.step, rel @ self.across.T
+        t, x, y = self._placed(points)
+        return t, self._off(t, x, y)
+
+    def _placed(self, points: Array) -> tuple[Array, Array, Array]:
+        """Return how far along the line points (N, 3) are, in sections, and where across it [m]."""
+        frame = np.stack([self.along / self.step, *self.across])
+        t, x, y = frame @ points.T - (frame @ self.start)[:, None]
+        return t, x, y
+
+    def _off(self, t: Array, x: Array, y: Array) -> Array:
         at = [np.interp(t, np.arange(len(self.aside)), column) for column in self.aside.T]
-        return t, np.hypot(xy[:, 0] - at[0], xy[:, 1] - at[1])
+        return np.hypot(x - at[0], y - at[1])
 
     def holds(self, points: Array, cell: float) -> NDArray[np.bool_]:
         """Return which points (N, 3) are its own: within a cell of its surface, half of one where others touch it."""
-        t, off = self.cylinder(points)
+        t, x, y = self._placed(points)
+        end, most = cell / self.step, float(np.abs(self.aside).max()) + self.radius + cell
+        near = (t > -end) & (t < len(self.alone) + end) & (np.abs(x) < most) & (np.abs(y) < most)
+        maybe = np.flatnonzero(near)
+        t, off = t[maybe], self._off(t[maybe], x[maybe], y[maybe])
         margin = np.where(self.alone[np.clip(t.astype(int), 0, len(self.alone) - 1)], cell, 0.5 * cell)
-        end = cell / self.step
-        return (off < self.radius + margin) & (t > -end) & (t < len(self.alone) + end)
+        near[maybe] = off < self.radius + margin
+        return near
 
     def near(self, lines: Array, cell: float) -> NDArray[np.bool_]:
         """Return which lines (L, 2, 3) run within the rod or along its surface."""
@@ -258,15 +270,16 @@ class _Line:
         length = float(np.linalg.norm(ends[1] - ends[0]))
         along = (ends[1] - ends[0]) / length
         across = np.linalg.svd(along[None])[2][1:]
-        xy = (scene.points - ends[0]) @ across.T
-        near = np.flatnonzero(np.abs(xy).max(axis=1) < 4 * _LARGEST)  # a rod that bends stays there
+        x, y = across @ scene.points.T - (across @ ends[0])[:, None]
+        near = np.flatnonzero((np.abs(x) < 4 * _LARGEST) & (np.abs(y) < 4 * _LARGEST))  # a rod that bends stays there
         t = (scene.points[near] - ends[0]) @ along
         order = np.argsort(t)
-        return cls(ends[0], along, across, length, t[order], np.ascontiguousarray(xy[near[order]]))
+        return cls(ends[0], along, across, length, t[order], np.stack([x[near[order]], y[near[order]]], axis=1))
 
     def occupied(self, cell: float) -> float:
         """Return the share of the line beside which points are, at most two cells off."""
-        beside = (np.abs(self.xy).max(axis=1) < 2 * cell) & (self.t > 0) & (self.t < self.length)
+        x, y = np.abs(self.xy.T)
+        beside = (x < 2 * cell) & (y < 2 * cell) & (self.t > 0) & (self.t < self.length)
         return len(np.unique((self.t[beside] / (2 * cell)).astype(int))) * 2 * cell / self.length
 
     def near(self, lines: Array, cell: float) -> NDArray[np.bool_]:
