@@ -135,6 +135,22 @@ def test_a_view_without_plant_is_named() -> None:
     assert any("views without any plant pixel: 3" in note for note in cloud.notes)
 
 
+def test_what_hangs_together_with_no_plant_is_kept_apart() -> None:
+    """The tip of the plant, seen over a gap of 7 cm, is no part of it, but still in the way."""
+    capture, _, masks, whole = seen()
+    labels, top = masks.labels.copy(), whole.points[:, 2].max()
+    for view in range(capture.views):
+        pixels = np.flatnonzero(labels[view])
+        points = capture.intrinsics.points(capture.depth[view], pixels)
+        height = transform_points(capture.T_world_cam[view], points)[:, 2]
+        labels[view].ravel()[pixels[(height > top - 0.10) & (height < top - 0.03)]] = 0
+    cloud = fuse(capture, Masks(labels, "x"), WORKSPACE)
+    assert len(cloud.loose) > 50
+    assert cloud.loose[:, 2].min() > top - 0.04
+    assert cloud.points[:, 2].max() < top - 0.09
+    assert len(cloud.yielding) == len(cloud.points) + len(cloud.loose)
+
+
 def test_real_sorghum(data: Path) -> None:
     capture = read_kinect(data / "captures" / "sorghum_kinect")
     cloud = fuse(capture, segment(capture), None, Params(voxel=0.003))

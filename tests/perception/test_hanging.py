@@ -88,6 +88,19 @@ def test_a_stem_on_a_slanting_string_is_found_between_its_hook_and_its_foot() ->
         find_hanging_stem(slanting, StringLine(hook))
 
 
+def test_of_two_stems_that_share_a_foot_the_asked_one_is_that_on_the_side_of_its_hook() -> None:
+    """Both bow out from the line of the asked one's string, the other less: without its own line it would be taken."""
+    (points, normals), bow = stem_seen(), np.array([0.0, 1.0, 0.0])
+    aside = np.minimum(4 * (points[:, 2:] + 0.1), 1.0)
+    both = cloud_of((points + 0.06 * aside * bow, normals), (points - 0.05 * aside * bow, normals))
+    foot, own, other = (0.705, 0.0, -0.6), (0.705, 0.0, 1.2), (0.705, -0.16, 1.2)
+    top = [
+        find_hanging_stem(both, StringLine(own, foot, beside)).axis[-10:, 1]
+        for beside in ((), (StringLine(other, foot),))
+    ]
+    np.testing.assert_allclose(top, np.repeat([[-0.05], [0.06]], 10, axis=1), atol=0.01)
+
+
 def test_no_stem_below_the_hook_is_said() -> None:
     with pytest.raises(StageFailure, match=r"hook at 0\.70, 0\.40") as failure:
         find_hanging_stem(cloud_of(stem_seen()), StringLine((0.7, 0.4, 1.2)))

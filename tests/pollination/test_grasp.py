@@ -678,6 +678,16 @@ def test_balls_stand_close_however_far_apart_the_nodes_are():
     assert along[-1] - along[0] > 0.49
 
 
+def test_a_leaf_that_is_seen_connected_to_no_plant_is_in_the_way_as_much_as_any():
+    stem, skeleton, cloud = make_plant(branches=())
+    leaf = np.array([0.66, 0.0, -0.1]) + (np.mgrid[0:1, -9:10, -60:61].reshape(3, -1).T * 0.004)
+    connected, loose = add_points(cloud, leaf), replace(cloud, loose=leaf)
+    of = lambda seen: [(g.score, g.clearance) for g in plan_grasps(stem, skeleton, seen)]  # noqa: E731
+    assert of(loose) == of(connected)
+    assert len(loose.yielding) == len(connected.yielding)
+    assert surroundings_of(stem, skeleton, loose).kind.tolist().count(LEAF) > 100
+
+
 def test_a_short_petiole_is_stiffer_than_a_long_one():
     around = surroundings_of(*make_plant())
     from_stem = np.linalg.norm(around.centers[:, :2] - [0.72, 0], axis=1)

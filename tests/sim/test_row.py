@@ -11,19 +11,23 @@ from types import SimpleNamespace as Namespace
 import numpy as np
 import pytest
 from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
 from scipy.special import j0, j1, y0, y1
 from straight_plant import chain, plant_of
 
 from anther.core.choices import Crop
 from anther.core.errors import InputError
 from anther.core.geometry import transform
+from anther.robot.arm._kinematics import inverse_many
+from anther.robot.arm._tours import least_times
+from anther.robot.arm.sawyer import SAWYER
 from anther.sim.cell import NEIGHBOUR, Cell
 from anther.sim.judge import string_pull
 from anther.sim.pieces import Params
 from anther.sim.plant import GRAVITY, Organ, Pot, SimPlant, Twine
 from anther.sim.plant_mechanics import PlantMechanics, alone, mujoco
 from anther.sim.row import Row, grow_row
-from anther.sim.row_cell import before_arm, row_layout, row_world
+from anther.sim.row_cell import HOOK_ERROR, _waits, before_arm, mapped_others, mapped_string, row_layout, row_world
 from anther.sim.row_house import RANGES, Measures
 from anther.sim.row_plants import HABIT, held_by_string
 from anther.sim.sway import gusts
@@ -328,3 +332,35 @@ def test_far_below_the_flowers_a_stem_is_cut_coarsely_and_swings_alike() -> None
     rests = mujoco.MjData(coarse.model)
     mujoco.mj_forward(coarse.model, rests)
     assert np.abs(rests.qacc).max() < 1e-3
+
+
+def test_an_arm_waits_out_of_the_leaves_and_soon_at_a_grasp() -> None:
+    """Its tip is 0.37 m from the stems, it faces them, and waits nearer to grasps than where it is ready."""
+    before = before_arm(row("tomato"))
+    place = row_layout(before)
+    waits, stems = _waits(place, SAWYER), before.origin[0] + before.measures.near
+    flange = SAWYER.forward(waits)
+    tip = flange[:3, 3] + SAWYER.tool.tip * flange[:3, 2]
+    assert 0.34 < stems - tip[0] < 0.38
+    assert flange[0, 2] > 0.7
+    middle = (stems, 0.0, 0.0)
+    turned = [transform(Rotation.from_euler("z", angle).as_matrix(), middle) for angle in (-0.6, 0.0, 0.6)]
+    grasps = np.array(turned) @ transform([[0.0, 0, 1], [0, -1, 0], [1, 0, 0]], [-SAWYER.tool.tip - 0.12, 0, 0])
+    branches = inverse_many(SAWYER, grasps)
+    seconds = [[least_times(SAWYER, joints[None], q).min() for q in branches] for joints in (waits, SAWYER.ready)]
+    assert np.mean(seconds[0]) < np.mean(seconds[1])
+
+
+@pytest.mark.parametrize(("crop", "strings"), [("tomato", 1), ("pepper", 2)])
+def test_the_map_has_the_other_strings_beside_the_asked_one(crop: Crop, strings: int) -> None:
+    """All of the near line but the asked one, each about where it hangs."""
+    asked = row(crop)
+    there = before_arm(asked)
+    others, (own, _) = mapped_others(asked), mapped_string(asked)
+    assert len(others) == strings * there.near - 1
+    hooks = np.array([twine.hook for plant in there.plants[: there.near] for twine in plant.twines])
+    found = np.array([hook for hook, _ in others])
+    apart = np.linalg.norm(found[:, None] - hooks, axis=2)
+    assert apart.min(axis=1).max() < 5 * HOOK_ERROR
+    assert np.linalg.norm(found - own, axis=1).min() > 0.05
+    assert all(foot[2] < hook[2] for hook, foot in others)
