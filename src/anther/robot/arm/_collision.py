@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -32,18 +33,9 @@ class CollisionWorld:
     """Spacing of the last check along a path [rad] (facts: libraries, gotchas)."""
 
     def __init__(self, arm: ArmModel, plant: Array, obstacles: Array, boxes: Iterable[Box] = ()) -> None:
-        self.arm = arm
-        self.scene = Scene("anther", loadUrdfSceneDescriptionFromXml(urdf(arm)))
-        self.scene.addGroup(GROUP, list(arm.joints))
-        self.scene.setCollisions(arm.neighbours, False)
-        self._still = [BASE]
-        self.has_plant = self._add_points("plant", plant)
-        self._add_points("obstacles", obstacles)
-        floor = Box(np.array([-3.0, -3.0, arm.floor - 0.1]), np.array([3.0, 3.0, arm.floor]))
-        for i, box in enumerate((floor, *boxes)):
-            shape, middle = SceneBox(*(box.upper - box.lower)), _pose((box.lower + box.upper) / 2)
-            self.scene.addBoxGeometry(f"box{i}", "universe", shape, middle, np.full(4, 0.5))
-            self._ignore_static(f"box{i}")
+        self.arm, self._boxes = arm, tuple(boxes)
+        self._points = {name: _cubes(points) for name, points in (("plant", plant), ("obstacles", obstacles))}
+        self.scene = self._scene()
 
     def free(self, q: Array) -> bool:
         """Return whether joints (J,) are within limits and touch nothing."""
@@ -59,32 +51,49 @@ class CollisionWorld:
     @contextmanager
     def touching_plant(self) -> Iterator[None]:
         """Let gripper and camera touch the plant within the block, as they do when they take it or brush a leaf."""
-        self._let_touch_plant(True)
+        usual, self.scene = self.scene, self._brushing
         try:
             yield
         finally:
-            self._let_touch_plant(False)
+            self.scene = usual
 
-    def _let_touch_plant(self, allowed: bool) -> None:
-        if self.has_plant:
-            self.scene.setCollisions(
-                [("plant", tool) for tool in (GRIPPER, CAMERA, self.arm.links[-1].name)], not allowed
-            )
+    @cached_property
+    def _brushing(self) -> Scene:
+        """The scene in which they may: to build it once takes less time than to tell the other each time."""
+        scene = self._scene()
+        if self._points["plant"] is not None:
+            tools = (GRIPPER, CAMERA, self.arm.links[-1].name)
+            scene.setCollisions([("plant", tool) for tool in tools], False)
+        return scene
 
-    def _add_points(self, name: str, points: Array) -> bool:
-        if len(points) == 0:
-            return False
-        centers = cube_centres(points)
-        rows = np.column_stack(
-            [centers, np.full(len(centers), VOXEL), np.ones(len(centers)), np.full(len(centers), 0.5)]
-        )
-        self.scene.addOcTreeGeometry(name, "universe", OcTree(list(rows), VOXEL), _pose(np.zeros(3)), np.full(4, 0.5))
-        self._ignore_static(name)
-        return True
+    def _scene(self) -> Scene:
+        scene, still = Scene("anther", loadUrdfSceneDescriptionFromXml(urdf(self.arm))), [BASE]
+        scene.addGroup(GROUP, list(self.arm.joints))
+        scene.setCollisions(self.arm.neighbours, False)
 
-    def _ignore_static(self, name: str) -> None:
-        self.scene.setCollisions([(name, other) for other in self._still], False)
-        self._still.append(name)
+        def stands(name: str) -> None:
+            scene.setCollisions([(name, other) for other in still], False)
+            still.append(name)
+
+        for name, cubes in self._points.items():
+            if cubes is not None:
+                scene.addOcTreeGeometry(name, "universe", cubes, _pose(np.zeros(3)), np.full(4, 0.5))
+                stands(name)
+        floor = Box(np.array([-3.0, -3.0, self.arm.floor - 0.1]), np.array([3.0, 3.0, self.arm.floor]))
+        for i, box in enumerate((floor, *self._boxes)):
+            shape, middle = SceneBox(*(box.upper - box.lower)), _pose((box.lower + box.upper) / 2)
+            scene.addBoxGeometry(f"box{i}", "universe", shape, middle, np.full(4, 0.5))
+            stands(f"box{i}")
+        return scene
+
+
+def _cubes(points: Array) -> OcTree | None:
+    """Return the octree's cubes about points (N, 3) [m]; None of none."""
+    if len(points) == 0:
+        return None
+    centers = cube_centres(points)
+    rows = np.column_stack([centers, np.full(len(centers), VOXEL), np.ones(len(centers)), np.full(len(centers), 0.5)])
+    return OcTree(list(rows), VOXEL)
 
 
 def cube_centres(points: Array) -> Array:

@@ -84,11 +84,9 @@ class Planner:
         self.params, self.space, self.arm = params, space, arm
         home = arm.ready if params.home is None else params.home
         self.home = check_array("home joints", home, (arm.count,))
-        yielding = check_array("plant points", plant, (None, 3))
-        diagonal = np.sqrt(3) * VOXEL  # within which of a point a cube of the octree that holds it is
-        yielding = yielding[~touches(arm, self.home, yielding, arm.margin + diagonal)]
-        self.world = CollisionWorld(arm, yielding, check_array("obstacle points", obstacles, (None, 3)), boxes)
-        self.plant = cube_centres(yielding)
+        cubes, half = cube_centres(check_array("plant points", plant, (None, 3))), np.sqrt(3) / 2 * VOXEL
+        self.plant = cubes[~touches(arm, self.home, cubes, arm.margin + half)]
+        self.world = CollisionWorld(arm, self.plant, check_array("obstacle points", obstacles, (None, 3)), boxes)
 
     def reach(self, T_world_pregrasp: Array, T_world_grasp: Array) -> Array | None:
         """Return joints (J,) at the grasp if it, the pre-grasp and the straight way between are free, else None.
