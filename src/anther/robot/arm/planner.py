@@ -84,8 +84,11 @@ class Planner:
         self.params, self.space, self.arm = params, space, arm
         home = arm.ready if params.home is None else params.home
         self.home = check_array("home joints", home, (arm.count,))
-        cubes, half = cube_centres(check_array("plant points", plant, (None, 3))), np.sqrt(3) / 2 * VOXEL
-        self.plant = cubes[~touches(arm, self.home, cubes, arm.margin + half)]
+        cubes = cube_centres(check_array("plant points", plant, (None, 3)))
+        diagonal = (
+            np.sqrt(3) * VOXEL
+        )  # half of it reaches from a cube's centre to what it holds; the rest is room to move
+        self.plant = cubes[~touches(arm, self.home, cubes, arm.margin + diagonal)]
         self.world = CollisionWorld(arm, self.plant, check_array("obstacle points", obstacles, (None, 3)), boxes)
 
     def reach(self, T_world_pregrasp: Array, T_world_grasp: Array) -> Array | None:
