@@ -134,7 +134,7 @@ def _in_sight(points: Array, surface: Array, intrinsics: Intrinsics, T_world_cam
         pixels = intrinsics.project(np.where(own[:, 2:] > NEAR, own, 1.0))
         inside = np.all((pixels >= 0) & (pixels < [intrinsics.width, intrinsics.height]), axis=1)
         column, row = np.where(inside[:, None], pixels // cell, 0).astype(np.intp).T
-        return np.ravel_multi_index((row, column), shape), own[:, 2], inside & (own[:, 2] > NEAR)
+        return row * shape[1] + column, own[:, 2], inside & (own[:, 2] > NEAR)
 
     nearest = np.full(shape[0] * shape[1], np.inf)
     at, depth, inside = shown(surface)
