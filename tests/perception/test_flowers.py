@@ -52,6 +52,18 @@ def test_small_flowers_joined_by_specks_are_told_apart() -> None:
     assert len(flower_centres(cloud_of(*small, specks))) == 2
 
 
+def test_a_clip_on_the_stem_is_no_flower_and_a_flower_that_touches_it_is_one() -> None:
+    """A clip reaches as far off the stem as twine and a camera's error are thick, a flower as far as it is wide."""
+    turn, up = np.meshgrid(np.linspace(0, 2 * np.pi, 40), np.linspace(0.19, 0.21, 14))
+    ring = 0.007 * np.stack([np.cos(turn), np.sin(turn), 0 * up], axis=2) + np.stack([0 * up, 0 * up, up], axis=2)
+    clip = ring[np.cos(turn) > -0.3]  # as it is seen from one side
+    touching = flower([0.003 + 0.005, 0, 0.35], 0.010)
+    found = find_flowers(cloud_of(clip, touching), SKELETON, STEM)
+    assert len(flower_centres(cloud_of(clip, touching))) == 2
+    np.testing.assert_allclose(found.positions, [[0.008, 0, 0.35]], atol=0.002)
+    assert any("a clip or a string" in note for note in found.notes)
+
+
 def test_a_flower_hangs_on_the_nearest_node() -> None:
     found = find_flowers(cloud_of(flower([0.05, 0, 0.4]), flower([-0.03, 0, 0.2])), SKELETON, STEM)
     by_x = found.attachment[np.argsort(found.positions[:, 0])]
