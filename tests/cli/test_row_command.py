@@ -19,6 +19,7 @@ from anther.core.runs import FILES
 from anther.history import Order, Report, count_trials, read_shift, read_stems
 from anther.history._jobs import Job
 from anther.plant import Visit
+from anther.pollination import row as pollination_row
 from evaluation.house.shift import Worked, drawn_work
 
 HOUSE = ("row", "--simulate", "tomato", "--plants", "4", "--seed", "3")
@@ -208,9 +209,9 @@ def test_a_stem_that_cannot_be_reached_is_a_visit_with_its_reason(tmp_path, monk
     assert "the arm reaches two views" in page
 
 
-def test_views_that_cannot_be_worked_with_are_a_reason_and_no_end_of_the_shift(tmp_path, monkeypatch) -> None:
+def test_a_visit_that_fails_is_a_reason_and_no_end_of_the_shift(tmp_path, monkeypatch) -> None:
     def unlike(*_: Any, **__: Any) -> Any:
-        raise InputError("plant size: got 0.01 m; allowed: 0.02 to 20. Look at the map.")
+        raise StageFailure("no_plant_found", "plant size: got 0.01 m; allowed: 0.02 to 20. Look at the map.")
 
     monkeypatch.setattr(row_visit, "build_row", unlike)
     begin = datetime(2026, 6, 1, 10, tzinfo=UTC)
@@ -219,6 +220,19 @@ def test_views_that_cannot_be_worked_with_are_a_reason_and_no_end_of_the_shift(t
     visit = row_visit.visit_stem(row, order, str(tmp_path / "h.sqlite"), tmp_path / "run").visit
     assert visit.failure == "no_plant_found"
     assert "plant size" in (tmp_path / "run" / FILES["report"]).read_text()
+
+
+def test_views_that_cannot_be_worked_with_are_a_failure_and_wrong_arguments_are_not(monkeypatch) -> None:
+    def unlike(*_: Any) -> Any:
+        raise InputError("plant size: got 0.01 m; allowed: 0.02 to 20. Look at the map.")
+
+    monkeypatch.setattr(pollination_row, "pollinate", unlike)
+    nothing: Any = None
+    with pytest.raises(StageFailure, match="plant size") as failure:
+        pollination_row.visit_row_stem(nothing, "tomato", (0, 0, 2), nothing)
+    assert failure.value.kind == "no_plant_found"
+    with pytest.raises(InputError, match="a foot below its hook"):
+        pollination_row.visit_row_stem(nothing, "tomato", (0, 0, 2), nothing, foot=(0, 0, 3))
 
 
 def test_many_houses_run_on_dask_each_with_its_history(call, capsys, monkeypatch) -> None:
