@@ -233,6 +233,8 @@ def test_views_that_cannot_be_worked_with_are_a_failure_and_wrong_arguments_are_
     assert failure.value.kind == "no_plant_found"
     with pytest.raises(InputError, match="a foot below its hook"):
         pollination_row.visit_row_stem(nothing, "tomato", (0, 0, 2), nothing, foot=(0, 0, 3))
+    with pytest.raises(InputError, match="a foot below its hook"):
+        pollination_row.visit_row_stem(nothing, "tomato", (0, 0, 2), nothing, others=[((0, 1, 2), (0, 1, 2))])
 
 
 def test_many_houses_run_on_dask_each_with_its_history(call, capsys, monkeypatch) -> None:

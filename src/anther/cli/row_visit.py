@@ -47,11 +47,16 @@ def visit_stem(row: Row, order: Order, history: str, folder: Path, *, quiet: boo
         try:
             cell = run.timed("cell", lambda _: build_row(row, visit=int(order.begin.timestamp()) % 2**20))
             hook, foot = mapped_string(row)
-            believed = belief.material
             done = visit_row_stem(
-                cell.robot_side, row.crop, hook, run, foot=foot, others=mapped_others(row), material=believed,
+                cell.robot_side,
+                row.crop,
+                hook,
+                run,
+                foot=foot,
+                others=mapped_others(row),
+                material=belief.material,
                 earlier=earlier,
-            )  # fmt: skip
+            )
             done.shake.save(folder / EXECUTED)
             verdict = run.timed("judge", lambda _: judge_done(cell, done))
         except StageFailure as stopped:

@@ -53,9 +53,10 @@ class HeldString(Record):
     others: tuple[tuple[Place, Place | None], ...] = ()
 
     def _check(self) -> None:
-        if self.foot is not None and not self.foot[2] < self.hook[2]:
-            given = f"a foot {self.foot[2]:g} m up, a hook {self.hook[2]:g} m up"
-            raise bad_input("string", given=given, allowed="a foot below its hook", do="Look at the map.")
+        for hook, foot in ((self.hook, self.foot), *self.others):
+            if foot is not None and not foot[2] < hook[2]:
+                given = f"a foot {foot[2]:g} m up, a hook {hook[2]:g} m up"
+                raise bad_input("string", given=given, allowed="a foot below its hook", do="Look at the map.")
 
     @classmethod
     def of(cls, crop: Crop, hook: ArrayLike, foot: ArrayLike | None = None, others: Sequence[Ends] = ()) -> Self:

@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.core.geometry import Array, ComplexArray, Intrinsics, inverse, transform_points
+from anther.core.geometry import Array, ComplexArray, Intrinsics
 from anther.plant.model import PlantModel
 from anther.pollination.decision import Answer
-from anther.pollination.response.points import NEAR
+from anther.pollination.response.points import NEAR, pictured
 from anther.pollination.shake.observables import semi_major
 from anther.pollination.shake.pads import PADS, Pads, friction_force, grip_rows, pad_nodes
 from anther.pollination.shake.search import held_radius, motions, scenarios
@@ -130,11 +130,9 @@ def _in_sight(points: Array, surface: Array, intrinsics: Intrinsics, T_world_cam
     shape = (intrinsics.height // cell + 1, intrinsics.width // cell + 1)
 
     def shown(places: Array) -> tuple[NDArray[np.intp], Array, NDArray[np.bool_]]:
-        own = transform_points(inverse(T_world_cam), places)
-        pixels = intrinsics.project(np.where(own[:, 2:] > NEAR, own, 1.0))
-        inside = np.all((pixels >= 0) & (pixels < [intrinsics.width, intrinsics.height]), axis=1)
+        own, pixels, inside = pictured(places, intrinsics, T_world_cam)
         column, row = np.where(inside[:, None], pixels // cell, 0).astype(np.intp).T
-        return row * shape[1] + column, own[:, 2], inside & (own[:, 2] > NEAR)
+        return row * shape[1] + column, own[:, 2], inside
 
     nearest = np.full(shape[0] * shape[1], np.inf)
     at, depth, inside = shown(surface)

@@ -76,11 +76,9 @@ def sight(frame: Frame, intrinsics: Intrinsics, T_world_cam: Array, flowers: Arr
 
     Flowers are looked for by their petals, all shifted alike first, as `measure_response` does.
     """
-    T = inverse(T_world_cam)
-    rest = transform_points(T, np.concatenate([flowers.reshape(-1, 3), points.reshape(-1, 3)]))
-    pixels = intrinsics.project(np.where(rest[:, 2:] > NEAR, rest, 1.0))
-    inside = np.all((pixels >= 0) & (pixels < [intrinsics.width, intrinsics.height]), axis=1)
-    shown = inside & (rest[:, 2] > NEAR) & _own_depth(frame.depth, pixels, rest[:, 2], inside)
+    places = np.concatenate([flowers.reshape(-1, 3), points.reshape(-1, 3)])
+    rest, pixels, inside = pictured(places, intrinsics, T_world_cam)
+    shown = inside & _own_depth(frame.depth, pixels, rest[:, 2], inside)
     count, alone, gain = len(flowers), list[Patch](), _gain(frame)
     if count and rest[:count, 2].min() > DEPTH_GATE:
         pixels[:count], alone = placed(frame, intrinsics, rest[:count])
@@ -89,6 +87,16 @@ def sight(frame: Frame, intrinsics: Intrinsics, T_world_cam: Array, flowers: Arr
     axes = np.repeat(T_world_cam[None, :3, :3], len(rest), axis=0)
     axes[:, :, :2] -= axes[:, :, 2:] * (rest[:, :2] / np.maximum(rest[:, 2:], NEAR))[:, None]
     return Sight(_picture(frame, gain), pixels, rest[:, 2] / intrinsics.fx, rest[:, 2], axes, shown, tuple(alone))
+
+
+def pictured(points: Array, intrinsics: Intrinsics, T_world_cam: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return points (N, 3), world [m], in a camera's frame (N, 3) [m], their pixels (N, 2), and (N,) which of them are
+    in its picture, whatever hides them; pixels of the others mean nothing.
+    """
+    own = transform_points(inverse(T_world_cam), points)
+    ahead = own[:, 2] > NEAR
+    pixels = intrinsics.project(np.where(ahead[:, None], own, 1.0))
+    return own, pixels, ahead & np.all((pixels >= 0) & (pixels < [intrinsics.width, intrinsics.height]), axis=1)
 
 
 def swings(at: Sight, frames: Sequence[Frame], tones: Array, expected: ComplexArray | None = None) -> Swings:

@@ -85,9 +85,8 @@ class Planner:
         home = arm.ready if params.home is None else params.home
         self.home = check_array("home joints", home, (arm.count,))
         cubes = cube_centres(check_array("plant points", plant, (None, 3)))
-        diagonal = (
-            np.sqrt(3) * VOXEL
-        )  # half of it reaches from a cube's centre to what it holds; the rest is room to move
+        # half of it reaches from a cube's centre to what the cube holds; the rest is room to move
+        diagonal = np.sqrt(3) * VOXEL
         self.plant = cubes[~touches(arm, self.home, cubes, arm.margin + diagonal)]
         self.world = CollisionWorld(arm, self.plant, check_array("obstacle points", obstacles, (None, 3)), boxes)
 
