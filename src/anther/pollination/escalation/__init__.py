@@ -208,8 +208,12 @@ class Escalation:
             follows = self._after_probe(max(shares.values()))
         else:
             now, look = active[0], (observation, self._options[active[0]].prediction)
-            self._options[now].update(predictions[0])
-            self._watched[now] = look if self._proofs[-1] else self._watched.get(now)
+            if self._proofs[-1]:
+                self._options[now].update(predictions[0])
+                self._watched[now] = look
+            else:
+                self._options[now].heed(predictions[0])
+                self._watched.setdefault(now, None)
             self._update_other_directions(int(self._frequency_index[now]))
             follows = self._decide(now)
         measured = [a * one.answer.flowers[0] for a, _, one in shaken]  # all members agree on a measured flower
@@ -385,11 +389,6 @@ class Escalation:
             best = self._best()
             if self._options[best].predicted_worth > BETTER * option.predicted_worth and self._has_time(best):
                 return self._switch_to(best)
-        elif why == UNPROVEN and self._repeated:  # what is doubted twice may be left, for no more than the plan allows
-            worths = [one.planned_worth for one in self._options]
-            best = int(np.argmax(worths))
-            if worths[best] > BETTER * option.worth_at(amplitude) and best != now and self._has_time(best):
-                return self._switch_to(best, doubted=True)
         return self._raise(now, amplitude, why)
 
     def _excite(self, shake: int, amplitude: float, seconds: float, words: str) -> NextPiece:
@@ -401,14 +400,14 @@ class Escalation:
             shake, amplitude, self._watch_seconds(shake), f"Watched again at {1e3 * amplitude:.2g} mm: {why}."
         )
 
-    def _switch_to(self, shake: int, doubted: bool = False) -> NextPiece:
-        """Return the first piece of another shake; `doubted`: the looks at the present one prove nothing."""
+    def _switch_to(self, shake: int) -> NextPiece:
+        """Return the first piece of another shake."""
         option, directions = self._options[shake], self.plan.tones.directions
         most = option.allowed
         self._proven_amplitude, self._repeated = option.planned, False
         begin = min(most.amplitude, option.planned)
         turned = np.degrees(np.arccos(min(abs(float(directions[self._direction_index[shake]] @ directions[0])), 1.0)))
-        words = (f"{UNPROVEN.capitalize()}, watched twice. " if doubted else "") + (
+        words = (
             f"At {self._frequencies[shake]:.3g} Hz, {turned:.0f}° from the plan's line, flowers may reach"
             f" {most.flowers:.3g} m/s² with {1e3 * most.amplitude:.2g} mm, more than otherwise; {most.binds} ends it"
             " there."

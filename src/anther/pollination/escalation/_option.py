@@ -10,7 +10,7 @@ import numpy as np
 from anther.core.geometry import Array
 from anther.core.records import Range, Record
 from anther.plant.limits import GUSTS, LOADED
-from anther.pollination.decision import COSTS, Worth, WorthCurve, weighed, worth
+from anther.pollination.decision import COSTS, Answer, Worth, WorthCurve, weighed, worth
 from anther.pollination.escalation._knowledge import Prediction
 from anther.pollination.shake import Params as Limits
 
@@ -104,11 +104,6 @@ class Option:
         return self.allowed.net
 
     @property
-    def planned_worth(self) -> float:
-        """Worth by the present prediction of no more than the planned amplitude."""
-        return self.worth_at(min(self.planned, self.allowed.amplitude))
-
-    @property
     def tolerated(self) -> float:
         """Largest executed amplitude that the present prediction still allows [m]."""
         return min(self.raised_to, self.allowed.amplitude)
@@ -145,4 +140,14 @@ class Option:
             prediction.seen, prediction.answer.flowers, np.fmax(prediction.answer.flowers, self._measured)
         )
         self.prediction = prediction._replace(answer=prediction.answer._replace(flowers=flowers))
+        self.allowed = self._find_allowed()
+
+    def heed(self, prediction: Prediction) -> None:
+        """Take only what is larger in a prediction after an observation that proves nothing.
+
+        Flowers that seem to stand still may be hidden or mistaken, which says nothing of this shake; what seems to be
+        loaded more may be.
+        """
+        larger = Answer(*map(np.fmax, self.prediction.answer, prediction.answer))
+        self.prediction = self.prediction._replace(answer=larger)
         self.allowed = self._find_allowed()
