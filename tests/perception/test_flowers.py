@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from alike import check_kept
 
+from anther.core.choices import Crop
 from anther.perception.cloud import Cloud
 from anther.perception.flowers import PEDICEL, assume_flowers, find_flowers, flower_centres
+from anther.perception.hanging import StringLine
 from anther.perception.masks import FLOWER, PLANT
 from anther.perception.skeleton import Skeleton
 from anther.perception.stem import BRANCH, TRUSS, Stem, find_stem
@@ -121,3 +125,26 @@ def test_flowers_nobody_saw_are_supposed_at_the_ends_of_trusses_or_branches_or_e
         assert found.attachment.tolist() == [carrier]
         assert np.linalg.norm(found.positions[0] - SKELETON.nodes[carrier]) == pytest.approx(PEDICEL)
         assert "no flower was detected" in found.notes[0]
+
+
+def test_a_flower_nearer_to_another_string_is_of_the_stem_that_hangs_there() -> None:
+    beside = StringLine((0.15, 0.0, 1.0), (0.15, 0.0, 0.0))
+    string = StringLine((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (beside,))
+    cloud = cloud_of(flower([0.06, 0, 0.4]), flower([0.09, 0, 0.4]))
+    assert len(find_flowers(cloud, SKELETON, STEM).positions) == 2
+    found = find_flowers(cloud, SKELETON, STEM, string=string)
+    assert found.positions[:, 0] == pytest.approx([0.06], abs=0.002)
+    assert "nearer to another string" in found.notes[0]
+
+
+def test_what_is_not_yellow_is_no_flower_of_a_tomato_that_has_yellow_ones() -> None:
+    petals, clip = flower([0.05, 0, 0.4]), flower([-0.03, 0, 0.2])
+    cloud = cloud_of(petals, clip)
+
+    def seen(colour: tuple[int, int, int], crop: Crop | None) -> int:
+        colors = np.full((len(cloud.points), 3), (40, 90, 30), np.uint8)
+        colors[-len(petals) - len(clip) : -len(clip)], colors[-len(clip) :] = colour, (130, 140, 138)
+        return len(find_flowers(replace(cloud, colors=colors), SKELETON, STEM, crop=crop).positions)
+
+    assert (seen((170, 155, 60), "tomato"), seen((170, 155, 60), "pepper"), seen((170, 155, 60), None)) == (1, 2, 2)
+    assert seen((150, 160, 158), "tomato") == 2, "a light in which no flower is yellow"

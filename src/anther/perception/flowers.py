@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from anther.core.choices import Crop
 from anther.core.geometry import Array
 from anther.core.records import Range, Shape, Stored
 from anther.perception.cloud import Cloud
+from anther.perception.hanging import StringLine
 from anther.perception.masks import FLOWER
 from anther.perception.skeleton import Skeleton
 from anther.perception.skeleton.raw_tree import edge_lengths, longest_way
@@ -43,7 +45,15 @@ class Flowers(Stored):
     notes: tuple[str, ...] = ()
 
 
-def find_flowers(cloud: Cloud, skeleton: Skeleton, stem: Stem, *, centres: Array | None = None) -> Flowers:
+def find_flowers(
+    cloud: Cloud,
+    skeleton: Skeleton,
+    stem: Stem,
+    *,
+    centres: Array | None = None,
+    string: StringLine | None = None,
+    crop: Crop | None = None,
+) -> Flowers:
     """Return the flowers among the points labelled so, each with the skeleton node that carries it.
 
     No flower is a valid result, with a note.
@@ -53,13 +63,20 @@ def find_flowers(cloud: Cloud, skeleton: Skeleton, stem: Stem, *, centres: Array
         skeleton: the tree the flowers hang on.
         stem: its main stem and organs.
         centres: what `flower_centres` gave for this cloud, if that was asked before.
+        string: on which the stem hangs, if it does: flowers nearer to another one are of the stem that hangs there.
+        crop: where it is known, its petals' colour tells flowers from clips and string.
     """
     centres = flower_centres(cloud) if centres is None else centres
-    free, notes = _reach(centres, cloud, skeleton, stem) > REACH, list[str]()
+    free, notes = (_reach(centres, cloud, skeleton, stem) > REACH) & _has_petals(centres, cloud, crop), list[str]()
     if not free.all():
-        count = np.count_nonzero(~free)
-        notes.append(f"{count} flower-like clusters on the main stem were left out: a clip or a string")
+        notes.append(f"{np.count_nonzero(~free)} flower-like clusters were left out: a clip or a string")
     centres = centres[free]
+    if string is not None:
+        away = np.linalg.norm(centres[:, None] - skeleton.nodes[stem.node_ids], axis=2).min(axis=1, initial=np.inf)
+        others = string.is_of_another(centres, away)
+        if others.any():
+            notes.append(f"{np.count_nonzero(others)} flowers nearer to another string than to the stem were left out")
+        centres = centres[~others]
     distance, carrier = _carriers(centres, skeleton, stem)
     near = distance <= 0.08  # [m]: farther away, its carrier was not seen
     if not near.any():
@@ -169,6 +186,21 @@ def _reach(centres: Array, cloud: Cloud, skeleton: Skeleton, stem: Stem) -> Arra
     away, nearest = KDTree(ball[:, :3]).query(points)
     off, own = away - ball[nearest, 3], KDTree(points).query_ball_point(centres, APART)
     return np.array([np.quantile(off[some], 0.9) if some else np.inf for some in own])
+
+
+def _has_petals(centres: Array, cloud: Cloud, crop: Crop | None) -> NDArray[np.bool_]:
+    """Return (F,) which flowers are of the crop's colour: a tomato's are yellow, which no clip or string is.
+
+    Where none is, the light may be to blame, and all may be flowers.
+    """
+    petals = cloud.labels == FLOWER
+    if crop != "tomato" or cloud.colors is None or not len(centres) or not petals.any():
+        return np.ones(len(centres), dtype=bool)
+    own = KDTree(cloud.points[petals]).query_ball_point(centres, APART)
+    rgb = np.array([cloud.colors[petals][some].mean(axis=0) if some else np.full(3, np.nan) for some in own])
+    least = 0.35  # by which blue is less than red and green: petals 0.43 to 0.9, clips up to 0.25 (four simulated rows)
+    yellow = rgb[:, 2] < (1 - least) * rgb[:, :2].mean(axis=1)
+    return yellow | ~yellow.any()
 
 
 def _pedicel_bases(skeleton: Skeleton, stem: Stem) -> NDArray[Any]:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from anther.core.choices import ActuatorName, MaskSource
+from anther.core.choices import ActuatorName, Crop, MaskSource
 from anther.core.errors import FailureKind, InputError, StageFailure
 from anther.core.geometry import Array, Box
 from anther.core.runs import Advance, Run
@@ -62,6 +62,8 @@ class Params:
     """What shakes the closed pads: the arm, or a motor in the gripper, which is always watched."""
     escalate: bool = True
     """Whether the shake is raised by what the side camera sees, or done as planned."""
+    crop: Crop | None = None
+    """Which it is, where that is known: it tells flowers from clips."""
 
 
 FindMasks = Callable[[Capture, Box | None, Advance], Masks]
@@ -161,7 +163,11 @@ def perceive(
             named = _topped(tree, named)
         centres = flowers.flower_centres(fused)
         main = run.stage("stem", Stem.load, lambda _: _main_stem(fused, tree, centres, named))
-    found = run.stage("flowers", Flowers.load, lambda _: flowers.find_flowers(fused, tree, main, centres=centres))
+    found = run.stage(
+        "flowers",
+        Flowers.load,
+        lambda _: flowers.find_flowers(fused, tree, main, centres=centres, string=string, crop=params.crop),
+    )
     return Seen(labels, fused, tree, main, found)
 
 

@@ -49,7 +49,7 @@ def visit_row_stem(
         StageFailure: a stage before the execution cannot go on; its kind says why.
     """
     params = params or Params()
-    hung = replace(params, plant=replace(params.plant, string=HeldString.of(crop, hook, foot, others)))
+    hung = replace(params, crop=crop, plant=replace(params.plant, string=HeldString.of(crop, hook, foot, others)))
     believed = material or (PEPPER if crop == "pepper" else TOMATO)
     try:
         return pollinate(cell, believed, run, hung, find_masks, earlier)

@@ -207,15 +207,8 @@ class Escalation:
             self._probe_answers.append(answers)
             follows = self._after_probe(max(shares.values()))
         else:
-            now, look = active[0], (observation, self._options[active[0]].prediction)
-            if self._proofs[-1]:
-                self._options[now].update(predictions[0])
-                self._watched[now] = look
-            else:
-                self._options[now].heed(predictions[0])
-                self._watched.setdefault(now, None)
-            self._update_other_directions(int(self._frequency_index[now]))
-            follows = self._decide(now)
+            self._learn(active[0], observation, predictions[0])
+            follows = self._decide(active[0])
         measured = [a * one.answer.flowers[0] for a, _, one in shaken]  # all members agree on a measured flower
         acceleration = np.sqrt(np.sum(np.square(measured), axis=0))
         step = Step(
@@ -356,6 +349,17 @@ class Escalation:
         planned, reach = float(tones.amplitudes[at]), float(tones.reach[at])
         hertz = float(self._frequencies[shake])
         return Option(hertz, self._friction_limit, self._price, planned, reach, self._predict(shake, answer))
+
+    def _learn(self, now: int, observation: Observation, prediction: Prediction) -> None:
+        """Update what is believed of an observed shake, and of others at its frequency: what proves nothing teaches
+        nothing, but that more may move than was thought."""
+        if self._proofs[-1]:
+            self._watched[now] = observation, self._options[now].prediction
+            self._options[now].update(prediction)
+        else:
+            self._watched.setdefault(now, None)
+            self._options[now].heed(prediction)
+        self._update_other_directions(int(self._frequency_index[now]))
 
     def _update_other_directions(self, tone: int) -> None:
         """Update what is believed of shakes at a frequency along directions that were not watched alone.
