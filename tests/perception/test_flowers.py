@@ -128,7 +128,7 @@ def test_flowers_nobody_saw_are_supposed_at_the_ends_of_trusses_or_branches_or_e
 
 
 def test_a_flower_nearer_to_another_string_is_of_the_stem_that_hangs_there() -> None:
-    beside = StringLine((0.15, 0.0, 1.0), (0.15, 0.0, 0.0))
+    beside = StringLine((0.13, 0.0, 1.0), (0.13, 0.0, 0.0))
     string = StringLine((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (beside,))
     cloud = cloud_of(flower([0.06, 0, 0.4]), flower([0.09, 0, 0.4]))
     assert len(find_flowers(cloud, SKELETON, STEM).positions) == 2

@@ -53,19 +53,27 @@ class StringLine:
         Where two strings are closer than a map can tell them apart, which is so at the foot that two stems share, they
         may be either's.
         """
-        return ~self.is_of_another(points, np.linalg.norm(points[:, :2] - self.at(points[:, 2]), axis=1))
-
-    def is_of_another(self, points: Array, away: Array) -> NDArray[np.bool_]:
-        """Return which points (N, 3) [m] are nearer to another string than they are `away` (N,) [m] from what is this
-        one's."""
         apart = 0.06  # m: three times what a map errs by
         height, mine = points[:, 2], self.at(points[:, 2])
-        found = np.zeros(len(points), dtype=bool)
+        off, own = np.linalg.norm(points[:, :2] - mine, axis=1), np.ones(len(points), dtype=bool)
         for line in self.others:
             other = line.at(height)
-            found |= (np.linalg.norm(points[:, :2] - other, axis=1) < away) & (
-                np.linalg.norm(mine - other, axis=1) >= apart
+            own &= (off <= np.linalg.norm(points[:, :2] - other, axis=1)) | (
+                np.linalg.norm(mine - other, axis=1) < apart
             )
+        return own
+
+    def is_of_another(self, points: Array, away: Array) -> NDArray[np.bool_]:
+        """Return which points (N, 3) [m] are nearer to another string than to the stem that was found on this one.
+
+        Args:
+            points: to be told apart.
+            away: (N,) of each, from that stem [m].
+        """
+        unsure = 0.03  # m: by which a stem is off the line that a map gives its string, a guess
+        found = np.zeros(len(points), dtype=bool)
+        for line in self.others:
+            found |= np.linalg.norm(points[:, :2] - line.at(points[:, 2]), axis=1) + unsure < away
         return found
 
 
