@@ -356,11 +356,12 @@ def test_the_map_has_the_other_strings_beside_the_asked_one(crop: Crop, strings:
     """All of the near line but the asked one, each about where it hangs."""
     asked = row(crop)
     there = before_arm(asked)
-    others, (own, _) = mapped_others(asked), mapped_string(asked)
+    others, (own, own_foot) = mapped_others(asked), mapped_string(asked)
     assert len(others) == strings * there.near - 1
     hooks = np.array([twine.hook for plant in there.plants[: there.near] for twine in plant.twines])
     found = np.array([hook for hook, _ in others])
     apart = np.linalg.norm(found[:, None] - hooks, axis=2)
     assert apart.min(axis=1).max() < 5 * HOOK_ERROR
     assert np.linalg.norm(found - own, axis=1).min() > 0.05
-    assert all(foot[2] < hook[2] for hook, foot in others)
+    for hook, foot in (*others, (own, own_foot)):  # where a lowered tomato rises no map knows
+        assert foot is None if crop == "tomato" else foot is not None and foot[2] < hook[2]

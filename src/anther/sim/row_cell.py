@@ -52,27 +52,26 @@ HOOK_ERROR = 0.02
 """Of the place of a hook or a foot along and across the row in a map, standard deviation [m]: a guess."""
 
 
-def mapped_string(row: Row, arm: ArmModel = SAWYER) -> tuple[Array, Array]:
+def mapped_string(row: Row, arm: ArmModel = SAWYER) -> tuple[Array, Array | None]:
     """Return where the map says that the asked stem's string hangs and the stem rises, (3,) each.
 
     In the arm's frame (`before_arm`) [m]. Peppers' strings slant from the middle of the holder to their line of hooks;
-    where a tomato rises changes with each lowering, so that its foot is plumb below.
+    where a tomato rises changes with each lowering, so that no map knows it.
     """
     hooks, feet = _mapped_strings(before_arm(row, arm))
-    return hooks[row.asked], feet[row.asked]
+    return hooks[row.asked], feet[row.asked] if row.crop == "pepper" else None
 
 
-def mapped_others(row: Row, arm: ArmModel = SAWYER) -> list[tuple[Array, Array]]:
+def mapped_others(row: Row, arm: ArmModel = SAWYER) -> list[tuple[Array, Array | None]]:
     """Return hook and foot (3,) of every other string of the near line, as `mapped_string` does of the asked one."""
     row = before_arm(row, arm)
-    (_, feet), found = _mapped_strings(row), list[tuple[Array, Array]]()
+    (_, feet), found = _mapped_strings(row), list[tuple[Array, Array | None]]()
     error = np.random.default_rng([row.seed, 20]).normal(0, HOOK_ERROR, (row.near, max(STRINGS.values()), 2))
     for plant in range(row.near):
         for string, twine in enumerate(row.plants[plant].twines):
             if (plant, string) != (row.asked, 0):
                 hook = twine.hook + np.append(error[plant, string], 0.0)
-                foot = feet[plant] if row.crop == "pepper" else np.append(hook[:2], feet[plant, 2])
-                found.append((hook, foot))
+                found.append((hook, feet[plant] if row.crop == "pepper" else None))
     return found
 
 
