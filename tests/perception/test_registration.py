@@ -87,21 +87,41 @@ def test_registration_recovers_the_poses(seed: int) -> None:
     assert result.distance_after < result.distance_before
 
 
+def drifted(true: Array, slip: float, rng: np.random.Generator) -> Array:
+    """Return the poses as odometry tells them that errs by so much after a metre [m], backwards from the last."""
+    steps = np.linalg.norm(np.diff(true[:, :3, 3], axis=0), axis=1)
+    given = true.copy()
+    given[:-1, :3, 3] += np.cumsum((slip * np.sqrt(steps)[:, None] * rng.normal(size=(len(steps), 3)))[::-1], axis=0)[
+        ::-1
+    ]
+    return given
+
+
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_views_on_a_way_told_by_odometry_are_moved_to_the_last_one(seed: int) -> None:
     """Errors add up backwards from there; taken for errors of each view by itself, they would be shared out."""
     rng = np.random.default_rng(seed)
     clouds, true = views_of(rng)
-    steps = np.linalg.norm(np.diff(true[:, :3, 3], axis=0), axis=1)
-    drift = np.cumsum((0.01 * np.sqrt(steps)[:, None] * rng.normal(size=(len(steps), 3)))[::-1], axis=0)[::-1]
-    given = true.copy()
-    given[:-1, :3, 3] += drift
+    given = drifted(true, 0.01, rng)
     by_odometry, by_arm = (register(clouds, given, _registration.Params(walk=walk)) for walk in (0.01, 0.0))
     before, after = displacement(given, true, clouds), displacement(by_odometry.T_world_cam, true, clouds)
     assert before > 0.02
     assert after < 0.003
     assert after < 0.5 * displacement(by_arm.T_world_cam, true, clouds)
     assert by_odometry.used.all()
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_views_are_placed_one_after_the_other_where_odometry_errs_by_more_than_matching_finds_its_way_from(
+    seed: int,
+) -> None:
+    rng = np.random.default_rng(seed)
+    clouds, true = views_of(rng)
+    given = drifted(true, 0.02, rng)
+    found = register(clouds, given, _registration.Params(walk=0.02))
+    assert displacement(given, true, clouds) > 0.04
+    assert displacement(found.T_world_cam, true, clouds) < 0.003
+    assert found.used.all()
 
 
 def test_a_common_hand_eye_error_is_recovered() -> None:

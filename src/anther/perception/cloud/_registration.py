@@ -20,7 +20,15 @@ from anther.core.compiling import compiled, read_only
 from anther.core.geometry import Array, inverse, small_transform
 from anther.core.records import Range, Record
 from anther.perception.capture import in_threads
-from anther.perception.cloud._wrong_views import Estimate, Sample, agreement, correct_views, match, plane_distances
+from anther.perception.cloud._wrong_views import (
+    Estimate,
+    Sample,
+    agreement,
+    correct_views,
+    follow_way,
+    match,
+    plane_distances,
+)
 
 MATCHED = (0.012, 0.009, 0.007, 0.006, 0.005)
 """Greatest distance of a match in each round [m], from three times the arm's error down; a third scales the weights."""
@@ -159,7 +167,8 @@ def _notes(agrees: Array, used: NDArray[np.bool_], moved: Array, far: NDArray[np
 
 def _aligned(sample: Sample, given: Array, source: NDArray[np.bool_], params: Params) -> Estimate | None:
     """Return the estimate, or None where views share no surface."""
-    at = _jointly(sample, Estimate(given), given, source, MATCHED[:3], params, reach_fixed=False)
+    start = follow_way(sample, given) if params.walk else given
+    at = _jointly(sample, Estimate(start), given, source, MATCHED[:3], params, reach_fixed=False)
     if at is None:
         return None
     attenuation = 1 / 3  # noise in the normals draws the estimated reach to zero (errors in variables)

@@ -14,7 +14,7 @@ import small_gicp
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from anther.core.geometry import Array
+from anther.core.geometry import Array, inverse
 from anther.perception.capture import in_threads
 from anther.perception.cloud._fusion import slant, voxel_means
 
@@ -180,6 +180,18 @@ def relocate_view(sample: Sample, at: Estimate, view: int) -> tuple[float, Array
             ).T_target_source)  # fmt: skip
         tried.append((float(np.nan_to_num(agreement(sample, Estimate(poses, at.reach), [view])[0])), poses[view]))
     return max(tried, key=lambda found: found[0])
+
+
+def follow_way(sample: Sample, given: Array) -> Array:
+    """Return (V, 4, 4) poses of views that a cart took on its way, each where it fits those after it.
+
+    Odometry's errors add up backwards from the last view, by more than what matching finds its way from.
+    """
+    poses = given.copy()
+    for view in range(len(given) - 2, -1, -1):
+        poses[view] = poses[view + 1] @ inverse(given[view + 1]) @ given[view]
+        _, poses[view] = relocate_view(sample.only(sample.view >= view), Estimate(poses), view)
+    return poses
 
 
 def _with_normals(points: Array) -> small_gicp.PointCloud:
