@@ -8,6 +8,7 @@ from anther.core.geometry import Array, inverse, look_at, small_transform, trans
 from anther.perception.cloud import _registration
 from anther.perception.cloud._fusion import slant
 from anther.perception.cloud._registration import register
+from anther.perception.cloud._wrong_views import thinnest
 
 
 def shape(rng: np.random.Generator) -> tuple[Array, Array]:
@@ -262,3 +263,16 @@ def test_the_result_does_not_depend_on_chance(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(_registration, "MATCHED", (0.01,))
     first, second = (register(clouds, given) for _ in range(2))
     assert np.array_equal(first.T_world_cam, second.T_world_cam)
+
+
+def test_thinnest_directions_are_those_of_an_eigenvalue_solver() -> None:
+    rng = np.random.default_rng(0)
+    turned = np.linalg.qr(rng.normal(size=(200, 3, 3)))[0]
+    points = rng.normal(size=(200, 12, 3)) * [3, 1, 0.1] @ turned * rng.choice([1e-4, 1, 1e3], (200, 1, 1))
+    scatter = np.swapaxes(points, 1, 2) @ points
+    reference = np.linalg.eigh(scatter)[1][:, :, 0]
+    np.testing.assert_allclose(np.abs(np.sum(thinnest(scatter) * reference, axis=1)), 1, atol=1e-9)
+
+
+def test_what_has_no_thinnest_direction_gives_no_numbers_that_are_none() -> None:
+    assert np.isfinite(thinnest(np.stack([np.zeros((3, 3)), np.eye(3), np.diag([1.0, 0, 0])]))).all()

@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage, sparse
-from scipy.sparse.csgraph import connected_components
+from scipy import ndimage
 from scipy.spatial import KDTree
 
 from anther.core.compiling import OPTIONS, compiled, inlined, numba, read_only
@@ -214,7 +213,9 @@ def _add_to_voxels(values, weights, scale, slots, group, keys, sums, voxels):
         for a in range(3):
             key = key << 21 | (np.int64(np.floor(values[n, a] * scale)) & 0x1FFFFF)
         if key != last:  # of pixels side by side it is the same
-            slot = ((key ^ key >> 29) * 0x5851F42D4C957F2D >> 31) & (len(slots) - 1)  # Knuth's multiplier (MMIX)
+            corner = key & 0xC0000600003  # two bits each: of a block of 64 voxels, whose slots are side by side in memory
+            block, within = key ^ corner, (corner >> 38 | corner >> 19 | corner) & 63
+            slot = ((block ^ block >> 29) * 0x5851F42D4C957F2D >> 31 << 6 | within) & (len(slots) - 1)  # MMIX's (Knuth)
             while slots[slot] >= 0 and keys[slots[slot]] != key:
                 slot = (slot + 1) & (len(slots) - 1)
             if slots[slot] < 0:
@@ -292,21 +293,20 @@ def _balances(points, depth, k, T, balance):
         if depth[v, u] > 0 and abs(depth[v, u] - z) < SEEN_THROUGH / 2:
             balance[n] = 1  # of most points the pixel itself says so
             continue
-        supports, contradicts = False, True
+        nearest = least = np.inf
         for j in range(v - 1, v + 2):
             for i in range(u - 1, u + 2):
-                seen = depth[j, i]
-                contradicts = contradicts and seen > z + SEEN_THROUGH
-                supports = supports or (seen > 0 and abs(seen - z) < SEEN_THROUGH / 2)
-        balance[n] = 1 if supports else (-1 if contradicts else 0)
+                seen = np.float64(depth[j, i])
+                nearest, least = min(nearest, abs(seen - z)), min(least, seen)
+        balance[n] = 1 if nearest < SEEN_THROUGH / 2 else (-1 if least > z + SEEN_THROUGH else 0)
 
 
-def clusters(points: Array, gap: float) -> NDArray[Any]:
+def clusters(points: Array, gap: float) -> NDArray[np.int64]:
     """Return the cluster number (N,) of each point (N, 3) [m]: DBSCAN with eps = gap and min_samples = 1, exactly.
 
     With one sample DBSCAN's clusters are the connected components of all pairs within `gap`. Points of one cell with
-    a diagonal of `gap` are connected already, so only points of different cells are compared, nearest cells first and
-    those that are already connected no more.
+    a diagonal of `gap` are connected already, so only points of different cells are compared, those of near cells
+    first and those of cells that are already connected no more.
     """
     edge = gap / np.sqrt(3) * (1 - 1e-9)
     cell, count = voxel_groups(points, edge)
@@ -314,33 +314,42 @@ def clusters(points: Array, gap: float) -> NDArray[Any]:
     start, ordered = np.concatenate([[0], np.cumsum(count)]), points[order]
     centres = (np.floor(ordered[start[:-1]] / edge) + 0.5) * edge
     pairs = KDTree(centres).query_pairs(2 * gap, output_type="ndarray") if len(count) else np.zeros((0, 2), np.int64)
-    pairs = pairs[np.argsort(np.sum((centres[pairs[:, 0]] - centres[pairs[:, 1]]) ** 2, axis=1))]
-    links, part = pairs[:0], np.arange(len(count))
-    for some in np.array_split(pairs, 20):
-        apart = some[part[some[:, 0]] != part[some[:, 1]]]
-        if len(apart) == 0:
-            continue
-        touching = np.zeros(len(apart), dtype=np.bool_)
-        _touching(ordered, start, apart, gap * gap, touching)
-        links = np.concatenate([links, apart[touching]])
-        graph = sparse.coo_array((np.ones(len(links)), tuple(links.T)), shape=(len(count), len(count)))
-        part = connected_components(graph, directed=False)[1]
-    return part[cell]
+    near = np.sum((centres[pairs[:, 0]] - centres[pairs[:, 1]]) ** 2, axis=1) <= gap * gap
+    joined = np.arange(len(count))
+    for some in (pairs[near], pairs[~near]):
+        _join(ordered, start, some, gap * gap, joined)
+    return np.unique(joined, return_inverse=True)[1][cell]
 
 
 @compiled
-def _touching(points, start, pairs, gap2, touching):
-    """Fill (P,) which pairs of cells, whose points begin at `start`, have points within a squared distance."""
+def _join(points, start, pairs, gap2, joined):
+    """Join cells, whose points begin at `start`, that have points within a squared distance: to the lowest number.
+
+    `joined` (M,) is a cell of the same cluster, that of the lowest number in the end; before the first pairs each its
+    own.
+    """
     for p in range(len(pairs)):
-        a, b = pairs[p]
+        a, b = pairs[p, 0], pairs[p, 1]
+        one, two = a, b
+        while joined[one] != one:
+            one = joined[one]
+        while joined[two] != two:
+            two = joined[two]
+        if one == two:
+            continue
+        touching = False
         for i in range(start[a], start[a + 1]):
             for j in range(start[b], start[b + 1]):
                 x, y, z = points[i, 0] - points[j, 0], points[i, 1] - points[j, 1], points[i, 2] - points[j, 2]
                 if x * x + y * y + z * z <= gap2:
-                    touching[p] = True
+                    touching = True
                     break
-            if touching[p]:
+            if touching:
                 break
+        if touching:
+            joined[max(one, two)] = min(one, two)
+    for c in range(len(joined)):
+        joined[c] = joined[joined[c]]
 
 
 def attached_points(points: Array) -> NDArray[np.bool_]:
