@@ -112,10 +112,11 @@ def centre_on_blades(tree: RawTree, gain: Array, voxels: Voxels, levels: LevelSe
     home = np.zeros(len(tree.nodes), dtype=np.int64)
     for number, chain in enumerate(every[1:], 1):
         home[chain[1:]] = number
-    home = home[nearest(voxels.points, tree.nodes)[1]]
+    away, node = nearest(voxels.points, tree.nodes)
+    home, at = home[node], np.zeros(len(tree.nodes), dtype=np.int64)
+    at[node[away == 0]] = np.flatnonzero(away == 0)
     order = np.lexsort((levels.way, home))
     first = np.searchsorted(home[order], np.arange(len(every) + 1))
-    at = nearest(tree.nodes, voxels.points)[1]
     weight = np.clip((tree.flatness - 0.2) / 0.3, 0, 1)[:, None]
     nodes = tree.nodes.copy()
     for number, chain in enumerate(every):

@@ -177,7 +177,8 @@ def clearance(poses: Array, surroundings: Surroundings, boxes: Array, closing: A
         order, start, cells = _cells(surroundings)
         s = surroundings
         balls = (s.centers[order], s.radius[order], s.kind[order], s.stiffness[order])
-        lower, upper = boxes[:, :3].min(axis=0, initial=np.inf), boxes[:, 3:].max(axis=0, initial=-np.inf)
+        both = np.vstack([boxes, closing])
+        lower, upper = both[:, :3].min(axis=0), both[:, 3:].max(axis=0)
         found = distance, touched, enclosed, spread, push
         touch = 0.002  # m: a piece nearer than this to the way in counts as touched
         _meet(poses, *balls, start, cells, boxes, closing, touch, *found, lower, upper, np.empty(3))
@@ -224,9 +225,10 @@ def _meet(
             if not _near(poses[i], cells[c], cells[c, 3] + FAR, lower, upper, local):
                 continue
             for m in range(start[c], start[c + 1]):
-                if not _near(poses[i], centers[m], radius[m] + FAR, lower, upper, local):
+                k = kind[m]
+                gap = _more(distance[i, k], touch)  # beyond, it changes nothing
+                if not _near(poses[i], centers[m], radius[m] + gap, lower, upper, local):
                     continue
-                k, gap = kind[m], FAR
                 for g in range(len(boxes)):
                     gap = _less(gap, _box_distance(local, boxes[g], gap + radius[m]) - radius[m])
                 distance[i, k] = _less(distance[i, k], gap)
