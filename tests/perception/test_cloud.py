@@ -18,7 +18,9 @@ from anther.core.geometry import Box, Intrinsics, look_at, transform_points
 from anther.perception.capture import Capture
 from anther.perception.cloud import Cloud, Params, fuse
 from anther.perception.cloud._fusion import (
+    agreeing_points,
     attached_points,
+    balances,
     clusters,
     occupied_cells,
     surface_pixels,
@@ -342,3 +344,17 @@ def test_normals_at_the_edge_of_an_image_and_of_a_mask_are_those_of_the_whole_im
     supported = surface_pixels(depth, every, camera)[0]
     np.testing.assert_array_equal(surface_pixels(depth, some, camera)[0], some & supported)
     assert not surface_pixels(depth, np.zeros_like(some), camera)[0].any()
+
+
+def test_points_agree_that_no_more_views_contradict_than_support() -> None:
+    """Views that can change a point's balance no more are not asked; the answer is that of all."""
+    capture, _, masks, _ = seen()
+    box = fuse(capture, masks, WORKSPACE, Params(voxel=0.006)).points
+    rng = np.random.default_rng(0)
+    points = np.repeat(box, 3, axis=0) + rng.normal(0, 0.02, (3 * len(box), 3))  # many of them beside the plant
+    said = [
+        balances(points, capture.depth[v], capture.intrinsics, capture.T_world_cam[v]) for v in range(capture.views)
+    ]
+    agree = agreeing_points(points, list(capture.depth), capture.intrinsics, capture.T_world_cam)
+    np.testing.assert_array_equal(agree, np.sum(said, axis=0) >= 0)
+    assert 0.1 < agree.mean() < 0.9

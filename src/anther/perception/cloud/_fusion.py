@@ -8,6 +8,7 @@ Dimensions: V views, H x W pixels, N points.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -171,11 +172,11 @@ def voxel_means(points: Array, voxel: float) -> Array:
 
 
 class _Voxels:
-    """Weighted sums of what lies in each voxel, in order of first appearance: of K columns, the first three points [m].
+    """Means of what lies in each voxel, in order of first appearance: of K columns, the first three points [m].
 
     Attributes:
-        counts: (M,) weight of every voxel.
-        means: (M, K) of its values.
+        counts: (M,) number of values in every voxel.
+        means: (M, K) of these.
     """
 
     def __init__(self, most: int, voxel: float, columns: int = 3) -> None:
@@ -184,11 +185,11 @@ class _Voxels:
         self._slots = np.full(1 << (2 * most).bit_length(), -1, dtype=np.int32)
         self._keys, self._sums = np.zeros(most, np.int64), np.zeros((most, columns + 1))
 
-    def add(self, values: Array, weights: Array | None = None) -> NDArray[np.int64]:
-        """Add values (N, K), of weight 1 or `weights` (N,), and return the numbers (N,) of their voxels."""
-        group, weights = np.empty(len(values), dtype=np.int64), np.ones(len(values)) if weights is None else weights
+    def add(self, values: Array) -> NDArray[np.int64]:
+        """Add values (N, K), and return the numbers (N,) of their voxels."""
+        group = np.empty(len(values), dtype=np.int64)
         self._found = _add_to_voxels(
-            read_only(values), read_only(weights), self._scale, self._slots, group, self._keys, self._sums, self._found
+            read_only(values), self._scale, self._slots, group, self._keys, self._sums, self._found
         )
         return group
 
@@ -202,7 +203,7 @@ class _Voxels:
 
 
 @compiled
-def _add_to_voxels(values, weights, scale, slots, group, keys, sums, voxels):
+def _add_to_voxels(values, scale, slots, group, keys, sums, voxels):
     """Number and sum up values' voxels, and return how many there are; `voxels` of them were found before.
 
     `slots` is a hash table of their numbers, of a power of two, at first all -1; `keys` has the key of each.
@@ -222,26 +223,23 @@ def _add_to_voxels(values, weights, scale, slots, group, keys, sums, voxels):
                 slots[slot], keys[voxels] = voxels, key
                 voxels += 1
             here, last = np.int64(slots[slot]), key
-        group[n], weight = here, weights[n]
+        group[n] = here
         for k in range(columns):
-            sums[here, k] += weight * values[n, k]
-        sums[here, columns] += weight
+            sums[here, k] += values[n, k]
+        sums[here, columns] += 1.0
     return voxels
 
 
 def fuse_voxels(pixels: list[SurfacePoints], poses: Array, box: Box, voxel: float) -> SurfacePoints:
     """Return the mean point, normal, label and colour of every occupied voxel within the box."""
-    halves = np.array_split(np.arange(len(poses)), 2)
-    count = [sum(len(pixels[view].points) for view in half) for half in halves]
-    first, second = _Voxels(sum(count), voxel, columns=10), _Voxels(count[1], voxel, columns=10)
-
-    def fill(half: int) -> None:
-        for view in halves[half]:
-            (first, second)[half].add(_placed(pixels[view], poses[view], box))
-
-    in_threads(fill, range(2))
-    first.add(second.means, second.counts)
-    means = first.means
+    voxels = _Voxels(sum(len(view.points) for view in pixels), voxel, columns=10)
+    with ThreadPoolExecutor(1) as ahead:  # places the next view while one is added
+        coming = ahead.submit(_placed, pixels[0], poses[0], box)
+        for seen, pose in zip(pixels[1:], poses[1:], strict=True):
+            values, coming = coming.result(), ahead.submit(_placed, seen, pose, box)
+            voxels.add(values)
+        voxels.add(coming.result())
+    means = voxels.means
     facing = means[:, 3:6] / np.maximum(np.linalg.norm(means[:, 3:6], axis=1, keepdims=True), 1e-9)
     majority = np.where(means[:, 6] >= 0.5, FLOWER, PLANT).astype(np.uint8)
     return SurfacePoints(means[:, :3].copy(), facing, majority, np.round(means[:, 7:]).astype(np.uint8))
@@ -260,28 +258,42 @@ def _placed(seen: SurfacePoints, T_world_cam: Array, box: Box) -> Array:
 
 def agreeing_points(points: Array, depth: Sequence[NDArray[Any]], intrinsics: Intrinsics, poses: Array) -> NDArray[Any]:
     """Return which points (N,) no more views contradict than support; see `balances`."""
-    views = range(len(depth))
-    return (
-        sum(in_threads(lambda v: balances(points, depth[v], intrinsics, poses[v]), views), np.zeros(len(points))) >= 0
-    )
+    halves = np.array_split(np.arange(len(points)), 2)
+
+    def agree(half: int) -> NDArray[np.bool_]:
+        some, balance = points[halves[half]], np.zeros(len(halves[half]), dtype=np.int16)
+        for done, (image, T) in enumerate(zip(depth, poses, strict=True)):
+            _balance(some, image, intrinsics, T, balance, len(poses) - done)
+        return balance >= 0
+
+    return np.concatenate(in_threads(agree, range(2)))
 
 
-def balances(points: Array, depth: NDArray[Any], intrinsics: Intrinsics, T_world_cam: Array) -> NDArray[np.int8]:
+def balances(points: Array, depth: NDArray[Any], intrinsics: Intrinsics, T_world_cam: Array) -> NDArray[np.int16]:
     """Return what one view says of points (N, 3): 1 supports, -1 contradicts, 0 nothing.
 
     A view contradicts a point if everything it sees there and one pixel around is at least `SEEN_THROUGH` [m] behind
     it; it supports a point if something there lies within half of that.
     """
-    camera = intrinsics.pinhole, np.ascontiguousarray(inverse(T_world_cam))
-    balance = np.zeros(len(points), dtype=np.int8)
-    _balances(read_only(points), read_only(depth), *camera, balance)
+    balance = np.zeros(len(points), dtype=np.int16)
+    _balance(points, depth, intrinsics, T_world_cam, balance, 1)
     return balance
 
 
+def _balance(
+    points: Array, depth: NDArray[Any], intrinsics: Intrinsics, pose: Array, balance: NDArray[np.int16], left: int
+) -> None:
+    """Add to `balance` (N,) what a view says of points, where the `left` views, with this one, can make it negative."""
+    camera = intrinsics.pinhole, np.ascontiguousarray(inverse(pose))
+    _balances(read_only(points), read_only(depth), *camera, balance, left)
+
+
 @compiled
-def _balances(points, depth, k, T, balance):
+def _balances(points, depth, k, T, balance, left):
     height, width = depth.shape
     for n in range(points.shape[0]):
+        if balance[n] >= left:
+            continue
         x, y, w = points[n, 0], points[n, 1], points[n, 2]
         z = T[2, 0] * x + T[2, 1] * y + T[2, 2] * w + T[2, 3]
         if z <= 0:
@@ -291,14 +303,14 @@ def _balances(points, depth, k, T, balance):
         if u < 1 or v < 1 or u >= width - 1 or v >= height - 1:
             continue
         if depth[v, u] > 0 and abs(depth[v, u] - z) < SEEN_THROUGH / 2:
-            balance[n] = 1  # of most points the pixel itself says so
+            balance[n] += 1  # of most points the pixel itself says so
             continue
         nearest = least = np.inf
         for j in range(v - 1, v + 2):
             for i in range(u - 1, u + 2):
                 seen = np.float64(depth[j, i])
                 nearest, least = min(nearest, abs(seen - z)), min(least, seen)
-        balance[n] = 1 if nearest < SEEN_THROUGH / 2 else (-1 if least > z + SEEN_THROUGH else 0)
+        balance[n] += 1 if nearest < SEEN_THROUGH / 2 else (-1 if least > z + SEEN_THROUGH else 0)
 
 
 def clusters(points: Array, gap: float) -> NDArray[np.int64]:
