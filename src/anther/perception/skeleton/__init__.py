@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
@@ -172,13 +171,16 @@ def skeletonize(cloud: Cloud, params: Params | None = None, middle: ArrayLike | 
     size = _plant_size(points)
     points = points[np.abs(points - np.median(points, axis=0)).max(axis=1) <= LARGEST]  # strays no grid holds
     scene = _thinned(points, float(np.subtract(*np.quantile(points[:, 2], [0.995, 0.005]))))  # as fine as of one plant
-    with ThreadPoolExecutor(1) as beside:  # one plant is most often all that stands there: begun before it is known
-        whole = beside.submit(_voxels, points, size, params.voxel)
-        plants = find_plants(scene, params.root, params.plant, middle)
+    plants = find_plants(scene, params.root, params.plant, middle)
     if len(plants) > 1:
         points = scene[plants.owner == plants.asked]
         size, params = _plant_size(points), replace(params, root=tuple(plants.root.tolist()))
-    points, voxels, notes = whole.result() if len(plants) == 1 else _voxels(points, size, params.voxel)
+    points = _thinned(points, size)
+    if params.voxel is not None:
+        check_range("voxel", params.voxel, size / 1500, size / 10, "m")  # finer, filled hollows take gigabytes
+    voxel = params.voxel or max(size / RESOLUTION, 1.3 * point_spacing(points))
+    solid = solidify(points, voxel, close=2, fill=0.06 * size)  # the widest stem that is hollow in a scan
+    voxels, notes = _connected(solid, size)
     coarse, sure, warnings = _coarse_tree(voxels, size, params)
     spacing = params.spacing or size / 110
     curves = resample(coarse, stem_gain(coarse), spacing)
@@ -238,19 +240,6 @@ def _plant_size(points: Array) -> float:
         allowed = f"{SMALLEST:g} <= size <= {LARGEST:g} m"
         raise bad_input("plant size", given=f"{size:g} m", allowed=allowed, do="Are the units right (m or mm)?")
     return size
-
-
-def _voxels(points: Array, size: float, edge: float | None) -> tuple[Array, Voxels, tuple[str, ...]]:
-    """Return the points (N, 3) [m] no denser than a plant of that size [m] needs, its voxels in one piece, and notes.
-
-    `edge` of a voxel [m]; see `Params.voxel`.
-    """
-    points = _thinned(points, size)
-    if edge is not None:
-        check_range("voxel", edge, size / 1500, size / 10, "m")  # finer, filled hollows take gigabytes
-    voxel = edge or max(size / RESOLUTION, 1.3 * point_spacing(points))
-    solid = solidify(points, voxel, close=2, fill=0.06 * size)  # the widest stem that is hollow in a scan
-    return points, *_connected(solid, size)
 
 
 def _coarse_tree(voxels: Voxels, size: float, params: Params) -> tuple[RawTree, float, tuple[str, ...]]:
