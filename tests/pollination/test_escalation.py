@@ -137,6 +137,12 @@ def test_a_second_probe_is_gentler_by_what_the_first_passed_a_limit(shaken: Shak
     assert second.amplitudes == pytest.approx(np.array(first.amplitudes) / max(passed, 1.0))
 
 
+def held_seconds(world: World) -> float:
+    """Return how long the shake was what it was in the end [s]."""
+    *_, begins = (piece for piece in world.pieces if piece.changes and not piece.stops)
+    return float(world.pieces[-1].begin - begins.begin - begins.ramp)
+
+
 @pytest.mark.parametrize("price", [1.0, 10.0])
 def test_it_ends_where_more_would_cost_more_than_it_adds(shaken: Shaken, price: float) -> None:
     for seed in range(5):
@@ -147,9 +153,8 @@ def test_it_ends_where_more_would_cost_more_than_it_adds(shaken: Shaken, price: 
         last = watched.steps[-1]
         tone = int(np.abs(TONES - last.frequencies[0]).argmin())
         assert last.amplitudes[0] == pytest.approx(most(world, tone)[0], rel=0.15)
-        held = world.pieces[-2]
-        assert held.seconds - held.ramp >= escalation.HOLD
-        assert "more would cost more than it adds" in watched.steps[-2].decided
+        assert held_seconds(world) >= escalation.HOLD
+        assert any("more would cost more than it adds" in step.decided for step in watched.steps[-2:])
 
 
 @pytest.mark.parametrize("share", [0.25, 1.0, 3.0])
@@ -432,9 +437,9 @@ def test_the_time_ends_a_shake_that_could_be_raised_further(
     world = World(foresight, foresight.vectors[4], plan=replace(FREE, tones=made_plan((1e-4,) * 3).tones))
     world.params, world.limits = params, HEEDLESS
     watched = shaken(world, raised=1.06)
-    assert "time" in watched.steps[-2].decided
+    assert any("time" in step.decided for step in watched.steps[-2:])
     check_pieces(world, watched)
-    assert world.pieces[-1].begin + world.pieces[-1].seconds > seconds - 1.5
+    assert world.pieces[-1].begin + world.pieces[-1].seconds > seconds - 2.6
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -573,7 +578,7 @@ def test_a_shake_turns_back_to_what_was_worth_more_not_to_what_moved_the_median_
         answer = still._replace(flowers=np.tile(flowers, (len(still.flowers), 1)))
         option.prediction = option.prediction._replace(flowers=flowers, answer=answer)
         option.allowed, option.raised_to = option.allowed._replace(amplitude=now), now
-    watched._repeated = True
+    watched._repeated, watched._same_since = True, np.inf  # no time at this amplitude yet
     held = watched._raise(here, now, "")
     assert np.flatnonzero(held.amplitudes).tolist() == [there if all_flowers else here]
     assert held.amplitudes.max() == pytest.approx(now)
@@ -777,9 +782,10 @@ def test_a_shake_seen_twice_to_move_nothing_is_carried_out_as_planned(
     watched = shaken(world)
     steps = single(watched)
     assert {int(np.abs(TONES - step.frequencies[0]).argmin()) for step in steps} == {world.stiff}
-    assert len(steps) == 3, "watched, watched again, held"
+    assert len(steps) == 2, "watched, and watched again, which is long enough"
+    assert held_seconds(world) >= escalation.HOLD
     assert steps[-1].amplitudes[0] == pytest.approx(0.004, rel=1e-3)
-    assert steps[-1].decided == "Held long enough."
+    assert steps[-1].decided.endswith("Held long enough.")
     check_pieces(world, watched)
 
 

@@ -157,11 +157,17 @@ def test_a_trial_keeps_its_steps_on_disk(tmp_path: Path) -> None:
     for step, was in zip(back.steps, trial.steps, strict=True):
         assert np.array_equal(step.flowers, was.flowers, equal_nan=True)
         assert replace(step, flowers=()) == replace(was, flowers=())
-    assert back.steady == trial.steady == (trial.steps[-1].begin, trial.steps[-1].end)
+    assert back.steady == trial.steady
     assert (back.steps[0].used, back.steps[0].binds, back.steps[0].median) == (0.5, "slip", 1.5)
 
 
-def test_a_shake_is_steady_in_its_last_step_or_all_the_time_or_never() -> None:
+def test_a_shake_is_steady_in_its_last_steps_alike_or_all_the_time_or_never() -> None:
+    watched = execute(PLANNER, Plan(), fake_robot(), LIMITS, watched=Scripted())
+    first, second, last = watched.steps
+    gentler = replace(first, amplitudes=tuple(0.5 * a for a in last.amplitudes))
+    same = replace(second, frequencies=last.frequencies, amplitudes=last.amplitudes, direction=last.direction)
+    for steps, begin in (((gentler, same, last), second.begin), ((same, gentler, last), last.begin)):
+        assert replace(watched, steps=steps).steady == (begin, last.end)
     plain = execute(PLANNER, Plan(), fake_robot(), LIMITS)
     assert plain.steps == ()
     assert plain.steady == (plain.shake_times[0], plain.shake_times[-1])

@@ -70,6 +70,11 @@ class Swing(Record):
         return not self.amplitudes.any()
 
     @property
+    def changes(self) -> bool:
+        """Whether it does not simply go on with what was before."""
+        return not np.array_equal(self.amplitudes, self.before)
+
+    @property
     def reach(self) -> float:
         """No displacement of the piece is larger [m]."""
         return float(max(self.amplitudes.sum(), self.before.sum()))  # on the ramp all go from one to the other alike

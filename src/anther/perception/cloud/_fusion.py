@@ -214,7 +214,9 @@ def _add_to_voxels(values, scale, slots, group, keys, sums, voxels):
         for a in range(3):
             key = key << 21 | (np.int64(np.floor(values[n, a] * scale)) & 0x1FFFFF)
         if key != last:  # of pixels side by side it is the same
-            corner = key & 0xC0000600003  # two bits each: of a block of 64 voxels, whose slots are side by side in memory
+            corner = (
+                key & 0xC0000600003
+            )  # two bits each: of a block of 64 voxels, whose slots are side by side in memory
             block, within = key ^ corner, (corner >> 38 | corner >> 19 | corner) & 63
             slot = ((block ^ block >> 29) * 0x5851F42D4C957F2D >> 31 << 6 | within) & (len(slots) - 1)  # MMIX's (Knuth)
             while slots[slot] >= 0 and keys[slots[slot]] != key:

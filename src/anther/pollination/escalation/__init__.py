@@ -59,8 +59,9 @@ __all__ = [
 DEFAULTS = Params()
 OUT_OF_SIGHT, NO_TIME = "no flower is in sight", "no time is left"
 UNPROVEN = "what was seen does not move as the gripper does"
+ENOUGH = "Held long enough."
 RAISED, HOLD = 2.0, 1.2
-"""Largest ratio of successive step amplitudes; length of the last step [s], twice
+"""Largest ratio of successive step amplitudes; how long the shake is what it was to become at least [s], twice
 the time constant of pollen release."""
 BETTER = 1.25
 """Least ratio of predicted worths that justifies another shake: a change takes seconds, and the largest of many
@@ -127,6 +128,7 @@ class Escalation:
         self._options: list[Option] = []
         self._watched: dict[int, tuple[Observation, Prediction] | None] = {}  # see `_update_other_directions`
         self._camera_delay, self._visible_count, self._holding = 0.0, 0, False
+        self._same_since = 0.0  # of the present amplitudes, on the clock of the shake [s]
         self._proofs: list[bool] = []  # by step, whether the observation can only show the plant
         self._observations: list[Observation] = []  # by step
         self._proven_amplitude = 0.0
@@ -169,12 +171,14 @@ class Escalation:
     def steady_from(self, piece: Swing) -> float:
         """Return the time from which the current piece is steady [s], from the start of the shake."""
         steady = self._probe_seconds if self._probing else self._watch_seconds(int(piece.amplitudes.argmax()))
-        return piece.begin + max(piece.ramp, piece.seconds - LEAD - steady)
+        return piece.begin + max(piece.ramp if piece.changes else 0.0, piece.seconds - LEAD - steady)
 
     def next_piece(self, piece: Swing, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
         """Return the next piece, chosen from the observation of the current one; the last piece ends at rest."""
         started, steady = perf_counter(), [s for s in samples if s.time >= samples[0].time + self.steady_from(piece)]
         self._piece = piece
+        if piece.changes:
+            self._same_since = piece.begin + piece.ramp
         observation = self._observe(frames, steady, samples[0].time)
         fitted, joints = observation, self._joints
         if not self.steps:
@@ -199,7 +203,7 @@ class Escalation:
         shares = {k: sum(a * one.loads[k] / self._limits[n][k] for a, n, one in shaken) for k in WORDS}
         lost = 0.5  # the shake ends when a smaller share of the points tracked in the probe is still tracked
         if self._holding:
-            follows = NextPiece(np.zeros(len(self._frequencies)), 0.0, "Held long enough.")
+            follows = NextPiece(np.zeros(len(self._frequencies)), 0.0, ENOUGH)
         elif observation.followed < lost * self._visible_count:
             words = f"Only {observation.followed} of {self._visible_count} points are still followed: ended."
             follows = NextPiece(np.zeros(len(self._frequencies)), 0.0, words)
@@ -432,6 +436,7 @@ class Escalation:
         enough = 1.05  # least ratio of amplitudes or worths that justifies another step
         if higher > enough * now:
             return self._excite(shake, higher, self._watch_seconds(shake), f"Raised to {1e3 * higher:.2g} mm.")
+        higher = now if higher > now / enough else higher
         if doubt and not self._repeated and why != NO_TIME:
             return self._repeat(shake, higher, why)
         self._holding = True
@@ -439,10 +444,18 @@ class Escalation:
         best = int(np.argmax(done))
         if best != shake and done[best] > enough * option.worth_at(now):
             why = f"{why}; {self._frequencies[best]:.3g} Hz was worth more"
-            shake, higher = best, self._options[best].tolerated
-        else:
-            higher = min(now, higher)
-        return self._excite(shake, higher, HOLD, f"Held at {1e3 * higher:.2g} mm: {why}.")
+            return self._hold(best, self._options[best].tolerated, why)
+        return self._hold(shake, higher, why, already=higher == now)
+
+    def _hold(self, shake: int, amplitude: float, why: str, already: bool = False) -> NextPiece:
+        """Return the last piece, for what is left of `HOLD` where the shake is `already` what it was to become."""
+        words, left = f"Held at {1e3 * amplitude:.2g} mm: {why}.", HOLD
+        if already:
+            left -= self._piece.begin + self._piece.seconds - self._same_since
+            if left <= 0:
+                return NextPiece(np.zeros(len(self._frequencies)), 0.0, f"{words} {ENOUGH}")
+            left = max(left - self._ramp_seconds([shake]) - LEAD, 0.0)  # nothing changes on that ramp
+        return self._excite(shake, amplitude, left, words)
 
     def _has_time(self, shake: int) -> bool:
         """Return whether there is time for another step, the last one, and the ramp to rest."""

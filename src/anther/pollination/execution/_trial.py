@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import takewhile
 from typing import Annotated
 
 import numpy as np
@@ -41,6 +42,14 @@ class Step(Record):
     loads: dict[str, float]
     decided: str
     seconds: Annotated[float, Range(unit="s")]
+
+    def is_like(self, other: Step) -> bool:
+        """Return whether the pads did the same in another step."""
+        return (self.frequencies, self.amplitudes, self.direction) == (
+            other.frequencies,
+            other.amplitudes,
+            other.direction,
+        )
 
     @property
     def used(self) -> float:
@@ -106,7 +115,8 @@ class Trial(Stored):
 
     @property
     def steady(self) -> tuple[float, float]:
-        """When the shake was what it was to become [s]: its last step, or all of it; an empty time if there is none."""
+        """When the shake was what it was to become [s]: its last steps alike, or all of it; empty if there is none."""
         if self.steps:
-            return self.steps[-1].begin, self.steps[-1].end
+            same = takewhile(self.steps[-1].is_like, reversed(self.steps))
+            return min(step.begin for step in same), self.steps[-1].end
         return (float(self.shake_times[0]), float(self.shake_times[-1])) if len(self.shake_times) else (0.0, 0.0)
