@@ -38,7 +38,7 @@ from anther.perception.skeleton import Params as SkeletonParams
 from anther.plant import PEPPER, TOMATO, Crop
 from anther.pollination import Params, pollinate
 from anther.robot import guard
-from anther.robot.arm import sawyer
+from anther.robot.arm.sawyer import SAWYER, TOOL
 from anther.sim import (
     Scene,
     SimPlant,
@@ -99,8 +99,8 @@ def views_of(case: Case, plant: SimPlant, joints: Array, rng: np.random.Generato
             poses = swaying(plant, len(joints), rng)
             return lambda *_: in_wind(plant, scene, joints, poses, case.seed), sway(plant, poses)
         case "hand-eye":
-            off = perturbed_hand_eye(sawyer.T_FLANGE_CAM, rng, translation=HAND_EYE)
-            shot = partial(capture_views, scene, joints, sawyer.forward, off, sawyer.T_FLANGE_CAM, rng=rng)
+            off = perturbed_hand_eye(TOOL.T_flange_cam, rng, translation=HAND_EYE)
+            shot = partial(capture_views, scene, joints, SAWYER.forward, off, TOOL.T_flange_cam, rng=rng)
             return lambda advance, _: shot(progress=advance)[0], 0.0
         case "view lost":
             left = np.delete(np.arange(len(joints)), rng.integers(len(joints)))
@@ -110,11 +110,11 @@ def views_of(case: Case, plant: SimPlant, joints: Array, rng: np.random.Generato
 
 def in_wind(plant: SimPlant, scene: Scene, joints: Array, poses: list[Array], seed: int) -> Capture:
     """Return views of a plant that stands elsewhere in each; the hand-eye error is the same in all."""
-    off = perturbed_hand_eye(sawyer.T_FLANGE_CAM, np.random.default_rng([seed, 1]))
+    off = perturbed_hand_eye(TOOL.T_flange_cam, np.random.default_rng([seed, 1]))
     shots = []
     for i, (q, T) in enumerate(zip(joints, poses, strict=True)):
         moved, rng = scene.moved(plant.posed_vertices(T)), np.random.default_rng([seed, 2, i])
-        shots.append(capture_views(moved, q[None], sawyer.forward, off, sawyer.T_FLANGE_CAM, rng=rng)[0])
+        shots.append(capture_views(moved, q[None], SAWYER.forward, off, TOOL.T_flange_cam, rng=rng)[0])
     depth, pose = (np.concatenate([getattr(shot, name) for shot in shots]) for name in ("depth", "T_world_cam"))
     rgb = np.concatenate([shot.rgb for shot in shots if shot.rgb is not None])
     return Capture(depth, shots[0].intrinsics, pose, rgb)
