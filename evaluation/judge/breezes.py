@@ -13,8 +13,9 @@ import numpy as np
 from rich.table import Table
 
 from anther.core import Array, StageFailure
-from anther.sim import NOMINAL, Organ, SimPlant, as_true
+from anther.sim import NOMINAL, Organ, SimPlant
 from anther.sim.sway import TIMESTEP, gusts
+from anther.sim.true_plant import as_true
 from evaluation.harness import CROPS
 from evaluation.tables import by_part
 

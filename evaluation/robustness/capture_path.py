@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from anther.core import Array, Box
 from anther.plant import Crop
-from anther.robot import JointTrajectory, Views
+from anther.robot import JointTrajectory
 from anther.robot.arm import motions
 from anther.robot.arm.motions import USABLE
 from anther.robot.arm.sawyer import SAWYER, TOOL
-from anther.robot.arm.views import Params, capture_time, cylinder_points, is_sharp
+from anther.robot.arm.views import Params, Views, capture_time, cylinder_points, is_sharp
 from anther.sim import grow, layout, views_at
 from anther.sim.cell import Cell
 from anther.sim.robot import SimArm

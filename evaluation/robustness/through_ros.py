@@ -38,7 +38,7 @@ from fake_sawyer import FakeSawyer, swing
 
 from anther.core import Array
 from anther.core.choices import ArmName
-from anther.plant import moved
+from anther.plant.limits import moved
 from anther.robot import Robot
 from anther.robot.arm.sawyer import SAWYER, TOOL
 from anther.robot.drivers.intera import types

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.plant import fit_free_vibration
+from anther.plant.bench import fit_free_vibration
 from anther.rods import Clamp, Drive, Rods, frequency_response, natural_frequencies, simulate
 from evaluation.rods.beam_theory import cone_frequencies, rayleigh_roots, uniform_roots
 from evaluation.rods.beams import CLAMPED, NO_GRAVITY, X_AXIS, Beam, network

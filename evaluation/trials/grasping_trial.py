@@ -12,10 +12,12 @@ from typing import Any
 from anther.core import Advance, Run, StageFailure
 from anther.perception import Cloud
 from anther.plant import PEPPER, TOMATO, Crop, Material, Visit
-from anther.pollination import Done, Params, Seen, ShakePlan, arm_shaker, execute, model_plant, plan_shake, pollinate
+from anther.pollination import Done, Params, Seen, ShakePlan, execute, model_plant, plan_shake, pollinate
 from anther.pollination.execution import EARLY
-from anther.robot import MotionPlanner, Planner
+from anther.pollination.shake import arm_shaker
+from anther.robot import Planner
 from anther.robot.arm.arms import simulated_arm
+from anther.robot.cell import MotionPlanner
 from anther.show import summarise
 from anther.sim import NOMINAL, SimulatedCell, Truth, build, draw
 from anther.sim.judge import judge

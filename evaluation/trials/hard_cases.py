@@ -39,20 +39,10 @@ from anther.plant import PEPPER, TOMATO, Crop
 from anther.pollination import Params, pollinate
 from anther.robot import guard
 from anther.robot.arm.sawyer import SAWYER, TOOL
-from anther.sim import (
-    Scene,
-    SimPlant,
-    SimulatedCell,
-    build,
-    capture_views,
-    grow,
-    grow_pepper,
-    grow_tomato,
-    photograph,
-    robot_of,
-)
+from anther.sim import Scene, SimPlant, SimulatedCell, build, grow, grow_pepper, grow_tomato, photograph
 from anther.sim import cell as world
-from anther.sim.capture import perturbed_hand_eye
+from anther.sim.capture import capture_views, perturbed_hand_eye
+from anther.sim.robot import robot_of
 from anther.sim.simulated_cell import PRESETS, USUAL_DISTANCE
 from evaluation.harness import CROPS, failed, finish, options, run_cases
 from evaluation.tables import by_part, markdown

@@ -27,7 +27,8 @@ import numpy as np
 
 from anther.core import Advance
 from anther.perception.capture import no_keep
-from anther.plant import PEPPER, TOMATO, Crop, EarlierShake, Material
+from anther.plant import PEPPER, TOMATO, Crop, Material
+from anther.plant.belief import EarlierShake
 from anther.pollination import Done, Params, Seen, ShakePlan, execute, perceive, pollinate
 from anther.pollination.escalation import Escalation
 from anther.robot import GuardedArm
