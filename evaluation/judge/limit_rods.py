@@ -12,12 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.core import Array
-from anther.plant import PEPPER, TOMATO, PlantModel
+from anther.plant import PRIORS, PlantModel
 from anther.rods import Clamp, Rods, with_gravity_equilibrium
 from anther.sim import Organ, SimPlant
 from anther.sim.pieces import TWISTING
 
-PRIOR = {"tomato": TOMATO, "pepper": PEPPER}
 RIGID = 1e6
 """The edge below the soil is so many times as stiff as the one above it: the stem is clamped at the soil itself."""
 ARM = 10.0
@@ -89,7 +88,7 @@ def true_rods(plant: SimPlant) -> TrueRods:
     leaving = np.flatnonzero(~np.isin(np.arange(count), stem) & np.isin(plant.parent, stem))
     steps = np.linalg.norm(np.diff(rods.nodes[stem_nodes], axis=0), axis=1)
     material = replace(
-        PRIOR[plant.species],
+        PRIORS[plant.species],
         youngs=float(plant.youngs[0]),
         density=float(plant.density[0]),
         damping_ratio=float(plant.damping_ratio[0]),

@@ -26,12 +26,12 @@ from made_realsense import SoftwareCamera, colours, depth_steps
 from anther.robot.arm.sawyer import SAWYER
 from anther.robot.drivers import realsense
 from anther.robot.drivers.free_running import FreeRunningCamera
+from evaluation.robustness.faulty_machines import PUSH
 
 TEMPLATE = Path(__file__).parents[2] / "tests" / "support" / "cells" / "sawyer.toml"
 THICK = 0.008
 """Of the stem between the pads [m]."""
 STROKE = 0.085  # m, of a Robotiq 2F-85
-PUSH = 60.0  # N, a firm push by hand, our choice
 LOSS = 0.05  # of the messages
 LATE = 0.2  # s
 FRAMES = 30.0  # Hz

@@ -11,7 +11,7 @@ from typing import Any
 
 from anther.core import Advance, Run, StageFailure
 from anther.perception import Cloud
-from anther.plant import PEPPER, TOMATO, Crop, Material, Visit
+from anther.plant import PRIORS, Crop, Material, Visit
 from anther.pollination import Done, Params, Seen, ShakePlan, execute, model_plant, plan_shake, pollinate
 from anther.pollination.execution import EARLY
 from anther.pollination.shake import arm_shaker
@@ -129,7 +129,7 @@ def both(case: Case, picture: Path, rule: bool) -> dict[str, Any]:
     _begun.append(case.name)
     run = Memory(picture.parent)
     cell = case.build()
-    material = PEPPER if case.species == "pepper" else TOMATO
+    material = PRIORS[case.species]
     ours, done = performed(cell, lambda: pollinate(watched(cell, run), material, run, Params()))
     row = {**asdict(case), "first": first, "ours": ours, "paper": None, "notes": notes(run)}
     row |= {"capture_s": cell.capture_seconds, "seconds": run.total, "cpu_seconds": run.cpu}

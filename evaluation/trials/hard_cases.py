@@ -35,7 +35,7 @@ from anther.core import Advance, Array
 from anther.perception import Capture
 from anther.perception.capture import Keep
 from anther.perception.skeleton import Params as SkeletonParams
-from anther.plant import PEPPER, TOMATO, Crop
+from anther.plant import PRIORS, Crop
 from anther.pollination import Params, pollinate
 from anther.robot import guard
 from anther.robot.arm.sawyer import SAWYER, TOOL
@@ -136,7 +136,7 @@ def one_trial(row: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Return what became of a case, for a sweep."""
     case, run = Case(**row), Memory(folder)
     cell, swayed = cell_of(case)
-    material = PEPPER if case.species == "pepper" else TOMATO
+    material = PRIORS[case.species]
     told, done = performed(cell, lambda: pollinate(watched(cell, run), material, run, params_of(case, cell.plant)))
     told |= {"sway_m": swayed, "attempts": run.tries["execution"], "notes": notes(run)}
     told["beside_stem_m"] = None if done is None else beside_stem(cell.plant, done.shake.grasp.point)

@@ -2,11 +2,12 @@
 
 from .imported import read_source
 from .limits import Crop
-from .model import PEPPER, TOMATO, Material, PlantModel, build_plant
+from .model import PEPPER, PRIORS, TOMATO, Material, PlantModel, build_plant
 from .visit import GraspRecord, ShakeRecord, Visit
 
 __all__ = [
     "PEPPER",
+    "PRIORS",
     "TOMATO",
     "Crop",
     "GraspRecord",
