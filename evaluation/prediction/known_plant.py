@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from anther.core import Array, Box
+from anther.core.geometry import interpolate
 from anther.perception import Capture
 from anther.plant import PRIORS, Crop, PlantModel, build_plant
 from anther.pollination import ObservedShake, Response, Seen, ShakePlan, measure_response, pipeline
@@ -92,7 +93,7 @@ def matched(seen: Array, true: Array) -> tuple[NDArray[Any], NDArray[Any]]:
 def stem_points(plant: SimPlant, shares: Sequence[float]) -> Array:
     """Return (G, 3) points on the main stem at shares of its length."""
     points, _, arc = plant.stem_centreline()
-    return np.stack([np.interp(np.multiply(shares, arc[-1]), arc, x) for x in points.T], axis=1)
+    return interpolate(np.multiply(shares, arc[-1]), arc, points)
 
 
 def filmed(

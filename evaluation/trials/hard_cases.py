@@ -32,6 +32,7 @@ import numpy as np
 from rich.console import RenderableType
 
 from anther.core import Advance, Array
+from anther.core.geometry import interpolate
 from anther.perception import Capture
 from anther.perception.capture import Keep
 from anther.perception.skeleton import Params as SkeletonParams
@@ -146,8 +147,7 @@ def one_trial(row: dict[str, Any], folder: Path) -> dict[str, Any]:
 def beside_stem(plant: SimPlant, point: Array) -> float:
     """Return the distance of a point (3,) from the main stem's true centreline [m]."""
     line, _, along = plant.stem_centreline()
-    fine = np.linspace(0, along[-1], 1000)
-    dense = np.column_stack([np.interp(fine, along, x) for x in line.T])
+    dense = interpolate(np.linspace(0, along[-1], 1000), along, line)
     return float(np.linalg.norm(dense - point, axis=1).min())
 
 

@@ -1,4 +1,4 @@
-"""Rigid transforms and the pinhole camera.
+"""Rigid transforms, the pinhole camera, and lines through points.
 
 `T_a_b` is a 4x4 matrix that maps coordinates in frame b to frame a. World is the arm's base, z up.
 A camera frame is OpenCV's optical frame: x right, y down, z forward. A "7-number pose" is
@@ -207,3 +207,13 @@ def occupied_cells(points: Array, edge: float) -> NDArray[np.int64]:
     size = cells.max(axis=0) - lower + 1
     held = np.unique(np.ravel_multi_index(tuple((cells - lower).T), size))  # many times quicker than by rows
     return np.stack(np.unravel_index(held, size), axis=1) + lower
+
+
+def arc_length(line: Array) -> Array:
+    """Return (N,) how far each point of a line (N, k) is from the first, along the line."""
+    return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1)))
+
+
+def interpolate(at: ArrayLike, known: ArrayLike, rows: Array) -> Array:
+    """Return (..., k) the rows (N, k) at places (...) between those (N,) that are known; beyond these the last one."""
+    return np.stack([np.interp(at, known, column) for column in rows.T], axis=-1)
