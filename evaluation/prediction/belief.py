@@ -182,15 +182,14 @@ def motor_amplitude(tone: float) -> float:
 
 def truths(grip: ShakenPlant, middles: Array, motion: ComplexArray) -> dict[str, Array]:
     """Return by kind what a metre of the grip truly does at `TONES`: (Q,), or (Q, F) of each flower."""
-    plant, pieces = grip.mechanics.plant, grip.mechanics.pieces
-    strain, organ = semi_major(grip.bending(TONES)), plant.organ[pieces.first]
-    trunk, (pedicels, peduncles) = np.isin(organ, (Organ.STEM, Organ.BRANCH)), grip.flower_stalks(strain)
+    strain = semi_major(grip.bending(TONES))
+    strains, (pedicels, peduncles) = grip.by_kind(strain), grip.flower_stalks(strain)
     return {
         "flowers": semi_major(grip.linear(TONES)) * (2 * np.pi * TONES[:, None]) ** 2,
         "pedicels": pedicels,
         "peduncles": peduncles,
-        "base_strain": strain[:, ~trunk & (organ != Organ.PEDICEL)].max(axis=1, initial=0.0),
-        "stem_strain": strain[:, trunk].max(axis=1, initial=0.0),
+        "base_strain": strains["base"].max(axis=1, initial=0.0),
+        "stem_strain": strains["stem"].max(axis=1, initial=0.0),
         "leaf_load": leaf_load(grip.plant, middles, motion),
     }
 

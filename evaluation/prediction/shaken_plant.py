@@ -27,7 +27,7 @@ from anther.core.checks import check_range
 from anther.core.oscillation import fit_swing
 from anther.pollination.shake.observables import semi_major
 from anther.sim import NOMINAL, Organ, SimPlant, Truth, plant_mechanics
-from anther.sim.pieces import of_flower_stalks
+from anther.sim.pieces import by_kind, of_flower_stalks
 from anther.sim.plant_mechanics import PlantMechanics
 from anther.sim.sway import Air
 from evaluation.judge.finer_plant import divided
@@ -245,6 +245,10 @@ class ShakenPlant:
             bent = np.stack([self.mechanics.bending(one) for one in motion.T])
             rows.append((*(np.moveaxis(jacobian @ motion, 2, 0) for jacobian in (flowers, leaves)), bent, load.T))
         return Across(*map(np.array, zip(*rows, strict=True)))
+
+    def by_kind(self, strain: Array) -> dict[str, Array]:
+        """Return kind of `sim.truth.TOLERANCE` -> those of the pieces' strains (..., B) that count for it."""
+        return by_kind(self.mechanics.plant, self.mechanics.pieces, strain)
 
     def flower_stalks(self, strain: Array) -> tuple[Array, Array]:
         """Return (..., F) the largest of the pieces' strains (..., B) in each flower's pedicel, and in its peduncle."""

@@ -88,7 +88,7 @@ def views_of(case: Case, plant: SimPlant, joints: Array, rng: np.random.Generato
     match case.kind:
         case "wind":
             poses = swaying(plant, len(joints), rng)
-            return lambda *_: in_wind(plant, scene, joints, poses, case.seed), sway(plant, poses)
+            return lambda *_: swayed_views(plant, scene, joints, poses, case.seed), sway(plant, poses)
         case "hand-eye":
             off = perturbed_hand_eye(TOOL.T_flange_cam, rng, translation=HAND_EYE)
             shot = partial(capture_views, scene, joints, SAWYER.forward, off, TOOL.T_flange_cam, rng=rng)
@@ -99,7 +99,7 @@ def views_of(case: Case, plant: SimPlant, joints: Array, rng: np.random.Generato
     return lambda advance, _: photograph(scene, joints, case.seed, progress=advance)[0], 0.0
 
 
-def in_wind(plant: SimPlant, scene: Scene, joints: Array, poses: list[Array], seed: int) -> Capture:
+def swayed_views(plant: SimPlant, scene: Scene, joints: Array, poses: list[Array], seed: int) -> Capture:
     """Return views of a plant that stands elsewhere in each; the hand-eye error is the same in all."""
     off = perturbed_hand_eye(TOOL.T_flange_cam, np.random.default_rng([seed, 1]))
     shots = []

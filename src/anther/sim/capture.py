@@ -116,6 +116,11 @@ class CaptureTruth:
     organ: NDArray[Any]
 
 
+def in_poses(plant: SimPlant, scene: Scene, poses: Sequence[Array] | Array) -> Sight:
+    """Return what each view finds of a plant whose segments are at poses (V, K, 4, 4) in the world by then."""
+    return lambda view: scene.moved(plant.posed_vertices(poses[view]))
+
+
 def capture_views(
     plant: Sight,
     joints: ArrayLike,

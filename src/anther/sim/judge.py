@@ -20,7 +20,7 @@ from anther.core.geometry import Array, inverse
 from anther.core.oscillation import fit_swing
 from anther.plant.limits import moved
 from anther.sim.cell import NEIGHBOUR, Cell, CellLog
-from anther.sim.pieces import of_flower_stalks
+from anther.sim.pieces import by_kind, of_flower_stalks
 from anther.sim.plant import Organ
 from anther.sim.truth import DOSE_EXPONENT, DOSE_MEASURES, HALF_DOSE, TOLERANCE, tolerances
 
@@ -371,19 +371,17 @@ def _strain(cell: Cell, log: CellLog, shaking: NDArray[np.bool_]) -> tuple[dict[
     """Return the peak bending strain during the shake: all that is added in stem and branches, the swing elsewhere; and
     that of each flower's pedicel (F,) and peduncle (F,).
 
-    Keys: "stem" with branches, "pedicel", and "base" for all the rest, which is bent most where it begins. A petiole
-    that the gripper holds aside is bent, which it survives; what counts there is how the shake swings it.
+    Keys: those of `by_kind`. A petiole that the gripper holds aside is bent, which it survives; what counts there is
+    how the shake swings it.
     """
     if not shaking.any():
         still = np.zeros(len(cell.plant.flower_segment))
         return {"stem": 0.0, "pedicel": 0.0, "base": 0.0}, still, still
-    organ = cell.plant.organ[cell.mechanics.pieces.first]
-    trunk, stalk = np.isin(organ, (Organ.STEM, Organ.BRANCH)), organ == Organ.PEDICEL
-    qpos = log.qpos[shaking]
+    plant, pieces, qpos = cell.plant, cell.mechanics.pieces, log.qpos[shaking]
     bent = np.max([cell.mechanics.strain(q) for q in qpos], axis=0)
     swung = np.max([cell.mechanics.strain(q) for q in qpos - qpos.mean(axis=0)], axis=0)
-    parts = {"stem": bent[trunk], "pedicel": swung[stalk], "base": swung[~trunk & ~stalk]}
-    stalks = of_flower_stalks(cell.plant, cell.mechanics.pieces, swung)
+    parts = by_kind(plant, pieces, swung) | {"stem": by_kind(plant, pieces, bent)["stem"]}
+    stalks = of_flower_stalks(plant, pieces, swung)
     return {kind: float(strain.max(initial=0)) for kind, strain in parts.items()}, *stalks
 
 
