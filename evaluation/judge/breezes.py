@@ -75,15 +75,8 @@ def _watched(plant: SimPlant, wind: float, seconds: float) -> tuple[Array, Array
 
 def _leaves(plant: SimPlant) -> tuple[Any, Array]:
     """Return (L,) the segments at which leaves begin, and each one's sum of mass times distance [kg m]."""
-    owner = np.full(len(plant.parent), -1)
-    leafy = plant.organ == Organ.PETIOLE
-    for k, parent in enumerate(plant.parent):
-        inherited = owner[parent] if parent >= 0 else -1
-        owner[k] = inherited if inherited >= 0 else (k if leafy[k] else -1)
-    mass, middle = plant.mass + plant.lump_mass, (plant.start + plant.end) / 2
-    middle = np.where(plant.lump_mass[:, None] > 0, plant.lump_centre, middle)
-    base = np.unique(owner[owner >= 0])
-    arm = np.linalg.norm(middle - plant.start[owner], axis=1)
+    owner, base, mass = plant.leaf_of(), plant.leaf_bases(), plant.mass + plant.lump_mass
+    arm = np.linalg.norm(plant.mass_centres() - plant.start[owner], axis=1)
     moment = np.array([np.sum((mass * arm)[owner == b]) for b in base])
     heavy = np.array([plant.lump_mass[owner == b].sum() for b in base]) > 1e-4  # lighter ones are no load
     return base[heavy], moment[heavy]

@@ -47,7 +47,7 @@ from anther.pollination.shake import VIBRATING_GRIPPER
 from anther.pollination.shake._actuators import ACCELERATION, STROKE
 from anther.pollination.shake.observables import semi_major
 from anther.robot import Frame
-from anther.sim import Organ, Scene, SimPlant, layout
+from anther.sim import Scene, SimPlant, layout
 from anther.sim.robot import SIDE
 from anther.sim.simulated_cell import USUAL_DISTANCE
 from evaluation.harness import CROPS, by_turns, finish, options, run_cases
@@ -197,7 +197,7 @@ def truths(grip: ShakenPlant, middles: Array, motion: ComplexArray) -> dict[str,
 def segment_motion(grip: ShakenPlant) -> tuple[Array, ComplexArray]:
     """Return where the plant's segments (K, 3) have their mass, and how a metre of the grip moves that (Q, K, 3)."""
     plant, tiny = grip.plant, 1e-4
-    middle = np.where(plant.lump_mass[:, None] > 0, plant.lump_centre, (plant.start + plant.end) / 2)
+    middle = plant.mass_centres()
     motion = []
     for tone in TONES:
         times = np.arange(8) / (8 * tone)
@@ -210,15 +210,8 @@ def segment_motion(grip: ShakenPlant) -> tuple[Array, ComplexArray]:
 
 def leaf_load(plant: SimPlant, middles: Array, motion: ComplexArray) -> Array:
     """Return (Q,) the largest inertia torque about a leaf's base over its sum of mass times distance [1/s2]."""
-    petiole = plant.organ == Organ.PETIOLE
-    base = np.flatnonzero(petiole & (plant.organ[plant.parent] != Organ.PETIOLE))
-    owner = np.full(len(plant.parent), -1)
-    owner[base] = base
-    for k in range(len(owner)):
-        if owner[k] < 0 <= plant.parent[k]:
-            owner[k] = owner[plant.parent[k]]
-    mass, largest = plant.mass + plant.lump_mass, np.zeros(len(TONES))
-    for b in base:
+    owner, mass, largest = plant.leaf_of(), plant.mass + plant.lump_mass, np.zeros(len(TONES))
+    for b in plant.leaf_bases():
         own = np.flatnonzero(owner == b)
         if plant.lump_mass[own].sum() < LEAFY:
             continue

@@ -234,8 +234,7 @@ class ShakenPlant:
         """
         (mass, damping, stiffness, _), pieces = self._linear, self.mechanics.pieces
         plant, bodies = self.mechanics.plant, self.mechanics.bodies
-        petiole = plant.organ == Organ.PETIOLE
-        base = np.flatnonzero(petiole & (plant.organ[plant.parent] != Organ.PETIOLE))
+        base = plant.leaf_bases()
         flowers = self._jacobians(bodies[pieces.body[plant.flower_segment]], plant.flower_position)
         leaves = self._jacobians(bodies[pieces.body[base]], plant.start[base])
         rows = []

@@ -387,7 +387,7 @@ def _strain(cell: Cell, log: CellLog, shaking: NDArray[np.bool_]) -> tuple[dict[
 
 def _leaf_acceleration(cell: Cell, times: Array, poses: Array | None) -> float:
     plant = cell.plant
-    base = np.flatnonzero((plant.organ == Organ.PETIOLE) & (plant.organ[plant.parent] != Organ.PETIOLE))
+    base = plant.leaf_bases()
     if poses is None or len(times) < 20 or len(base) == 0:
         return 0.0
     dt = float(np.median(np.diff(times)))
