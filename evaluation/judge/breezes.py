@@ -13,6 +13,7 @@ import numpy as np
 from rich.table import Table
 
 from anther.core import Array, StageFailure
+from anther.core.geometry import transform_each
 from anther.sim import NOMINAL, Organ, SimPlant
 from anther.sim.sway import TIMESTEP, gusts
 from anther.sim.true_plant import as_true
@@ -65,7 +66,7 @@ def _watched(plant: SimPlant, wind: float, seconds: float) -> tuple[Array, Array
             modulus = plant.youngs[first] * np.pi / 4 * radius**3  # torque = E I / r times the strain
         if step % EVERY == 0:
             T = mechanics.segment_poses(data)[plant.flower_segment]
-            places.append(np.einsum("fij,fj->fi", T[:, :3, :3], plant.flower_position) + T[:, :3, 3])
+            places.append(transform_each(T, plant.flower_position))
             strains.append(mechanics.strain(data.qpos))
             loads.append(strains[-1][body] * modulus[body] / moment)
         if step == wanted:

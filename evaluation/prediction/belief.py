@@ -34,7 +34,7 @@ from scipy.spatial import KDTree
 from scipy.special import logsumexp, ndtr
 
 from anther.core import Array, StageFailure
-from anther.core.geometry import ComplexArray
+from anther.core.geometry import ComplexArray, transform_each
 from anther.plant import Crop
 from anther.plant.limits import STALK_SPREAD, stalk_strain
 from anther.pollination import decision, foresee
@@ -202,7 +202,7 @@ def segment_motion(grip: ShakenPlant) -> tuple[Array, ComplexArray]:
     for tone in TONES:
         times = np.arange(8) / (8 * tone)
         poses = np.array([grip.segment_poses(q) for q in grip.swing(tiny, tone, times)])
-        path = np.einsum("tkij,kj->tki", poses[..., :3, :3], middle) + poses[..., :3, 3]
+        path = transform_each(poses, middle)
         turned = 2j / 8 * np.exp(-2j * np.pi * tone * times)
         motion.append(np.einsum("tki,t->ki", path - path.mean(axis=0), turned) / tiny)
     return path.mean(axis=0), np.array(motion)

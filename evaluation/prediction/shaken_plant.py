@@ -24,6 +24,7 @@ from scipy.linalg import eigh
 
 from anther.core import Array, StageFailure
 from anther.core.checks import check_range
+from anther.core.geometry import transform_each
 from anther.core.oscillation import fit_swing
 from anther.pollination.shake.observables import semi_major
 from anther.sim import NOMINAL, Organ, SimPlant, Truth, plant_mechanics
@@ -276,7 +277,7 @@ class ShakenPlant:
             data.qpos[:] = q
             mujoco.mj_kinematics(self.model, data)
             T = self.mechanics.segment_poses(data)[self._part[k]]
-            flowers[i] = np.einsum("fij,fj->fi", T[:, :3, :3], self.plant.flower_position) + T[:, :3, 3]
+            flowers[i] = transform_each(T, self.plant.flower_position)
             grip[i] = data.xpos[self._held]
         half = len(times) // 2
         early, late, whole = (

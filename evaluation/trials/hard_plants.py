@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from anther.core import Array, transform
+from anther.core.geometry import transform_each
 from anther.robot.arm.sawyer import SAWYER
 from anther.sim import Organ, SimPlant
 from anther.sim.cell import Cell
@@ -96,7 +97,7 @@ def _placed(plant: SimPlant, T: Array) -> SimPlant:
     """Return the plant with each segment, and all that rides on it, moved by its T (K, 4, 4)."""
 
     def moved(points: Array, of: NDArray[np.int_]) -> Array:
-        return np.einsum("kij,kj->ki", T[of, :3, :3], points) + T[of, :3, 3]
+        return transform_each(T[of], points)
 
     every = np.arange(len(T))
     ends = {name: moved(getattr(plant, name), every) for name in ("start", "end", "lump_centre")}

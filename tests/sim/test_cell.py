@@ -14,6 +14,7 @@ from small_planner import solve
 from straight_plant import BASE, chain, plant_of, straight_plant, with_blade
 
 from anther.core.errors import StageFailure
+from anther.core.geometry import transform_each
 from anther.robot.arm.sawyer import SAWYER
 from anther.robot.devices import JointTrajectory
 from anther.sim import plant_mechanics
@@ -110,7 +111,7 @@ def test_the_generated_shape_neither_sags_nor_drifts() -> None:
     plant = straight_plant()
     cell = Cell(plant)
     idle(cell, 0.5)
-    moved = np.einsum("kij,kj->ki", cell.segment_poses()[:, :3], np.c_[plant.end, np.ones(len(plant.end))]) - plant.end
+    moved = transform_each(cell.segment_poses(), plant.end) - plant.end
     assert np.abs(moved).max() < 1e-6
     assert cell.joints == pytest.approx(SAWYER.neutral, abs=1e-6)
 

@@ -71,6 +71,11 @@ def transform_points(T_a_b: ArrayLike, points_b: ArrayLike) -> Array:
     return np.asarray(points_b, dtype=np.float64) @ T[:3, :3].T + T[:3, 3]
 
 
+def transform_each(T_a_b: Array, points_b: Array) -> Array:
+    """Return (..., N, 3) the points (N, 3) of frame b in frame a, each by its own of the transforms (..., N, 4, 4)."""
+    return np.einsum("...nij,nj->...ni", T_a_b[..., :3, :3], points_b) + T_a_b[..., :3, 3]
+
+
 def small_transform(rotation_vector: ArrayLike, translation: ArrayLike) -> Array:
     """Return the transforms of rotation vectors [rad] and translations [m]: (4, 4) of (3,), (N, 4, 4) of (N, 3)."""
     return transform(Rotation.from_rotvec(np.asarray(rotation_vector)).as_matrix(), translation)

@@ -16,7 +16,7 @@ from scipy.signal import butter, sosfiltfilt
 from scipy.stats import norm
 
 from anther.core.errors import FailureKind
-from anther.core.geometry import Array, inverse
+from anther.core.geometry import Array, inverse, transform_each
 from anther.core.oscillation import fit_swing
 from anther.plant.limits import moved
 from anther.sim.cell import NEIGHBOUR, Cell, CellLog
@@ -391,8 +391,7 @@ def _leaf_acceleration(cell: Cell, times: Array, poses: Array | None) -> float:
     if poses is None or len(times) < 20 or len(base) == 0:
         return 0.0
     dt = float(np.median(np.diff(times)))
-    T = poses[:, base]
-    path = np.einsum("tkij,kj->tki", T[..., :3, :3], plant.start[base]) + T[..., :3, 3]
+    path = transform_each(poses[:, base], plant.start[base])
     slow = sosfiltfilt(butter(2, LEAF_BAND, fs=1 / dt, output="sos"), _acceleration(path, dt), axis=0)
     return float(np.linalg.norm(slow, axis=2).max())
 
@@ -403,8 +402,7 @@ def _flower_motion(cell: Cell, times: Array, poses: Array | None, frequency: flo
     segment, place = plant.flower_segment[own], plant.flower_position[own]
     if poses is None or len(times) < 20:
         return np.full(len(segment), np.nan), np.full(len(segment), np.nan)
-    T = poses[:, segment]
-    path = np.einsum("tfij,fj->tfi", T[..., :3, :3], place) + T[..., :3, 3]
+    path = transform_each(poses[:, segment], place)
     steady = slice(round(0.2 * len(times)), round(0.8 * len(times)))
     dt = float(np.median(np.diff(times)))
     size = np.linalg.norm(_acceleration(path, dt), axis=2)

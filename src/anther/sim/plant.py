@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from anther.core.checks import check_array
 from anther.core.errors import bad_input
-from anther.core.geometry import Array
+from anther.core.geometry import Array, transform_each
 from anther.plant.limits import GRAVITY as GRAVITY  # noqa: PLC0414 - its own modules take it from here
 
 SOIL_Z = -0.30
@@ -282,6 +282,5 @@ class SimPlant:
         T = check_array("T_world_rest", T_world_rest, (len(self.start), 4, 4))
         out = self.vertices.copy()
         rides = self.vertex_segment >= 0
-        T_v = T[self.vertex_segment[rides]]
-        out[rides] = np.einsum("nij,nj->ni", T_v[:, :3, :3], out[rides]) + T_v[:, :3, 3]
+        out[rides] = transform_each(T[self.vertex_segment[rides]], out[rides])
         return out
