@@ -221,4 +221,5 @@ def arc_length(line: Array) -> Array:
 
 def interpolate(at: ArrayLike, known: ArrayLike, rows: Array) -> Array:
     """Return (..., k) the rows (N, k) at places (...) between those (N,) that are known; beyond these the last one."""
-    return np.stack([np.interp(at, known, column) for column in rows.T], axis=-1)
+    x, places = np.asarray(at, dtype=np.float64), np.asarray(known, dtype=np.float64)
+    return np.stack([np.interp(x, places, column) for column in rows.T], axis=-1)
