@@ -15,6 +15,7 @@ from rich.table import Table
 from anther.core import Array, StageFailure
 from anther.core.geometry import transform_each
 from anther.sim import NOMINAL, Organ, SimPlant
+from anther.sim.judge import usual_peak
 from anther.sim.sway import TIMESTEP, gusts
 from anther.sim.true_plant import as_true
 from evaluation.harness import CROPS
@@ -43,9 +44,10 @@ def blown(plant: SimPlant, wind: float, seconds: float = SECONDS) -> dict[str, f
         return dict.fromkeys(names, float("nan"))
     stalk, trunk = organ == Organ.PEDICEL, np.isin(organ, (Organ.STEM, Organ.BRANCH))
     jolts = np.linalg.norm(np.diff(places, 2, axis=0), axis=2) / (EVERY * TIMESTEP) ** 2
+    gust = GUST / (EVERY * TIMESTEP)
     values = (
-        float(np.median(_usual(jolts))),
-        float(np.median(_usual(strain[:, stalk]))),
+        float(np.median(usual_peak(jolts, gust))),
+        float(np.median(usual_peak(strain[:, stalk], gust))),
         *(float(strain[:, part].max(initial=0.0)) for part in (stalk, trunk, ~stalk & ~trunk)),
         float(load.max(initial=0.0)),
     )
@@ -81,13 +83,6 @@ def _leaves(plant: SimPlant) -> tuple[Any, Array]:
     moment = np.array([np.sum((mass * arm)[owner == b]) for b in base])
     heavy = np.array([plant.lump_mass[owner == b].sum() for b in base]) > 1e-4  # lighter ones are no load
     return base[heavy], moment[heavy]
-
-
-def _usual(values: Array) -> Array:
-    """Return (K,) the median over gusts of the largest of (T, K)."""
-    samples = round(GUST / (EVERY * TIMESTEP))
-    count = len(values) // samples
-    return np.median(values[: count * samples].reshape(count, samples, -1).max(axis=1), axis=0)
 
 
 def breeze_metrics(found: dict[tuple[str, float], list[dict[str, float]]]) -> dict[str, float]:

@@ -31,7 +31,7 @@ from anther.pollination.shake.pads import PADS, friction_force
 from anther.pollination.shake.params import Params
 from anther.robot.pressing import PRESSING
 from anther.sim import SimPlant, Truth, cell, grow
-from anther.sim.judge import LEAF_BAND, Harm, lost_flowers, net_fruit, pollen_freed
+from anther.sim.judge import LEAF_BAND, Harm, lost_flowers, net_fruit, pollen_freed, usual_peak
 from anther.sim.simulated_cell import USUAL_DISTANCE
 from anther.sim.truth import DOSE_MEASURES, tolerances
 from evaluation.prediction import shaken_plant
@@ -199,9 +199,7 @@ def simulated(grip: ShakenPlant, shake: Outcome, share: float = 1.0) -> Outcome:
     done = grip.steady(share * shake.amplitude, shake.hertz)
     step = float(np.median(np.diff(done.times)))
     size = np.linalg.norm(np.diff(done.flowers, 2, axis=0), axis=2) / step**2
-    period = round(1 / (step * shake.hertz))
-    periods = len(size) // period
-    felt = np.median(size[: periods * period].reshape(periods, period, -1).max(axis=1), axis=0)
+    felt = usual_peak(size, 1 / (step * shake.hertz))
     swung = np.max([grip.mechanics.strain(q) for q in done.qpos - done.qpos.mean(axis=0)], axis=0)
     loads = {kind: float(values.max(initial=0.0)) for kind, values in grip.by_kind(swung).items()}
     harm = Harm(loads | {"leaf": share * shake.harm.loads["leaf"]}, shake.harm.limits, *grip.flower_stalks(swung))

@@ -214,6 +214,12 @@ def occupied_cells(points: Array, edge: float) -> NDArray[np.int64]:
     return np.stack(np.unravel_index(held, size), axis=1) + lower
 
 
+def unit_vectors(azimuth: Array | float, elevation: Array) -> Array:
+    """Return (..., 3) the directions at angles about z from x, and above the horizon [rad]."""
+    level = np.cos(elevation)
+    return np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=-1)
+
+
 def arc_length(line: Array) -> Array:
     """Return (N,) how far each point of a line (N, k) is from the first, along the line."""
     return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1)))

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anther.core.checks import check_array, check_range, check_transform
-from anther.core.geometry import Array, Intrinsics, look_at, small_transform
+from anther.core.geometry import Array, Intrinsics, look_at, small_transform, unit_vectors
 from anther.core.opencv import cv2
 from anther.core.records import Range, Record
 from anther.perception.capture import Capture, Keep, View, no_keep
@@ -239,8 +239,7 @@ def orbit_poses(
     check_range("number of views", count, 1, 1000)
     azimuth = np.radians(np.linspace(*azimuths, count) if count > 1 else [np.mean(azimuths)])
     rise = np.radians(np.resize(elevations, count))
-    toward = np.stack([np.cos(rise) * np.cos(azimuth), np.cos(rise) * np.sin(azimuth), np.sin(rise)], axis=1)
-    return np.stack([look_at(target + distance * d, target) for d in toward])
+    return np.stack([look_at(target + distance * toward, target) for toward in unit_vectors(azimuth, rise)])
 
 
 def noisy_rgb(rgb: NDArray[Any], rng: np.random.Generator, errors: CameraErrors | None = None) -> NDArray[np.uint8]:

@@ -409,11 +409,11 @@ def _flower_motion(cell: Cell, times: Array, poses: Array | None, frequency: flo
     every = max(int(1 / (dt * 16 * frequency)), 1)  # 16 samples a period are plenty
     t, paths = times[steady][::every], np.swapaxes(path[steady][::every], 0, 1)
     amplitude = np.array([fit_swing(t, x, frequency).amplitude for x in paths])
-    return amplitude, _usual_peak(size[steady], 1 / (dt * frequency))
+    return amplitude, usual_peak(size[steady], 1 / (dt * frequency))
 
 
-def _usual_peak(size: Array, period: float) -> Array:
-    """(F,) median over the periods of `period` samples of the largest of (T, F): one jolt makes no peak."""
+def usual_peak(size: Array, period: float) -> Array:
+    """Return (F,) the median over the periods of `period` samples of the largest of (T, F): one jolt makes no peak."""
     samples = min(max(round(period), 1), len(size))
     periods = len(size) // samples
     return np.median(size[: periods * samples].reshape(periods, samples, -1).max(axis=1), axis=0)
