@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 
 from anther.core import Run
-from anther.plant import PEPPER, TOMATO, Crop
+from anther.plant import PRIORS, Crop
 from anther.pollination import Params, pollinate
 from anther.robot.devices import Frame
 from anther.show.film import save_film, with_robot
@@ -33,7 +33,7 @@ class Quiet(Run):
 def main(out: str, species: str = "tomato", seed: str = "2") -> None:
     """Run the trial and write the film of its last, held shake."""
     cell = build(cast(Crop, species), int(seed), 0.0, PRESETS["fast"])
-    done = pollinate(cell.robot_side, PEPPER if species == "pepper" else TOMATO, Quiet(Path(), quiet=True), Params())
+    done = pollinate(cell.robot_side, PRIORS[species], Quiet(Path(), quiet=True), Params())
     log, side, period = cell.world.log(), cell.robot_side.robot, 1 / done.shake.frequency
     end, scene = done.trial.steady[1], Scene.of_plant(cell.plant)
     frames, poses = [], []

@@ -21,17 +21,8 @@ from made_stem import Truth, nonlinear_trace, write_csv, write_files
 from anther.core import Array, Intrinsics
 from anther.core.files import read_json, write_json
 from anther.core.geometry import pose7
-from anther.perception import (
-    Capture,
-    Cloud,
-    find_stem,
-    flower_centres,
-    fuse,
-    masks,
-    skeletonize,
-    write_ply,
-    write_skeleton,
-)
+from anther.perception import Capture, Cloud, find_stem, flower_centres, fuse, masks, skeletonize, write_skeleton
+from anther.perception.cloud.ply import write_ply
 from anther.robot import CharucoBoard
 from anther.sim import capture_from_poses, grow_tomato, orbit_poses
 from anther.sim.render import d455

@@ -13,8 +13,11 @@ import numpy as np
 from rich.table import Table
 
 from anther.core import Array, StageFailure
-from anther.sim import NOMINAL, Organ, SimPlant, as_true
+from anther.core.geometry import transform_each
+from anther.sim import NOMINAL, Organ, SimPlant
+from anther.sim.judge import usual_peak
 from anther.sim.sway import TIMESTEP, gusts
+from anther.sim.true_plant import as_true
 from evaluation.harness import CROPS
 from evaluation.tables import by_part
 
@@ -41,9 +44,10 @@ def blown(plant: SimPlant, wind: float, seconds: float = SECONDS) -> dict[str, f
         return dict.fromkeys(names, float("nan"))
     stalk, trunk = organ == Organ.PEDICEL, np.isin(organ, (Organ.STEM, Organ.BRANCH))
     jolts = np.linalg.norm(np.diff(places, 2, axis=0), axis=2) / (EVERY * TIMESTEP) ** 2
+    gust = GUST / (EVERY * TIMESTEP)
     values = (
-        float(np.median(_usual(jolts))),
-        float(np.median(_usual(strain[:, stalk]))),
+        float(np.median(usual_peak(jolts, gust))),
+        float(np.median(usual_peak(strain[:, stalk], gust))),
         *(float(strain[:, part].max(initial=0.0)) for part in (stalk, trunk, ~stalk & ~trunk)),
         float(load.max(initial=0.0)),
     )
@@ -64,7 +68,7 @@ def _watched(plant: SimPlant, wind: float, seconds: float) -> tuple[Array, Array
             modulus = plant.youngs[first] * np.pi / 4 * radius**3  # torque = E I / r times the strain
         if step % EVERY == 0:
             T = mechanics.segment_poses(data)[plant.flower_segment]
-            places.append(np.einsum("fij,fj->fi", T[:, :3, :3], plant.flower_position) + T[:, :3, 3])
+            places.append(transform_each(T, plant.flower_position))
             strains.append(mechanics.strain(data.qpos))
             loads.append(strains[-1][body] * modulus[body] / moment)
         if step == wanted:
@@ -74,25 +78,11 @@ def _watched(plant: SimPlant, wind: float, seconds: float) -> tuple[Array, Array
 
 def _leaves(plant: SimPlant) -> tuple[Any, Array]:
     """Return (L,) the segments at which leaves begin, and each one's sum of mass times distance [kg m]."""
-    owner = np.full(len(plant.parent), -1)
-    leafy = plant.organ == Organ.PETIOLE
-    for k, parent in enumerate(plant.parent):
-        inherited = owner[parent] if parent >= 0 else -1
-        owner[k] = inherited if inherited >= 0 else (k if leafy[k] else -1)
-    mass, middle = plant.mass + plant.lump_mass, (plant.start + plant.end) / 2
-    middle = np.where(plant.lump_mass[:, None] > 0, plant.lump_centre, middle)
-    base = np.unique(owner[owner >= 0])
-    arm = np.linalg.norm(middle - plant.start[owner], axis=1)
+    owner, base, mass = plant.leaf_of(), plant.leaf_bases(), plant.mass + plant.lump_mass
+    arm = np.linalg.norm(plant.mass_centres() - plant.start[owner], axis=1)
     moment = np.array([np.sum((mass * arm)[owner == b]) for b in base])
     heavy = np.array([plant.lump_mass[owner == b].sum() for b in base]) > 1e-4  # lighter ones are no load
     return base[heavy], moment[heavy]
-
-
-def _usual(values: Array) -> Array:
-    """Return (K,) the median over gusts of the largest of (T, K)."""
-    samples = round(GUST / (EVERY * TIMESTEP))
-    count = len(values) // samples
-    return np.median(values[: count * samples].reshape(count, samples, -1).max(axis=1), axis=0)
 
 
 def breeze_metrics(found: dict[tuple[str, float], list[dict[str, float]]]) -> dict[str, float]:

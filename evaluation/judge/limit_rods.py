@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.core import Array
-from anther.plant import PEPPER, TOMATO, PlantModel
+from anther.core.geometry import arc_length
+from anther.plant import PRIORS, PlantModel
 from anther.rods import Clamp, Rods, with_gravity_equilibrium
 from anther.sim import Organ, SimPlant
 from anther.sim.pieces import TWISTING
 
-PRIOR = {"tomato": TOMATO, "pepper": PEPPER}
 RIGID = 1e6
 """The edge below the soil is so many times as stiff as the one above it: the stem is clamped at the soil itself."""
 ARM = 10.0
@@ -87,9 +87,8 @@ def true_rods(plant: SimPlant) -> TrueRods:
     stem_nodes = np.concatenate([[0, 1], *(np.arange(int(first[k]), int(last[k]) + 1) for k in stem)])
     stem_nodes = np.array([0, *(j for j in stem_nodes[1:] if np.asarray(rods.density)[j] > 1)])
     leaving = np.flatnonzero(~np.isin(np.arange(count), stem) & np.isin(plant.parent, stem))
-    steps = np.linalg.norm(np.diff(rods.nodes[stem_nodes], axis=0), axis=1)
     material = replace(
-        PRIOR[plant.species],
+        PRIORS[plant.species],
         youngs=float(plant.youngs[0]),
         density=float(plant.density[0]),
         damping_ratio=float(plant.damping_ratio[0]),
@@ -98,7 +97,7 @@ def true_rods(plant: SimPlant) -> TrueRods:
     model = PlantModel(
         rods=rods,
         stem_nodes=stem_nodes,
-        arc_length=np.concatenate([[0.0], np.cumsum(steps)]),
+        arc_length=arc_length(rods.nodes[stem_nodes]),
         flower_nodes=tips[plant.flower_segment],
         branch_bases=first[leaving],
         is_pedicel=of_pedicel,

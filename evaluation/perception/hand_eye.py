@@ -15,8 +15,8 @@ import numpy as np
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from anther.core import Array, Intrinsics, inverse, look_at, transform_points
-from anther.core.geometry import small_transform
+from anther.core import Array, Intrinsics, inverse, transform_points
+from anther.core.geometry import look_at, small_transform
 from anther.robot import calibrate, estimate_intrinsics
 from anther.robot.calibration import BoardCorners, board_views
 from anther.robot.calibration._hand_eye import METHODS, closed_form

@@ -31,7 +31,7 @@ from anther.core.geometry import small_transform
 from anther.perception import Capture, cloud, masks
 from anther.perception.cloud._fusion import surface_pixels
 from anther.perception.cloud._registration import Params, register
-from anther.robot.arm import sawyer
+from anther.robot.arm.sawyer import TOOL
 from anther.sim import CaptureTruth, Organ, layout
 from anther.sim.capture import perturbed_hand_eye
 from anther.sim.simulated_cell import USUAL_DISTANCE
@@ -63,13 +63,13 @@ class Outcome(NamedTuple):
 def believed_poses(truth: CaptureTruth, rng: np.random.Generator, poses: float, hand_eye: float) -> Array:
     """Return what a robot with such errors would believe of the poses (V, 4, 4) at which the views were taken."""
     T_true = perturbed_hand_eye(
-        sawyer.T_FLANGE_CAM, rng, rotation=hand_eye * np.radians(0.2), translation=hand_eye * 0.001
+        TOOL.T_flange_cam, rng, rotation=hand_eye * np.radians(0.2), translation=hand_eye * 0.001
     )
     turn, shift = rng.normal(size=(2, len(truth.T_world_cam), 3))
     errors = np.stack(
         [small_transform(poses * np.radians(0.2) * a, poses * 0.0015 * b) for a, b in zip(turn, shift, strict=True)]
     )
-    return truth.T_world_cam @ inverse(T_true) @ inverse(errors) @ sawyer.T_FLANGE_CAM
+    return truth.T_world_cam @ inverse(T_true) @ inverse(errors) @ TOOL.T_flange_cam
 
 
 def displacement(found: Array, truth: CaptureTruth, points: list[Array]) -> tuple[float, float]:

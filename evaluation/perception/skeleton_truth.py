@@ -16,6 +16,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 
 from anther.core import Array, Intrinsics, transform_points
+from anther.core.geometry import arc_length, interpolate
 from anther.perception import Flowers, Skeleton, Stem
 from anther.perception.stem import BRANCH, LEAF, STEM
 from anther.sim import CaptureTruth, Organ, SimPlant
@@ -125,9 +126,9 @@ def true_samples(plant: SimPlant, organs: tuple[Organ, ...]) -> tuple[Array, Arr
 
 def polyline(line: Array, values: Array) -> tuple[Array, Array]:
     """Return the line (n, 3) and the values (n,) on it sampled every STEP or closer."""
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    arc = arc_length(line)
     at = np.linspace(0, arc[-1], max(int(np.ceil(arc[-1] / STEP)), 1) + 1)
-    return np.stack([np.interp(at, arc, column) for column in line.T], axis=1), np.interp(at, arc, values)
+    return interpolate(at, arc, line), np.interp(at, arc, values)
 
 
 def found_samples(skeleton: Skeleton, chosen: NDArray[np.bool_]) -> Array:

@@ -34,7 +34,7 @@ from scipy.spatial import KDTree
 from scipy.special import logsumexp, ndtr
 
 from anther.core import Array, StageFailure
-from anther.core.geometry import ComplexArray
+from anther.core.geometry import ComplexArray, transform_each
 from anther.plant import Crop
 from anther.plant.limits import STALK_SPREAD, stalk_strain
 from anther.pollination import decision, foresee
@@ -47,7 +47,7 @@ from anther.pollination.shake import VIBRATING_GRIPPER
 from anther.pollination.shake._actuators import ACCELERATION, STROKE
 from anther.pollination.shake.observables import semi_major
 from anther.robot import Frame
-from anther.sim import Organ, Scene, SimPlant, layout
+from anther.sim import Scene, SimPlant, layout
 from anther.sim.robot import SIDE
 from anther.sim.simulated_cell import USUAL_DISTANCE
 from evaluation.harness import CROPS, by_turns, finish, options, run_cases
@@ -182,15 +182,14 @@ def motor_amplitude(tone: float) -> float:
 
 def truths(grip: ShakenPlant, middles: Array, motion: ComplexArray) -> dict[str, Array]:
     """Return by kind what a metre of the grip truly does at `TONES`: (Q,), or (Q, F) of each flower."""
-    plant, pieces = grip.mechanics.plant, grip.mechanics.pieces
-    strain, organ = semi_major(grip.bending(TONES)), plant.organ[pieces.first]
-    trunk, (pedicels, peduncles) = np.isin(organ, (Organ.STEM, Organ.BRANCH)), grip.flower_stalks(strain)
+    strain = semi_major(grip.bending(TONES))
+    strains, (pedicels, peduncles) = grip.by_kind(strain), grip.flower_stalks(strain)
     return {
         "flowers": semi_major(grip.linear(TONES)) * (2 * np.pi * TONES[:, None]) ** 2,
         "pedicels": pedicels,
         "peduncles": peduncles,
-        "base_strain": strain[:, ~trunk & (organ != Organ.PEDICEL)].max(axis=1, initial=0.0),
-        "stem_strain": strain[:, trunk].max(axis=1, initial=0.0),
+        "base_strain": strains["base"].max(axis=1, initial=0.0),
+        "stem_strain": strains["stem"].max(axis=1, initial=0.0),
         "leaf_load": leaf_load(grip.plant, middles, motion),
     }
 
@@ -198,12 +197,12 @@ def truths(grip: ShakenPlant, middles: Array, motion: ComplexArray) -> dict[str,
 def segment_motion(grip: ShakenPlant) -> tuple[Array, ComplexArray]:
     """Return where the plant's segments (K, 3) have their mass, and how a metre of the grip moves that (Q, K, 3)."""
     plant, tiny = grip.plant, 1e-4
-    middle = np.where(plant.lump_mass[:, None] > 0, plant.lump_centre, (plant.start + plant.end) / 2)
+    middle = plant.mass_centres()
     motion = []
     for tone in TONES:
         times = np.arange(8) / (8 * tone)
         poses = np.array([grip.segment_poses(q) for q in grip.swing(tiny, tone, times)])
-        path = np.einsum("tkij,kj->tki", poses[..., :3, :3], middle) + poses[..., :3, 3]
+        path = transform_each(poses, middle)
         turned = 2j / 8 * np.exp(-2j * np.pi * tone * times)
         motion.append(np.einsum("tki,t->ki", path - path.mean(axis=0), turned) / tiny)
     return path.mean(axis=0), np.array(motion)
@@ -211,15 +210,8 @@ def segment_motion(grip: ShakenPlant) -> tuple[Array, ComplexArray]:
 
 def leaf_load(plant: SimPlant, middles: Array, motion: ComplexArray) -> Array:
     """Return (Q,) the largest inertia torque about a leaf's base over its sum of mass times distance [1/s2]."""
-    petiole = plant.organ == Organ.PETIOLE
-    base = np.flatnonzero(petiole & (plant.organ[plant.parent] != Organ.PETIOLE))
-    owner = np.full(len(plant.parent), -1)
-    owner[base] = base
-    for k in range(len(owner)):
-        if owner[k] < 0 <= plant.parent[k]:
-            owner[k] = owner[plant.parent[k]]
-    mass, largest = plant.mass + plant.lump_mass, np.zeros(len(TONES))
-    for b in base:
+    owner, mass, largest = plant.leaf_of(), plant.mass + plant.lump_mass, np.zeros(len(TONES))
+    for b in plant.leaf_bases():
         own = np.flatnonzero(owner == b)
         if plant.lump_mass[own].sum() < LEAFY:
             continue

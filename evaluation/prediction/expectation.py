@@ -13,13 +13,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anther.core.checks import check_array
+from anther.core.geometry import Array
 from anther.plant.limits import STALK_SPREAD, stalk_strain
 from anther.pollination import ObservedShake, Refinement
 from anther.pollination.decision import COSTS, believed
 from anther.pollination.shake.observables import semi_major
 from anther.pollination.shake.pads import grip_rows, pad_nodes
 from anther.pollination.shake.search import answer, gains
-from anther.rods import Array, unit_direction
+from anther.rods import unit_direction
 
 NINETY = 1.645
 """Standard deviations on either side that hold 90 % of a normal distribution."""

@@ -2,7 +2,8 @@
 
     python -m evaluation.prediction.fruit_set --truths 12 --figure docs/pictures/fruit_set.png
 
-Truths are drawn from the tomato's prior, 12 flowers a plant are counted, and `anther.history.fit` sees only the counts.
+Truths are drawn from the tomato's prior, 12 flowers a plant are counted, and `anther.history.fruit_set.fit` sees only
+the counts.
 Three ways to shake, once each: `varied` (1 to 250 m/s2, every fourth plant left alone), `gentle` (5 to 20 m/s2,
 what the limits of a stem shake allow, every fourth left alone), `no_control` (the same, none left alone).
 """
@@ -13,8 +14,7 @@ import numpy as np
 from scipy.special import expit
 
 from anther.core import Array
-from anther.history import Count, FruitSet, fit
-from anther.history.fruit_set import EXPONENTS, NAMES, PRIORS, pollen_dose
+from anther.history.fruit_set import EXPONENTS, NAMES, PRIORS, Count, FruitSet, fit, pollen_dose
 from anther.show.pictures.estimates import draw_fruit_set
 from evaluation.harness import finish, options, progress, save
 from evaluation.tables import markdown

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from anther.core import Array, Box
+from anther.core.geometry import interpolate
 from anther.perception import Capture
-from anther.plant import PEPPER, TOMATO, Crop, PlantModel, build_plant
+from anther.plant import PRIORS, Crop, PlantModel, build_plant
 from anther.pollination import ObservedShake, Response, Seen, ShakePlan, measure_response, pipeline
 from anther.pollination.learning import GripMeasurement
 from anther.pollination.shake.pads import Pads
@@ -29,7 +30,6 @@ from anther.sim.robot import SIDE
 from anther.sim.simulated_cell import PRESETS, USUAL_DISTANCE, in_wind
 from evaluation.trials.grasping_trial import Memory
 
-PRIOR = {"tomato": TOMATO, "pepper": PEPPER}
 DIRECTION = np.array([1.0, 0.0, 0.0])
 """Along x, as the authors: towards the plant and back. The side camera looks across it."""
 NEAR = 0.02
@@ -64,7 +64,7 @@ def known(species: Crop, seed: int, truth: Truth = NOMINAL, preset: str = "full"
     """
     plant = grow(species, seed, 0, USUAL_DISTANCE, truth)
     seen = scan(species, seed, looks or truth, preset)
-    model = build_plant(seen.skeleton, seen.stem, seen.flowers, seen.cloud, PRIOR[species])
+    model = build_plant(seen.skeleton, seen.stem, seen.flowers, seen.cloud, PRIORS[species])
     return Known(plant, seen, model, *matched(seen.flowers.positions, plant.flower_position))
 
 
@@ -93,7 +93,7 @@ def matched(seen: Array, true: Array) -> tuple[NDArray[Any], NDArray[Any]]:
 def stem_points(plant: SimPlant, shares: Sequence[float]) -> Array:
     """Return (G, 3) points on the main stem at shares of its length."""
     points, _, arc = plant.stem_centreline()
-    return np.stack([np.interp(np.multiply(shares, arc[-1]), arc, x) for x in points.T], axis=1)
+    return interpolate(np.multiply(shares, arc[-1]), arc, points)
 
 
 def filmed(

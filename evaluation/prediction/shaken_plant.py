@@ -24,10 +24,11 @@ from scipy.linalg import eigh
 
 from anther.core import Array, StageFailure
 from anther.core.checks import check_range
+from anther.core.geometry import transform_each
 from anther.core.oscillation import fit_swing
 from anther.pollination.shake.observables import semi_major
 from anther.sim import NOMINAL, Organ, SimPlant, Truth, plant_mechanics
-from anther.sim.pieces import of_flower_stalks
+from anther.sim.pieces import by_kind, of_flower_stalks
 from anther.sim.plant_mechanics import PlantMechanics
 from anther.sim.sway import Air
 from evaluation.judge.finer_plant import divided
@@ -234,8 +235,7 @@ class ShakenPlant:
         """
         (mass, damping, stiffness, _), pieces = self._linear, self.mechanics.pieces
         plant, bodies = self.mechanics.plant, self.mechanics.bodies
-        petiole = plant.organ == Organ.PETIOLE
-        base = np.flatnonzero(petiole & (plant.organ[plant.parent] != Organ.PETIOLE))
+        base = plant.leaf_bases()
         flowers = self._jacobians(bodies[pieces.body[plant.flower_segment]], plant.flower_position)
         leaves = self._jacobians(bodies[pieces.body[base]], plant.start[base])
         rows = []
@@ -245,6 +245,10 @@ class ShakenPlant:
             bent = np.stack([self.mechanics.bending(one) for one in motion.T])
             rows.append((*(np.moveaxis(jacobian @ motion, 2, 0) for jacobian in (flowers, leaves)), bent, load.T))
         return Across(*map(np.array, zip(*rows, strict=True)))
+
+    def by_kind(self, strain: Array) -> dict[str, Array]:
+        """Return kind of `sim.truth.TOLERANCE` -> those of the pieces' strains (..., B) that count for it."""
+        return by_kind(self.mechanics.plant, self.mechanics.pieces, strain)
 
     def flower_stalks(self, strain: Array) -> tuple[Array, Array]:
         """Return (..., F) the largest of the pieces' strains (..., B) in each flower's pedicel, and in its peduncle."""
@@ -273,7 +277,7 @@ class ShakenPlant:
             data.qpos[:] = q
             mujoco.mj_kinematics(self.model, data)
             T = self.mechanics.segment_poses(data)[self._part[k]]
-            flowers[i] = np.einsum("fij,fj->fi", T[:, :3, :3], self.plant.flower_position) + T[:, :3, 3]
+            flowers[i] = transform_each(T, self.plant.flower_position)
             grip[i] = data.xpos[self._held]
         half = len(times) // 2
         early, late, whole = (

@@ -6,10 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from anther.core.geometry import Array
 from anther.plant import PlantModel
 from anther.plant.limits import PEAKS
 from anther.pollination.shake.observables import Observables, observables, semi_major
-from anther.rods import RIGID, Array, Drive, Rocking, Springs, Trajectory, simulate, steady_motion, strain_changes
+from anther.rods import RIGID, Drive, Rocking, Springs, Trajectory, simulate, steady_motion, strain_changes
 
 STEPS, PERIODS = 24, 3
 """Steps a period of the simulation, and periods, of which the last counts."""

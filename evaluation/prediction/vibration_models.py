@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 
 from anther.core import Array
 from anther.perception import skeleton
-from anther.plant import PlantModel
+from anther.plant import PRIORS, PlantModel
 from anther.pollination import Seen
 from anther.pollination.shake.observables import semi_major
 from anther.rods import Clamp, Rods, least_stiffness, response_map, with_gravity_equilibrium
 from anther.sim import SimPlant
 from anther.sim.pieces import TWISTING
-from evaluation.prediction.known_plant import PRIOR
 from evaluation.prediction.true_rods import Builder
 
 PAPER_YOUNGS = {"tomato": 21.6e6, "pepper": 31.6e6}
@@ -110,7 +109,7 @@ def paper_model(seen: Seen, species: str, radius: float, *, as_scripted: bool = 
     assert least is not None, "no stiffness holds this plant"
     stiff = PAPER_YOUNGS[species] * (MARGIN * least if least > 1 else 1.0)
     apart = np.linalg.norm(tree.nodes[None] - seen.flowers.positions[:, None], axis=2)
-    damping = 0.0 if as_scripted else PRIOR[species].damping_ratio
+    damping = 0.0 if as_scripted else PRIORS[species].damping_ratio
     everywhere = np.arange(len(tree.nodes))
     model = Model(
         replace(rods, youngs=stiff), everywhere, apart.argmin(axis=1), damping, step=PAPER_STEP[species], pads=1

@@ -21,7 +21,8 @@ from anther.pollination.shake.observables import semi_major
 from anther.pollination.shake.pads import PADS, grip_rows, pad_nodes
 from anther.pollination.shake.search import Version, answer
 from anther.robot import Frame
-from anther.sim import NOMINAL, Organ, Truth, camera_errors
+from anther.sim import NOMINAL, Organ, Truth
+from anther.sim.capture import camera_errors
 from anther.sim.sway import swaying
 from evaluation.prediction.expectation import amplitude_at, expect, flowers_at, loads_at
 from evaluation.prediction.known_plant import DIRECTION, filmed, known, observed, shake_of, stem_points

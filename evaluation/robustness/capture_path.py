@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 
 from anther.core import Array, Box
 from anther.plant import Crop
-from anther.robot import JointTrajectory, Views
-from anther.robot.arm import motions, sawyer
+from anther.robot import JointTrajectory
+from anther.robot.arm import motions
 from anther.robot.arm.motions import USABLE
-from anther.robot.arm.views import Params, capture_time, cylinder_points, is_sharp
+from anther.robot.arm.sawyer import SAWYER, TOOL
+from anther.robot.arm.views import Params, Views, capture_time, cylinder_points, is_sharp
 from anther.sim import grow, layout, views_at
 from anther.sim.cell import Cell
 from anther.sim.robot import SimArm
@@ -72,7 +73,7 @@ def judged(views: Views, pot: Box) -> dict[str, float]:
 
 def driven(views: Views, species: Crop, seed: int) -> dict[str, float]:
     """Return how the simulated arm follows the whole motion before a plant of that seed, and how long it is sharp."""
-    cell, camera = Cell(grow(species, seed, 0.0, USUAL_DISTANCE), sawyer.READY), Params()
+    cell, camera = Cell(grow(species, seed, 0.0, USUAL_DISTANCE), SAWYER.ready), Params()
     motion, arrivals = through_views(views)
     record = SimArm(cell).follow(motion)
     rates = np.gradient(record.measured, record.times, axis=0)
@@ -81,10 +82,10 @@ def driven(views: Views, species: Crop, seed: int) -> dict[str, float]:
     for arrival, dwell, T_world_cam in zip(arrivals, views.dwell, views.T_world_cam, strict=True):
         rows = np.flatnonzero(np.abs(record.times - arrival - dwell / 2) < LOOK)
         q = record.measured[rows]
-        sharp = is_sharp(sawyer.SAWYER, q, rates[rows], sawyer.T_FLANGE_CAM, points, camera)
+        sharp = is_sharp(SAWYER, q, rates[rows], TOOL.T_flange_cam, points, camera)
         begin, end = longest(sharp)
         spans.append(float(end - begin) * cell.params.timestep)
-        at = sawyer.forward(q[begin:end]) @ sawyer.T_FLANGE_CAM
+        at = SAWYER.forward(q[begin:end]) @ TOOL.T_flange_cam
         off.append(float(np.linalg.norm(at[:, :3, 3] - T_world_cam[:3, 3], axis=1).max()))
     log = cell.log()
     return {
@@ -93,7 +94,7 @@ def driven(views: Views, species: Crop, seed: int) -> dict[str, float]:
         "sharp_span_needed_ms": 1000 * camera.span,
         "shortest_sharp_span_ms": 1000 * min(spans[:-1]),  # after the last view the arm stands
         "farthest_from_view_mm": 1000 * max(off),
-        "driven_effort_share": float(np.abs(log.torques / sawyer.SAWYER.effort).max()),
+        "driven_effort_share": float(np.abs(log.torques / SAWYER.effort).max()),
         "contacts": len(log.contact_other),
     }
 

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from anther.core import Array, Intrinsics
-from anther.pollination import ShakePlan, Step, Trial
-from anther.pollination.execution import ShakeDirection
+from anther.pollination import ShakePlan, Trial
+from anther.pollination.execution import ShakeDirection, Step
 from anther.robot import ArmRecord, ArmSample, Frame, JointTrajectory, SafetyLimits, Swing
 from anther.robot.devices import More, Watch
 from anther.sim.cell import Cell, CellLog, mujoco

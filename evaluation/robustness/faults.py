@@ -38,7 +38,7 @@ from anther.pollination import ShakePlan, Trial, execute, pipeline
 from anther.pollination.execution import early_reach
 from anther.pollination.grasp import STAND_OFF
 from anther.robot import Arm, DeviceError, Planner, Robot, SafetyLimits
-from anther.robot.arm import sawyer
+from anther.robot.arm.sawyer import SAWYER
 from anther.robot.safety import GuardedCamera
 from anther.sim import Organ, SimPlant, build, grow, layout
 from anther.sim.cell import BENCH, POT, Cell
@@ -172,7 +172,7 @@ def unsafe(cell: Cell, limits: SafetyLimits, plan: ShakePlan, case: Case) -> str
     """
     log = cell.log()
     speed = np.abs(np.diff(log.joints, axis=0)) / np.diff(log.times)[:, None]
-    flange = sawyer.forward(log.joints)[:, :3, 3]
+    flange = SAWYER.forward(log.joints)[:, :3, 3]
     pads = log.contact_pad <= 1
     end = np.tile(cell.arm_command, (500, 1))
     drift = np.abs(np.diff(cell.run(end, 0 * end, np.full(500, cell.grip_command))[-100::99], axis=0)).max()
@@ -224,7 +224,7 @@ def bad_record(folder: Path, case: Case, holds: Callable[[Trial], bool]) -> str:
 def in_execution(case: Case, base: Path, folder: Path) -> Row:
     """Let a fault strike an execution; then clear it and go on in the same world."""
     limits, plan = planned(base)[2], planned(base)[1]
-    cell, killed = Cell(plant(case.whole_plant), sawyer.READY), case.fault.kind == "kill -9"
+    cell, killed = Cell(plant(case.whole_plant), SAWYER.ready), case.fault.kind == "kill -9"
     if killed:
         words = ["--worker", str(case.number), "--kill-at", json.dumps(asdict(case.fault)), "--out", str(folder)]
         command = [sys.executable, "-m", "evaluation.robustness.faults", *words, "--base", str(base)]
@@ -253,7 +253,7 @@ def outcome(unsafe: str = "", record: str = "", continued: str = "", force: floa
 def worker(fault: Fault, base: Path, folder: Path) -> None:
     """Execute with a fault that kills this process."""
     folder.mkdir(parents=True, exist_ok=True)
-    cell = Cell(plant(False), sawyer.READY)
+    cell = Cell(plant(False), SAWYER.ready)
     run_once(base, folder, with_faults(machines(cell, Kept(cell, folder / "world.bin")), fault))
 
 

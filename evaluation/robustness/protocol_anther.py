@@ -22,8 +22,9 @@ from anther.core import AntherError, Run
 from anther.perception import Capture
 from anther.pollination import ShakePlan, Trial, execute
 from anther.pollination.execution import EARLY, early_reach
-from anther.robot import CellFile, Robot, connect_cell, guard, plan_views, read_cell
+from anther.robot import Robot, connect_cell, guard, plan_views, read_cell
 from anther.robot.arm.views import Params as ViewParams
+from anther.robot.cells import CellFile
 from anther.robot.cells.hardware import capture_views, motion_params
 from evaluation.robustness.fault_machines import Pieces
 from evaluation.robustness.faults import planned

@@ -39,7 +39,7 @@ from anther.core.files import read_json, write_json
 from anther.pollination import ShakePlan, Trial
 from anther.pollination.execution import EARLY
 from anther.pollination.grasp import STAND_OFF
-from anther.robot.arm import sawyer
+from anther.robot.arm.sawyer import SAWYER
 from evaluation.harness import finish, progress
 from evaluation.robustness.campaign import asked, counted, crashed, numbers
 from evaluation.robustness.faults import planned, prepare
@@ -151,7 +151,7 @@ def draw(number: int, seed: int, chosen: str = "") -> Case:
 def struck(case: Case, base: Path, folder: Path) -> dict[str, Any]:
     """Let a fault strike, put everything right, go on; return what came of it."""
     plan = planned(base)[1]
-    machines = Machines(folder, sawyer.READY)
+    machines = Machines(folder, SAWYER.ready)
     try:
         run, views = folder / "run", case.phase == "views"
         anthers = Anther(folder, base, views=views)
@@ -241,14 +241,14 @@ def unsafe(machines: Machines, plan: ShakePlan, case: Case, at: float) -> str:
     """
     times, joints = machines.log()
     speed = np.abs(joints[UNEVEN:] - joints[:-UNEVEN]) / (times[UNEVEN:] - times[:-UNEVEN])[:, None]
-    flange = sawyer.forward(joints[:: max(len(joints) // 2000, 1)])[:, :3, 3]
+    flange = SAWYER.forward(joints[:: max(len(joints) // 2000, 1)])[:, :3, 3]
     away = np.linalg.norm(flange - plan.grasp.T_world_flange[:3, 3], axis=1)
     is_open, gripper_obeys = machines.opening > 0.03, case.kind in LIES or not case.kind.startswith("gripper")
     anther_lives = case.kind not in ("kill -9",)
     last = times > (np.inf if case.kind == "the robot's node dies" else max(at, times[-1] - 0.3))
     found = {
-        "joint range": bool(np.any((joints < sawyer.LOWER) | (joints > sawyer.UPPER))),
-        "joint speed": bool(np.any(speed > 1.05 * sawyer.VELOCITY)),
+        "joint range": bool(np.any((joints < SAWYER.lower) | (joints > SAWYER.upper))),
+        "joint speed": bool(np.any(speed > 1.05 * SAWYER.velocity)),
         JUMPED: case.kind in ("paused", *STALE_KINDS) and jump(times[times > at], joints[times > at])[0] > JUMP,
         "arm moves": bool(np.abs(np.diff(joints[last], axis=0)).max(initial=0.0) > 1e-3),
         "torn": not is_open and float(away.min()) < 0.1 and float(away[-1]) > 0.03,
@@ -262,7 +262,7 @@ def jump(times: Array, joints: Array) -> tuple[float, float]:
     """Return how far joints (T, 7) were at most from where they went on within their acceleration [rad], and when."""
     seconds = np.diff(times)[:, None]
     rate = np.diff(joints, axis=0) / seconds
-    beyond = np.abs(np.diff(rate, axis=0)) - sawyer.ACCELERATION * (seconds[1:] + seconds[:-1]) / 2
+    beyond = np.abs(np.diff(rate, axis=0)) - SAWYER.acceleration * (seconds[1:] + seconds[:-1]) / 2
     far = np.append((beyond * seconds[1:]).max(axis=1), 0.0)
     return float(far.max()), float(times[far.argmax()])
 

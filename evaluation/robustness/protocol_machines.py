@@ -23,15 +23,15 @@ from fake_ros_master import FakeMaster
 from fake_sawyer import FakeSawyer
 from made_realsense import SoftwareCamera, colours, depth_steps
 
-from anther.robot.arm import sawyer
+from anther.robot.arm.sawyer import SAWYER
 from anther.robot.drivers import realsense
 from anther.robot.drivers.free_running import FreeRunningCamera
+from evaluation.robustness.faulty_machines import PUSH
 
 TEMPLATE = Path(__file__).parents[2] / "tests" / "support" / "cells" / "sawyer.toml"
 THICK = 0.008
 """Of the stem between the pads [m]."""
 STROKE = 0.085  # m, of a Robotiq 2F-85
-PUSH = 60.0  # N, a firm push by hand, our choice
 LOSS = 0.05  # of the messages
 LATE = 0.2  # s
 FRAMES = 30.0  # Hz
@@ -112,7 +112,7 @@ class Machines:
             "the robot's clock jumps": lambda: setattr(robot, "ahead", robot.ahead - 1.0),
             "joints not a number": lambda: setattr(robot, "offset", np.full(7, np.nan)),
             "joints renamed": lambda: setattr(robot, "names", [f"left_j{i}" for i in range(9)]),
-            "a joint missing": lambda: setattr(robot, "names", ["head_pan", *sawyer.JOINTS[:-1], "torso_t0"]),
+            "a joint missing": lambda: setattr(robot, "names", ["head_pan", *SAWYER.joints[:-1], "torso_t0"]),
             "joints in another order": lambda: setattr(robot, "names", sorted(robot.names, reverse=True)),
             "joints silent": lambda: setattr(robot, "mute", True),
             "stale with noise": lambda: setattr(robot, "frozen", robot.q.copy()),
@@ -157,7 +157,7 @@ class Machines:
             self._write()
         robot.lag = robot.lost = 0.0
         robot.frozen = np.full(7, np.nan)
-        robot.offset, robot.names = np.zeros(7), ["head_pan", *reversed(sawyer.JOINTS), "torso_t0"]
+        robot.offset, robot.names = np.zeros(7), ["head_pan", *reversed(SAWYER.joints), "torso_t0"]
         robot.pressed = robot.cuff = robot.collided = robot.mute = False
         robot.dead = robot.numb = False
         robot.force, self.gripper.fault, self.gripper.met = 1.0, 0, None

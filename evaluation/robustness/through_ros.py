@@ -38,9 +38,9 @@ from fake_sawyer import FakeSawyer, swing
 
 from anther.core import Array
 from anther.core.choices import ArmName
-from anther.plant import moved
+from anther.plant.limits import moved
 from anther.robot import Robot
-from anther.robot.arm import sawyer
+from anther.robot.arm.sawyer import SAWYER, TOOL
 from anther.robot.drivers.intera import types
 from anther.robot.drivers.ros1 import Node
 from anther.robot.drivers.sawyer_ros1 import Sawyer
@@ -76,7 +76,7 @@ def drive(master: str, seconds: float) -> None:
         arm = stack.enter_context(closing(Sawyer(Node(master, "/anther", types()), mode="trajectory")))
         log = Log(Path(stack.enter_context(TemporaryDirectory())) / "log.mcap")
         robot = Robot(arm, fake_robot().gripper, FakeCamera())
-        robot = log.tap(robot, LIMITS, sawyer.T_FLANGE_CAM, time.monotonic)
+        robot = log.tap(robot, LIMITS, TOOL.T_flange_cam, time.monotonic)
         print("ready", flush=True)
         robot.arm.follow(swing(seconds, AMPLITUDE))
         log.close()
@@ -113,7 +113,7 @@ def jitter(robot: FakeSawyer, master: str, seconds: float) -> Array:
 
 def stop_time(robot: FakeSawyer, master: str, after: float) -> float:
     """Kill the driver so long after the motion began [s]; return how long the arm still moved [s]."""
-    robot.q, robot.v = sawyer.NEUTRAL.copy(), np.zeros(7)
+    robot.q, robot.v = SAWYER.neutral.copy(), np.zeros(7)
     with driver(master, 20.0) as process:
         began = time.monotonic()
         while time.monotonic() - began < 0.5 + after or np.abs(robot.v).max() < 0.2:

@@ -60,7 +60,7 @@ def uniform_roots(count: int, tip_mass: float = 0.0) -> Array:
         loaded = np.cos(b) * np.tanh(b) - np.sin(b)
         return float(1 / np.cosh(b) + np.cos(b) + tip_mass * b * loaded)
 
-    return _roots(equation, 0.3, 0.05, count)
+    return roots(equation, 0.3, 0.05, count)
 
 
 def rayleigh_roots(count: int, radius: float) -> Array:
@@ -84,7 +84,7 @@ def rayleigh_roots(count: int, radius: float) -> Array:
         shear = np.array([-p * p, -p * p, q * q, q * q]) * slope + 2 * half * slope
         return float(np.linalg.det(np.array([[1, 0, 1, 0], [0, p, 0, q], curvature / ch, shear / ch])))
 
-    return _roots(equation, 0.3, 0.05, count)
+    return roots(equation, 0.3, 0.05, count)
 
 
 def cone_frequencies(tip_over_base: float, count: int) -> Array:
@@ -106,21 +106,21 @@ def cone_frequencies(tip_over_base: float, count: int) -> Array:
         return float(np.linalg.det(matrix))
 
     taper = 1 - tip_over_base
-    return (_roots(equation, 1.2 / taper, 0.05 / taper, count) * taper) ** 2
+    return (roots(equation, 1.2 / taper, 0.05 / taper, count) * taper) ** 2
 
 
 def _bessel(order: int, z: float) -> Array:
     return np.array([jv(order, z), yv(order, z), iv(order, z), kv(order, z)])
 
 
-def _roots(equation: Callable[[float], float], start: float, step: float, count: int) -> Array:
+def roots(equation: Callable[[float], float], start: float, step: float, count: int) -> Array:
     """Return the first roots from `start` on, told apart by samples `step` apart."""
-    roots: list[Any] = []
+    found: list[Any] = []
     left, value = start, equation(start)
-    while len(roots) < count:
+    while len(found) < count:
         right = left + step
         after = equation(right)
         if value * after < 0:
-            roots.append(brentq(equation, left, right, xtol=1e-13))
+            found.append(brentq(equation, left, right, xtol=1e-13))
         left, value = right, after
-    return np.array(roots, dtype=np.float64)
+    return np.array(found, dtype=np.float64)

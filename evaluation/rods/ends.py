@@ -5,23 +5,19 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import brentq
 
 from anther.core import StageFailure
 from anther.rods import Clamp, Rods, equilibrium, natural_frequencies, simulate, with_gravity_equilibrium
-from evaluation.rods.beam_theory import rayleigh_roots, small_sag, uniform_roots
-from evaluation.rods.beams import NO_GRAVITY, Beam
+from evaluation.rods.beam_theory import rayleigh_roots, roots, small_sag, uniform_roots
+from evaluation.rods.beams import NO_GRAVITY, SLENDER
 from evaluation.rods.table import Array, Row, order_row
-
-BEAM = Beam(radius=3e-4)
-"""So thin that stretch and rotary inertia, which Euler-Bernoulli leaves out, change 1e-5 only."""
 
 
 def planted(edges: int, **changes: object) -> Rods:
     """Return the beam with edges of equal length; its whole length is free."""
     nodes = np.zeros((edges + 1, 3))
-    nodes[:, 0] = np.linspace(0, BEAM.length, edges + 1)
-    material = {"edge_radius": BEAM.radius, "youngs": BEAM.youngs, "density": BEAM.density} | changes
+    nodes[:, 0] = np.linspace(0, SLENDER.length, edges + 1)
+    material = {"edge_radius": SLENDER.radius, "youngs": SLENDER.youngs, "density": SLENDER.density} | changes
     return Rods(nodes, np.arange(edges + 1) - 1, **material)  # pyright: ignore[reportArgumentType]
 
 
@@ -44,16 +40,16 @@ def end_cases(quick: bool) -> list[Row]:
 
 def _sag_error(edges: int) -> float:
     own_weight, gravity = 8e-3, 9.81
-    youngs = BEAM.line_mass * gravity * BEAM.length**3 / own_weight / (np.pi * BEAM.radius**4 / 4)
+    youngs = SLENDER.line_mass * gravity * SLENDER.length**3 / own_weight / (np.pi * SLENDER.radius**4 / 4)
     rods = planted(edges, youngs=youngs)
     tip = equilibrium(rods, Clamp.root(rods), gravity=(0, 0, -gravity))[-1]
-    return abs(-tip[2] / BEAM.length / small_sag(own_weight, 0) - 1)
+    return abs(-tip[2] / SLENDER.length / small_sag(own_weight, 0) - 1)
 
 
 def _mode_error(edges: int) -> float:
     rods = planted(edges)
     found = natural_frequencies(rods, Clamp.root(rods), 6, gravity=NO_GRAVITY).frequencies[::2]
-    return float(np.abs(2 * np.pi * found / (uniform_roots(3) ** 2 * BEAM.rate) - 1).max())
+    return float(np.abs(2 * np.pi * found / (uniform_roots(3) ** 2 * SLENDER.rate) - 1).max())
 
 
 def lump_roots(mass: float, inertia: float, count: int) -> Array:
@@ -74,19 +70,16 @@ def lump_roots(mass: float, inertia: float, count: int) -> Array:
         shear = shape[3] + mass * b * shape[0]
         return float((moment[0] * shear[1] - moment[1] * shear[0]) / ch)
 
-    at = np.arange(0.2, 12, 0.02)
-    values = [equation(b) for b in at]
-    ends = [(a, b) for a, b, u, v in zip(at, at[1:], values, values[1:], strict=False) if u * v < 0]
-    return np.array([brentq(equation, *pair, xtol=1e-13) for pair in ends[:count]], dtype=np.float64)
+    return roots(equation, 0.2, 0.02, count)
 
 
 def _lump_error(edges: int) -> float:
     mass, inertia = 0.5, 0.1
-    whole, tip = BEAM.line_mass * BEAM.length, np.arange(edges + 1) == edges
-    lumps = {"lumped_mass": mass * whole * tip, "lumped_inertia": inertia * whole * BEAM.length**2 * tip}
+    whole, tip = SLENDER.line_mass * SLENDER.length, np.arange(edges + 1) == edges
+    lumps = {"lumped_mass": mass * whole * tip, "lumped_inertia": inertia * whole * SLENDER.length**2 * tip}
     rods = planted(edges, bend_over_twist=0.0, **lumps)  # so that no mode of twist comes in between
     found = natural_frequencies(rods, Clamp.root(rods), 4, gravity=NO_GRAVITY).frequencies[::2]
-    return float(np.abs(2 * np.pi * found / (lump_roots(mass, inertia, 2) ** 2 * BEAM.rate) - 1).max())
+    return float(np.abs(2 * np.pi * found / (lump_roots(mass, inertia, 2) ** 2 * SLENDER.rate) - 1).max())
 
 
 def _fork_error(edges: int) -> float:
@@ -111,11 +104,11 @@ def _arms_frequencies(edges: int, *, at_fork: bool) -> Array:
 
 def _arms_error(edges: int) -> float:
     nodes = np.zeros((2 * edges + 1, 3))
-    nodes[1 : edges + 1, 2] = nodes[edges + 1 :, 0] = BEAM.length * np.arange(1, edges + 1) / edges
+    nodes[1 : edges + 1, 2] = nodes[edges + 1 :, 0] = SLENDER.length * np.arange(1, edges + 1) / edges
     parent = np.concatenate([[-1], np.arange(edges), [0], np.arange(edges + 1, 2 * edges)])
-    rods = Rods(nodes, parent, BEAM.radius, BEAM.youngs, BEAM.density)
+    rods = Rods(nodes, parent, SLENDER.radius, SLENDER.youngs, SLENDER.density)
     found = natural_frequencies(rods, Clamp.root(rods), 8, gravity=NO_GRAVITY).frequencies
-    return float(np.abs(2 * np.pi * found / np.repeat(uniform_roots(2) ** 2 * BEAM.rate, 4) - 1).max())
+    return float(np.abs(2 * np.pi * found / np.repeat(uniform_roots(2) ** 2 * SLENDER.rate, 4) - 1).max())
 
 
 def _free_motion() -> Row:
@@ -132,7 +125,7 @@ def _free_motion() -> Row:
 
 def _long_chain(edges: int) -> Row:
     rods = planted(edges, edge_radius=3e-3)
-    exact = rayleigh_roots(3, 3e-3 / BEAM.length) ** 2 * replace(BEAM, radius=3e-3).rate
+    exact = rayleigh_roots(3, 3e-3 / SLENDER.length) ** 2 * replace(SLENDER, radius=3e-3).rate
     what = f"first three natural frequencies, planted cantilever of {edges} edges (Rayleigh's beam)"
     try:
         found = natural_frequencies(rods, Clamp.root(rods), 6, gravity=NO_GRAVITY).frequencies

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from anther.plant import fit_free_vibration
+from anther.plant.bench import fit_free_vibration
 from anther.rods import (
     Clamp,
     Loads,

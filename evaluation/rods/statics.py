@@ -6,13 +6,11 @@ import numpy as np
 
 from anther.rods import equilibrium
 from evaluation.rods.beam_theory import elastica, small_sag
-from evaluation.rods.beams import CLAMPED, Beam
+from evaluation.rods.beams import CLAMPED, SLENDER, Beam
 from evaluation.rods.table import Array, Row, order_row
 
 NODES = 50
 LIMIT = 1e-3
-SLENDER = Beam(radius=3e-4)
-"""So thin that stretching, which the elastica leaves out, changes the tip by 2e-6 only."""
 
 
 def static_cases(quick: bool) -> list[Row]:

@@ -11,7 +11,6 @@ from typing import Any
 import mujoco
 import numpy as np
 from scipy.linalg import expm
-from scipy.optimize import brentq
 from scipy.special import j0, jn_zeros, y0
 
 from anther.rods import (
@@ -24,11 +23,11 @@ from anther.rods import (
     natural_frequencies,
     with_gravity_equilibrium,
 )
-from evaluation.rods.beams import NO_GRAVITY, Beam
+from evaluation.rods.beam_theory import roots
+from evaluation.rods.beams import NO_GRAVITY, SLENDER
 from evaluation.rods.ends import planted
 from evaluation.rods.table import Array, Row, order_row
 
-BEAM = Beam(radius=3e-4)
 EDGES, LIMIT = 200, 1e-3
 PIN = 1e6
 """Springs that stand for rigid supports, in EI / L^3 and EI / L."""
@@ -102,15 +101,12 @@ class Spans:
         def determinant(b: float) -> float:
             return float(np.linalg.det(self._through(self.starts, b, 0.0, 1.0)[2:])) / np.cosh(b) ** 2
 
-        at = np.arange(0.3, 4.0 * count + 4, 0.1)
-        values = [determinant(b) for b in at]
-        ends = [(a, b) for a, b, u, v in zip(at, at[1:], values, values[1:], strict=False) if u * v < 0]
-        return np.array([brentq(determinant, *pair, xtol=1e-12) for pair in ends[:count]], dtype=np.float64)
+        return roots(determinant, 0.3, 0.1, count)
 
 
 def _supports(edges: int, springs: Sequence[Spring]) -> tuple[Support, ...]:
     """Return the springs across a beam along x, alike in both planes."""
-    across, EI, L = np.array([0, 1, 1]), BEAM.bending_stiffness, BEAM.length
+    across, EI, L = np.array([0, 1, 1]), SLENDER.bending_stiffness, SLENDER.length
     return tuple(
         Support(round(at * edges), move * EI / L**3 * across, turn * EI / L * across) for at, move, turn in springs
     )
@@ -126,8 +122,8 @@ def _static_error(edges: int, springs: Sequence[Spring], clamped: bool = True, a
     rods, clamp = _held(edges, springs, clamped)
     exact = Spans(springs, clamped).receptance(at, at)
     free = Spans([], True).receptance(at, at)
-    node, per_force = round(at * edges), BEAM.length**3 / BEAM.bending_stiffness
-    size = 1e-4 * BEAM.length / per_force
+    node, per_force = round(at * edges), SLENDER.length**3 / SLENDER.bending_stiffness
+    size = 1e-4 * SLENDER.length / per_force
     moved = equilibrium(rods, clamp, gravity=NO_GRAVITY, loads=Loads.at(rods, node, force=(0, 0, size)))
     found = float(moved[node, 2] - rods.nodes[node, 2]) / size / per_force
     return abs(found - exact) / max(exact, 1e-3 * free)
@@ -137,7 +133,7 @@ def _mode_error(edges: int, springs: Sequence[Spring], clamped: bool, count: int
     """Return the worst error of the lowest frequencies, each of which occurs in both planes."""
     rods, clamp = _held(edges, springs, clamped)
     found = 2 * np.pi * natural_frequencies(rods, clamp, 2 * count, gravity=NO_GRAVITY).frequencies[::2]
-    return float(np.abs(found / (Spans(springs, clamped).roots(count) ** 2 * BEAM.rate) - 1).max())
+    return float(np.abs(found / (Spans(springs, clamped).roots(count) ** 2 * SLENDER.rate) - 1).max())
 
 
 def _beam_rows() -> list[Row]:
@@ -196,28 +192,25 @@ def _held_chain() -> Row:
     def equation(a: float) -> float:
         return float(j0(a * low) * y0(a * high) - j0(a * high) * y0(a * low))
 
-    at = np.arange(0.2, 40, 0.05)
-    ends = [(a, b) for a, b in zip(at, at[1:], strict=False) if equation(a) * equation(b) < 0]
-    roots = np.array([brentq(equation, *pair) for pair in ends[:3]], dtype=np.float64)
-    exact = roots / (4 * np.pi) * np.sqrt(9.81)
+    exact = roots(equation, 0.2, 0.05, 3) / (4 * np.pi) * np.sqrt(9.81)
     what = "chain held and pulled at its lower end: three frequencies (Bessel functions)"
     return _row("held_chain", what, _tones(rods, Clamp.root(rods), 3), exact)
 
 
 def _pulled_string() -> Row:
     """A pinned beam whose far support pulls: its string and its bending both count."""
-    EI, L, n = BEAM.bending_stiffness, BEAM.length, np.array([1, 2, 3])
+    EI, L, n = SLENDER.bending_stiffness, SLENDER.length, np.array([1, 2, 3])
     tension = 30 * EI / L**2
     far = (Support(EDGES, translation=(0, PIN * EI / L**3, PIN * EI / L**3)), Support(EDGES, force=(tension, 0, 0)))
     rods = planted(EDGES, supports=far)
-    exact = n / (2 * L) * np.sqrt(tension / BEAM.line_mass * (1 + n**2 * np.pi**2 * EI / (tension * L**2)))
+    exact = n / (2 * L) * np.sqrt(tension / SLENDER.line_mass * (1 + n**2 * np.pi**2 * EI / (tension * L**2)))
     found = _tones(rods, Clamp(np.array([0])), 3, NO_GRAVITY)
     return _row("support_tension", "pinned beam that a support pulls: three frequencies (analytic)", found, exact)
 
 
 def _decay() -> Row:
     """Beyond a support that holds place and direction, the slope of a pulled stem dies out within sqrt(EI / T)."""
-    EI, L = BEAM.bending_stiffness, BEAM.length
+    EI, L = SLENDER.bending_stiffness, SLENDER.length
     tension, edges = 400 * EI / L**2, EDGES
     grip = Support(edges // 4, translation=PIN * EI / L**3, rotation=PIN * EI / L)
     rods = planted(edges, supports=(grip, Support(edges, force=(tension, 0, 0))))
@@ -237,7 +230,7 @@ def _response() -> Row:
     springs = [(0.75, 30.0, 3.0), (1.0, 5.0, 0.0)]
     rods, clamp = _held(EDGES, springs, True)
     spans, b = Spans(springs, True), 2.5
-    hertz = b**2 * BEAM.rate / (2 * np.pi)
+    hertz = b**2 * SLENDER.rate / (2 * np.pi)
     found = frequency_response(rods, clamp, EDGES // 2, (0, 0, 1), [hertz], gravity=NO_GRAVITY)[0, -1, 2].real
     exact = spans.receptance(0.5, 1.0, b) / spans.receptance(0.5, 0.5, b)
     what = "frequency response of a shaken beam on springs: tip over grip (analytic)"
@@ -246,11 +239,11 @@ def _response() -> Row:
 
 def _lifted() -> Row:
     """A heavy beam on a rigid floor, lifted at its end by F: it rises 2 F^4 / (3 q^3 EI) there."""
-    EI, L = BEAM.bending_stiffness, BEAM.length
+    EI, L = SLENDER.bending_stiffness, SLENDER.length
     q = 30 * EI / L**3
     rods = planted(EDGES, supports=Support.floor(planted(EDGES).nodes, PIN * EI / L**3))
     F = 0.3 * q * L  # 0.6 of the beam leaves the floor
-    clamp, gravity = Clamp.root(rods), np.array([0, 0, -q / BEAM.line_mass])
+    clamp, gravity = Clamp.root(rods), np.array([0, 0, -q / SLENDER.line_mass])
     lying = equilibrium(rods, clamp, gravity=gravity)
     scale = 1e-3  # of all loads: the law is of small slopes
     lift = Loads.at(rods, EDGES, force=(0, 0, scale * F))
@@ -262,7 +255,7 @@ def _lifted() -> Row:
 
 def mujoco_row(edges: int = 30) -> Row:
     """A horizontal cantilever whose tip hangs on an inclined string: rigid links, springs and a tendon in MuJoCo."""
-    EI, L, h = BEAM.bending_stiffness, BEAM.length, BEAM.length / edges
+    EI, L, h = SLENDER.bending_stiffness, SLENDER.length, SLENDER.length / edges
     tension, stretching, way = 20 * EI / L**2, 4e3 * EI / L**2, 0.5 * L * np.array([0.98, 0.0, 0.2])
     rods = planted(edges, supports=(Support.string(edges, way, tension, stretching),), bend_over_twist=0.0)
     clamp = Clamp.root(rods)
@@ -278,7 +271,7 @@ def _link_frequencies(edges: int, h: float, tension: float, stretching: float, w
 
     The first joint is half a link's spring away from the clamp: twice as stiff.
     """
-    EI, tip = BEAM.bending_stiffness, np.array([edges * h, 0, 0])
+    EI, tip = SLENDER.bending_stiffness, np.array([edges * h, 0, 0])
     moment = np.cross(tip - np.outer(np.arange(edges) * h, [1, 0, 0]), tension * way / np.linalg.norm(way))
     text, closing = "", ""
     for j in range(edges):
@@ -288,7 +281,7 @@ def _link_frequencies(edges: int, h: float, tension: float, stretching: float, w
             f'<joint type="hinge" axis="{axis}" stiffness="{stiffness}" springref="{-moment[j, i] / stiffness}"/>'
             for i, axis in ((1, "0 1 0"), (2, "0 0 1"))
         )
-        mass = BEAM.line_mass * h
+        mass = SLENDER.line_mass * h
         text += f'<body pos="{place} 0 0">{joints}<inertial pos="{h / 2} 0 0" mass="{mass}" '
         text += f'diaginertia="{1e-4 * mass * h**2} {mass * h**2 / 12} {mass * h**2 / 12}"/>'
         closing += "</body>"

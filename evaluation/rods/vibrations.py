@@ -8,16 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.plant import fit_free_vibration
+from anther.plant.bench import fit_free_vibration
 from anther.rods import Clamp, Drive, Rods, frequency_response, natural_frequencies, simulate
 from evaluation.rods.beam_theory import cone_frequencies, rayleigh_roots, uniform_roots
-from evaluation.rods.beams import CLAMPED, NO_GRAVITY, X_AXIS, Beam, network
+from evaluation.rods.beams import CLAMPED, NO_GRAVITY, SLENDER, X_AXIS, Beam, network
 from evaluation.rods.table import Array, Row, order_row
 
 NODES = 50
 BEAM = Beam()
-SLENDER = Beam(radius=3e-4)
-"""So thin that the rotary inertia of its cross-sections, which Euler-Bernoulli leaves out, changes 1e-5 only."""
 THICK = Beam(radius=7.5e-3)
 """Radius over length 1/40: rotary inertia lowers the third frequency by 0.6 %; the first mode of stretch is higher."""
 

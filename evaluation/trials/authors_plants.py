@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from anther.core.files import read_object
-from anther.plant import main_stem, read_source
+from anther.plant import read_source
+from anther.plant.imported import main_stem
 from evaluation.harness import finish, options, progress
 from evaluation.tables import markdown
 

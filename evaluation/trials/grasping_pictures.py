@@ -15,8 +15,8 @@ from anther.core import Array, inverse, transform_points
 from anther.core.files import replacing
 from anther.perception import Capture
 from anther.pollination import Grasp
-from anther.robot.arm import sawyer
 from anther.robot.arm.gripper_shape import GripperShape
+from anther.robot.arm.sawyer import TOOL
 
 TILE = 150  # px
 AROUND = 0.13  # m shown to either side of the grasp
@@ -52,7 +52,7 @@ def portrait(capture: Capture, grasp: Grasp | None, path: Path) -> None:
 def finger_boxes() -> list[Array]:
     """Return the eight corners (8, 3) of each open pad in the flange's frame [m]."""
     gripper = GripperShape()
-    inner, deep = sawyer.STROKE / 2, gripper.pad[1] / 2
+    inner, deep = TOOL.stroke / 2, gripper.pad[1] / 2
     spans = [(inner, inner + gripper.finger[0]), (-inner - gripper.finger[0], -inner)]
     across, along = gripper.pad[0] / 2, (gripper.depth - deep, gripper.depth + deep)
     return [np.array([(x, y, z) for x in (-across, across) for y in ys for z in along]) for ys in spans]

@@ -11,11 +11,13 @@ from typing import Any
 
 from anther.core import Advance, Run, StageFailure
 from anther.perception import Cloud
-from anther.plant import PEPPER, TOMATO, Crop, Material, Visit
-from anther.pollination import Done, Params, Seen, ShakePlan, arm_shaker, execute, model_plant, plan_shake, pollinate
+from anther.plant import PRIORS, Crop, Material, Visit
+from anther.pollination import Done, Params, Seen, ShakePlan, execute, model_plant, plan_shake, pollinate
 from anther.pollination.execution import EARLY
-from anther.robot import MotionPlanner, Planner
+from anther.pollination.shake import arm_shaker
+from anther.robot import Planner
 from anther.robot.arm.arms import simulated_arm
+from anther.robot.cell import MotionPlanner
 from anther.show import summarise
 from anther.sim import NOMINAL, SimulatedCell, Truth, build, draw
 from anther.sim.judge import judge
@@ -127,7 +129,7 @@ def both(case: Case, picture: Path, rule: bool) -> dict[str, Any]:
     _begun.append(case.name)
     run = Memory(picture.parent)
     cell = case.build()
-    material = PEPPER if case.species == "pepper" else TOMATO
+    material = PRIORS[case.species]
     ours, done = performed(cell, lambda: pollinate(watched(cell, run), material, run, Params()))
     row = {**asdict(case), "first": first, "ours": ours, "paper": None, "notes": notes(run)}
     row |= {"capture_s": cell.capture_seconds, "seconds": run.total, "cpu_seconds": run.cpu}

@@ -32,27 +32,18 @@ import numpy as np
 from rich.console import RenderableType
 
 from anther.core import Advance, Array
+from anther.core.geometry import interpolate
 from anther.perception import Capture
 from anther.perception.capture import Keep
 from anther.perception.skeleton import Params as SkeletonParams
-from anther.plant import PEPPER, TOMATO, Crop
+from anther.plant import PRIORS, Crop
 from anther.pollination import Params, pollinate
 from anther.robot import guard
-from anther.robot.arm import sawyer
-from anther.sim import (
-    Scene,
-    SimPlant,
-    SimulatedCell,
-    build,
-    capture_views,
-    grow,
-    grow_pepper,
-    grow_tomato,
-    photograph,
-    robot_of,
-)
+from anther.robot.arm.sawyer import SAWYER, TOOL
+from anther.sim import Scene, SimPlant, SimulatedCell, build, grow, grow_pepper, grow_tomato, photograph
 from anther.sim import cell as world
-from anther.sim.capture import perturbed_hand_eye
+from anther.sim.capture import capture_views, perturbed_hand_eye
+from anther.sim.robot import robot_of
 from anther.sim.simulated_cell import PRESETS, USUAL_DISTANCE
 from evaluation.harness import CROPS, failed, finish, options, run_cases
 from evaluation.tables import by_part, markdown
@@ -97,10 +88,10 @@ def views_of(case: Case, plant: SimPlant, joints: Array, rng: np.random.Generato
     match case.kind:
         case "wind":
             poses = swaying(plant, len(joints), rng)
-            return lambda *_: in_wind(plant, scene, joints, poses, case.seed), sway(plant, poses)
+            return lambda *_: swayed_views(plant, scene, joints, poses, case.seed), sway(plant, poses)
         case "hand-eye":
-            off = perturbed_hand_eye(sawyer.T_FLANGE_CAM, rng, translation=HAND_EYE)
-            shot = partial(capture_views, scene, joints, sawyer.forward, off, sawyer.T_FLANGE_CAM, rng=rng)
+            off = perturbed_hand_eye(TOOL.T_flange_cam, rng, translation=HAND_EYE)
+            shot = partial(capture_views, scene, joints, SAWYER.forward, off, TOOL.T_flange_cam, rng=rng)
             return lambda advance, _: shot(progress=advance)[0], 0.0
         case "view lost":
             left = np.delete(np.arange(len(joints)), rng.integers(len(joints)))
@@ -108,13 +99,13 @@ def views_of(case: Case, plant: SimPlant, joints: Array, rng: np.random.Generato
     return lambda advance, _: photograph(scene, joints, case.seed, progress=advance)[0], 0.0
 
 
-def in_wind(plant: SimPlant, scene: Scene, joints: Array, poses: list[Array], seed: int) -> Capture:
+def swayed_views(plant: SimPlant, scene: Scene, joints: Array, poses: list[Array], seed: int) -> Capture:
     """Return views of a plant that stands elsewhere in each; the hand-eye error is the same in all."""
-    off = perturbed_hand_eye(sawyer.T_FLANGE_CAM, np.random.default_rng([seed, 1]))
+    off = perturbed_hand_eye(TOOL.T_flange_cam, np.random.default_rng([seed, 1]))
     shots = []
     for i, (q, T) in enumerate(zip(joints, poses, strict=True)):
         moved, rng = scene.moved(plant.posed_vertices(T)), np.random.default_rng([seed, 2, i])
-        shots.append(capture_views(moved, q[None], sawyer.forward, off, sawyer.T_FLANGE_CAM, rng=rng)[0])
+        shots.append(capture_views(moved, q[None], SAWYER.forward, off, TOOL.T_flange_cam, rng=rng)[0])
     depth, pose = (np.concatenate([getattr(shot, name) for shot in shots]) for name in ("depth", "T_world_cam"))
     rgb = np.concatenate([shot.rgb for shot in shots if shot.rgb is not None])
     return Capture(depth, shots[0].intrinsics, pose, rgb)
@@ -146,7 +137,7 @@ def one_trial(row: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Return what became of a case, for a sweep."""
     case, run = Case(**row), Memory(folder)
     cell, swayed = cell_of(case)
-    material = PEPPER if case.species == "pepper" else TOMATO
+    material = PRIORS[case.species]
     told, done = performed(cell, lambda: pollinate(watched(cell, run), material, run, params_of(case, cell.plant)))
     told |= {"sway_m": swayed, "attempts": run.tries["execution"], "notes": notes(run)}
     told["beside_stem_m"] = None if done is None else beside_stem(cell.plant, done.shake.grasp.point)
@@ -156,8 +147,7 @@ def one_trial(row: dict[str, Any], folder: Path) -> dict[str, Any]:
 def beside_stem(plant: SimPlant, point: Array) -> float:
     """Return the distance of a point (3,) from the main stem's true centreline [m]."""
     line, _, along = plant.stem_centreline()
-    fine = np.linspace(0, along[-1], 1000)
-    dense = np.column_stack([np.interp(fine, along, x) for x in line.T])
+    dense = interpolate(np.linspace(0, along[-1], 1000), along, line)
     return float(np.linalg.norm(dense - point, axis=1).min())
 
 

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from anther.core import Array, transform
-from anther.robot.arm import sawyer
+from anther.core.geometry import transform_each
+from anther.robot.arm.sawyer import SAWYER
 from anther.sim import Organ, SimPlant
 from anther.sim.cell import Cell
 from anther.sim.growth import supported_youngs
@@ -64,7 +65,7 @@ def swaying(plant: SimPlant, views: int, rng: np.random.Generator) -> list[Array
     The wind is a sideways acceleration of all mass, most of which is leaves, near the plant's first frequency, as
     strong as moves the tip by about `SWAY`.
     """
-    cell = Cell(plant, sawyer.READY)
+    cell = Cell(plant, SAWYER.ready)
     side, step = rng.uniform(0, 2 * np.pi), cell.params.timestep
     first = 2 * np.pi * float(cell.mechanics.frequencies[0])
     strength = SWAY / TIP * first**2 * (1 - GUSTS**2)
@@ -96,7 +97,7 @@ def _placed(plant: SimPlant, T: Array) -> SimPlant:
     """Return the plant with each segment, and all that rides on it, moved by its T (K, 4, 4)."""
 
     def moved(points: Array, of: NDArray[np.int_]) -> Array:
-        return np.einsum("kij,kj->ki", T[of, :3, :3], points) + T[of, :3, 3]
+        return transform_each(T[of], points)
 
     every = np.arange(len(T))
     ends = {name: moved(getattr(plant, name), every) for name in ("start", "end", "lump_centre")}

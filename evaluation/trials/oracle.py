@@ -30,8 +30,8 @@ from anther.pollination.shake.observables import semi_major
 from anther.pollination.shake.pads import PADS, friction_force
 from anther.pollination.shake.params import Params
 from anther.robot.pressing import PRESSING
-from anther.sim import Organ, SimPlant, Truth, cell, grow
-from anther.sim.judge import LEAF_BAND, Harm, lost_flowers, net_fruit, pollen_freed
+from anther.sim import SimPlant, Truth, cell, grow
+from anther.sim.judge import LEAF_BAND, Harm, lost_flowers, net_fruit, pollen_freed, usual_peak
 from anther.sim.simulated_cell import USUAL_DISTANCE
 from anther.sim.truth import DOSE_MEASURES, tolerances
 from evaluation.prediction import shaken_plant
@@ -199,20 +199,11 @@ def simulated(grip: ShakenPlant, shake: Outcome, share: float = 1.0) -> Outcome:
     done = grip.steady(share * shake.amplitude, shake.hertz)
     step = float(np.median(np.diff(done.times)))
     size = np.linalg.norm(np.diff(done.flowers, 2, axis=0), axis=2) / step**2
-    period = round(1 / (step * shake.hertz))
-    periods = len(size) // period
-    felt = np.median(size[: periods * period].reshape(periods, period, -1).max(axis=1), axis=0)
+    felt = usual_peak(size, 1 / (step * shake.hertz))
     swung = np.max([grip.mechanics.strain(q) for q in done.qpos - done.qpos.mean(axis=0)], axis=0)
-    loads = {kind: float(values.max(initial=0.0)) for kind, values in by_kind(grip, swung).items()}
+    loads = {kind: float(values.max(initial=0.0)) for kind, values in grip.by_kind(swung).items()}
     harm = Harm(loads | {"leaf": share * shake.harm.loads["leaf"]}, shake.harm.limits, *grip.flower_stalks(swung))
     return shake._replace(amplitude=share * shake.amplitude, felt=felt, harm=harm)
-
-
-def by_kind(grip: ShakenPlant, strain: Array) -> dict[str, Array]:
-    """Return kind of `sim.truth.TOLERANCE` -> those of the pieces' strains (..., B) that are of its organs."""
-    organ = grip.mechanics.plant.organ[grip.mechanics.pieces.first]
-    trunk, stalk = np.isin(organ, (Organ.STEM, Organ.BRANCH)), organ == Organ.PEDICEL
-    return {"stem": strain[..., trunk], "pedicel": strain[..., stalk], "base": strain[..., ~trunk & ~stalk]}
 
 
 def told(done: Sequence[Outcome]) -> dict[str, Any]:
@@ -273,7 +264,7 @@ def shakes_of(
 
     strain, omega2 = size(found.bending), (2 * np.pi * hertz) ** 2
     slow = 1 / (1 + (hertz / LEAF_BAND) ** 4)  # the judge's filter, there and back
-    loads = by_kind(grip, strain) | {"leaf": size(found.leaves) * (omega2 * slow)[..., None]}
+    loads = grip.by_kind(strain) | {"leaf": size(found.leaves) * (omega2 * slow)[..., None]}
     pull, moment = found.load[..., :2], found.load[..., 2:]
     pulls = friction_force(size(pull), size(moment[..., :2]), size(moment[..., 2:]), radius=radius, width=PADS.width)
     ratio = np.maximum(most / least, 1.0) ** np.linspace(0, 1, SIZES)[:, None, None]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.core import Array, StageFailure, transform
+from anther.core.geometry import interpolate
 from anther.perception import Skeleton, Stem
 from anther.pollination import Grasp
 from anther.pollination.grasp import STAND_OFF, Params, Reach
@@ -36,7 +37,7 @@ def paper_grasp(stem: Stem, skeleton: Skeleton, params: Params | None = None, re
     start, end = paper_edge(stem)
     middle = (start + end) / 2
     nodes = skeleton.nodes[stem.node_ids]
-    low, point, high = (_at(arc, stem.arc_length, nodes) for arc in (start, middle, end))
+    low, point, high = (interpolate(arc, stem.arc_length, nodes) for arc in (start, middle, end))
     tangent = (high - low) / np.linalg.norm(high - low)
     branch_arc, branches = branch_directions(stem, skeleton, BESIDE)
     n = paper_approach(tangent, branches[_beside(branch_arc, start, end, margin=2 * BESIDE)])
@@ -59,10 +60,6 @@ def paper_grasp(stem: Stem, skeleton: Skeleton, params: Params | None = None, re
                 joints=joints,
             )
     raise StageFailure("unreachable", f"the arm reaches {point.round(3)} m neither along n* = {n.round(2)} nor -n*.")
-
-
-def _at(arc: float, arcs: Array, nodes: Array) -> Array:
-    return np.array([np.interp(arc, arcs, nodes[:, axis]) for axis in range(3)])
 
 
 def _beside(arcs: Array, start: float, end: float, *, margin: float) -> NDArray[np.bool_]:

@@ -27,7 +27,8 @@ import numpy as np
 
 from anther.core import Advance
 from anther.perception.capture import no_keep
-from anther.plant import PEPPER, TOMATO, Crop, EarlierShake, Material
+from anther.plant import PRIORS, Crop, Material
+from anther.plant.belief import EarlierShake
 from anther.pollination import Done, Params, Seen, ShakePlan, execute, perceive, pollinate
 from anther.pollination.escalation import Escalation
 from anther.robot import GuardedArm
@@ -125,7 +126,7 @@ def shaken(case: Case, folder: Path, earlier: EarlierShake | None = None) -> dic
         actuator="gripper" if case.way == "motor" else "arm",
         visit=int(case.way == "again"),
     )
-    run, material = Brief(folder), PEPPER if case.species == "pepper" else TOMATO
+    run, material = Brief(folder), PRIORS[case.species]
     params = replace(Params(), escalate=case.way != "plan", actuator="gripper" if case.way == "motor" else "arm")
     ways: dict[str, Callable[[], Done]] = {"paper": lambda: by_the_paper(cell, run, material)}
     row, done = performed(

@@ -9,6 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from packaging.requirements import Requirement
 
 from anther.cli import compile_all, doctor
 from anther.cli.main import main
@@ -39,6 +40,13 @@ def test_a_whole_installation(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_every_extra_is_explained() -> None:
     assert set(doctor.FOR) == set(EXTRAS)
+
+
+def test_an_extra_has_the_needs_of_those_that_it_names() -> None:
+    needs = [Requirement(f"{need}; extra == '{name}'") for name, of in EXTRAS.items() for need in of]
+    assert [str(need.specifier) for need in doctor._needs_of("images", needs)] == ["<5,>=4.11"]
+    bags = {need.name for need in doctor._needs_of("bags", needs)}
+    assert bags == {"opencv-python-headless", "rosbags", "mcap"}
 
 
 def without(monkeypatch: pytest.MonkeyPatch, gone: str, version: str | None = None) -> None:

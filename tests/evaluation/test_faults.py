@@ -21,7 +21,7 @@ from anther.core.files import read_json
 from anther.core.runs import Run
 from anther.pollination.execution import PHASES, Trial, execute
 from anther.pollination.grasp import STAND_OFF
-from anther.robot.arm import sawyer
+from anther.robot.arm.sawyer import SAWYER
 from anther.robot.devices import ArmSample, DeviceError
 from anther.robot.safety import GuardedArm
 from anther.show.summary import _verdict
@@ -66,7 +66,7 @@ def test_every_fault_ends_safely_on_record_and_the_next_trial_works(
     assert trial.stop_reason
     jammed = fault.kind == "gripper jam" and fault.lasting
     assert (gripper.opening == GRASP.opening) is not jammed
-    away = np.linalg.norm(sawyer.forward(arm.joints())[:3, 3] - GRASP.T_world_flange[:3, 3])
+    away = np.linalg.norm(SAWYER.forward(arm.joints())[:3, 3] - GRASP.T_world_flange[:3, 3])
     went_in = "approach" in trial.phases
     obeys = not fault.lasting and fault.kind not in STALE
     if jammed:
@@ -143,11 +143,11 @@ def test_the_simulated_arm_stops_dead(cell: Cell, kind: Kind) -> None:
     stopped = cell.joints
     SimArm(cell).hold()
     assert cell.joints == pytest.approx(stopped, abs=2e-3)
-    assert 0.02 < np.abs(stopped - sawyer.NEUTRAL).max() < 0.28
+    assert 0.02 < np.abs(stopped - SAWYER.neutral).max() < 0.28
 
 
 def test_the_simulated_arm_feels_what_it_runs_into() -> None:
-    above = sawyer.forward(sawyer.NEUTRAL)
+    above = SAWYER.forward(SAWYER.neutral)
     above[:3, 3] = [0.6, 0.25, -0.30]  # the fingertips are 4 cm above the bench
     below = above.copy()
     below[2, 3] -= 0.12

@@ -17,7 +17,7 @@ import pytest
 from made_foresight import made_plan
 
 from anther.core.geometry import Array
-from anther.robot.arm import sawyer
+from anther.robot.arm.sawyer import SAWYER
 from evaluation.robustness import protocol_faults
 from evaluation.robustness.protocol_faults import (
     EXPECTED,
@@ -33,13 +33,13 @@ from evaluation.robustness.protocol_faults import (
 )
 
 RESULTS = Path(__file__).parents[2] / "docs" / "results" / "long"
-STEM = sawyer.NEUTRAL
+STEM = SAWYER.neutral
 RATE = 100.0
 
 
 def plan() -> Any:
     made = made_plan()
-    return replace(made, grasp=replace(made.grasp, T_world_flange=sawyer.forward(STEM)))
+    return replace(made, grasp=replace(made.grasp, T_world_flange=SAWYER.forward(STEM)))
 
 
 def machines(joints: Array, opening: float = 0.04) -> Any:

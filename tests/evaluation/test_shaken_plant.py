@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from straight_plant import BASE, chain, plant_of, straight_plant
 
+from anther.core.geometry import transform_each
 from anther.pollination.shake.observables import semi_major
 from anther.sim import plant_mechanics
 from anther.sim.truth import Truth
@@ -61,7 +62,7 @@ def flower_paths(shaken: ShakenPlant, qpos: Any) -> Any:
     """Return (T, F, 3) where the flowers are in these configurations."""
     k = shaken.plant.flower_segment
     T = np.array([shaken.segment_poses(q)[k] for q in qpos])
-    return np.einsum("tfij,fj->tfi", T[..., :3, :3], shaken.plant.flower_position) + T[..., :3, 3]
+    return transform_each(T, shaken.plant.flower_position)
 
 
 @pytest.mark.parametrize("pads", [np.inf, 2e3])

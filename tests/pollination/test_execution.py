@@ -17,7 +17,7 @@ from anther.core.geometry import Array
 from anther.pollination.execution import APPROACH_SPEED, PHASES, execute
 from anther.pollination.execution._closing import STEP
 from anther.pollination.grasp import STAND_OFF, Grasp
-from anther.robot.arm import sawyer
+from anther.robot.arm.sawyer import SAWYER
 from anther.robot.devices import ArmRecord, ArmSample, DeviceError, Frame, GripperState, JointTrajectory, More, Watch
 from anther.robot.swing import Swing
 
@@ -48,7 +48,7 @@ def test_a_trial_runs_its_phases_in_order_and_ends_clear_of_the_plant() -> None:
     assert np.all(np.diff(trial.phase_times[:, 0]) >= 0)
     assert seen == [(i, len(PHASES), name) for i, name in enumerate(PHASES)]
     assert gripper.commands == pytest.approx([GRASP.opening, 0.0085, 0.008, 0.0075, GRASP.opening])
-    away = sawyer.forward(arm.joints())[:3, 3]
+    away = SAWYER.forward(arm.joints())[:3, 3]
     assert away == pytest.approx(GRASP.pregrasp(STAND_OFF)[:3, 3], abs=1e-4)
     assert len(trial.frames) == len(trial.frame_times) > 8
 
@@ -73,7 +73,7 @@ def test_pads_that_press_a_petiole_wait_until_it_is_calm(squeezed: float | None,
 
 def test_the_shake_is_what_was_planned() -> None:
     trial = execute(PLANNER, Plan(), fake_robot(), LIMITS)
-    y = sawyer.forward(trial.measured)[:, 1, 3]
+    y = SAWYER.forward(trial.measured)[:, 1, 3]
     assert np.ptp(y) / 2 == pytest.approx(0.003, rel=0.05)
     assert trial.shake_times[-1] - trial.shake_times[0] == pytest.approx(0.6, abs=1e-6)
 
@@ -223,7 +223,7 @@ def test_a_gripper_that_does_not_open_is_not_torn_away() -> None:
     assert trial.failure == "device_fault"
     assert "the gripper jammed" in trial.stop_reason
     assert trial.phases[-1] == "release"
-    assert sawyer.forward(arm.joints())[:3, 3] == pytest.approx(GRASP.T_world_flange[:3, 3], abs=1e-3)
+    assert SAWYER.forward(arm.joints())[:3, 3] == pytest.approx(GRASP.T_world_flange[:3, 3], abs=1e-3)
     assert arm.held >= 1
 
 

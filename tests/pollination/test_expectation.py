@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from sample_plants import branched
 
+from anther.core.geometry import Array
 from anther.plant.limits import PEAKS, STALK_SPREAD, stalk_strain
 from anther.plant.model import TOMATO, PlantModel, build_plant
 from anther.pollination import decision
@@ -18,7 +19,6 @@ from anther.pollination.shake import PADS, Pads, ShakePlan
 from anther.pollination.shake.observables import semi_major
 from anther.pollination.shake.pads import grip_rows, pad_nodes
 from anther.pollination.shake.search import Version, answer, gains
-from anther.rods import Array
 from evaluation.prediction.expectation import FLOWER_SPREAD, expect, flowers_at, loads_at
 
 HELD, WAY, PITCH, SIZE = 8, np.array([0.8, 0.6, 0.0]), 4.0, 2e-3

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from anther.core.errors import InputError, StageFailure
+from anther.core.geometry import arc_length
 from anther.perception.cloud import Cloud, Support
 from anther.perception.masks import FLOWER, PLANT
 from anther.perception.skeleton import Skeleton
@@ -487,7 +488,7 @@ def test_every_pose_is_a_rotation_and_each_direction_is_tried_both_ways_up():
     """Of a stem in waves too, whose fitted line is shorter than the stem."""
     stem, skeleton, _ = make_plant(branches=())
     nodes = skeleton.nodes + np.outer(0.004 * np.sin(stem.arc_length / 0.01), [1, 0, 0])
-    arc = np.append(0, np.cumsum(np.linalg.norm(np.diff(nodes, axis=0), axis=1)))
+    arc = arc_length(nodes)
     skeleton, stem = replace(skeleton, nodes=nodes), replace(stem, arc_length=arc)
     c = candidates_along(stem, skeleton, directions=8, spacing=0.02, window=0.03, ends=(0.05, 0.05), depth=0.1)
     R = c.T_world_flange[:, :3, :3]

@@ -16,7 +16,7 @@ from anther.core.errors import InputError
 from anther.pollination.execution import PHASES, ShakeDirection, Step, Trial, execute
 from anther.pollination.execution._concurrent import DecisionThread
 from anther.pollination.grasp import STAND_OFF
-from anther.robot.arm import sawyer
+from anther.robot.arm.sawyer import SAWYER
 from anther.robot.devices import LEAD, ArmSample, DeviceError, Frame, Robot
 from anther.robot.swing import Swing
 from evaluation.robustness.faulty_machines import Fault, with_faults
@@ -71,7 +71,7 @@ def check_end(trial: Trial, arm: FakeArm, gripper: FakeGripper) -> None:
     assert trial.phases == PHASES
     assert arm.held >= 1
     assert gripper.opening == GRASP.opening
-    away = sawyer.forward(arm.joints())[:3, 3] - GRASP.T_world_flange[:3, 3]
+    away = SAWYER.forward(arm.joints())[:3, 3] - GRASP.T_world_flange[:3, 3]
     assert np.linalg.norm(away) == pytest.approx(STAND_OFF, abs=4e-3)
 
 
@@ -86,7 +86,7 @@ def test_the_pieces_follow_each_other_without_a_stop() -> None:
     assert np.diff(trial.shake_times).max() < 0.021
     seconds = sum(piece.seconds for piece in watched.pieces)
     assert np.ptp(trial.shake_times) == pytest.approx(seconds, abs=0.05)
-    y = sawyer.forward(trial.measured)[:, 1, 3] - GRASP.T_world_flange[1, 3]
+    y = SAWYER.forward(trial.measured)[:, 1, 3] - GRASP.T_world_flange[1, 3]
     passed = trial.shake_times - trial.shake_times[0]
     for i, piece in enumerate(watched.pieces):
         own = (passed >= piece.begin + 0.01 * i) & (passed <= piece.begin + 0.01 * i + piece.seconds)
@@ -103,7 +103,7 @@ def test_tones_of_two_lines_move_the_pads_along_both() -> None:
     )
     trial = execute(PLANNER, Plan(), fake_robot(), LIMITS, watched=watched)
     assert trial.finished
-    away = sawyer.forward(trial.measured)[:, :3, 3] - GRASP.T_world_flange[:3, 3]
+    away = SAWYER.forward(trial.measured)[:, :3, 3] - GRASP.T_world_flange[:3, 3]
     passed = trial.shake_times - trial.shake_times[0]
     for i, piece in enumerate(watched.pieces):
         own = (passed >= piece.begin + 0.01 * i) & (passed <= piece.begin + 0.01 * i + piece.seconds)
@@ -297,7 +297,7 @@ def test_a_piece_beyond_the_limits_is_not_begun(sizes: tuple[float, float], mess
     assert message in trial.stop_reason
     assert trial.failure == "limits_exceeded"
     assert len(trial.steps) == piece
-    y = sawyer.forward(trial.measured)[:, 1, 3] - GRASP.T_world_flange[1, 3] if len(trial.measured) else np.zeros(1)
+    y = SAWYER.forward(trial.measured)[:, 1, 3] - GRASP.T_world_flange[1, 3] if len(trial.measured) else np.zeros(1)
     assert np.abs(y).max() < 0.0031
 
 

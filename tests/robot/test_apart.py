@@ -23,7 +23,7 @@ from slow_clock import AGAIN_IF_HELD_UP, clock, sleep
 from small_planner import SmallPlanner
 
 from anther.core.errors import StageFailure
-from anther.robot.arm import sawyer
+from anther.robot.arm.sawyer import SAWYER
 from anther.robot.devices import Arm, ArmSample, DeviceError, JointTrajectory
 from anther.robot.drivers import apart
 from anther.robot.drivers.apart import ArmApart
@@ -162,7 +162,7 @@ def test_who_is_killed_leaves_an_arm_at_rest_within_100_ms(tmp_path: Path, left:
     (tmp_path / "moves.py").write_text(MOVES.format(here=str(HERE)))
     words = [sys.executable, str(tmp_path / "moves.py"), master.uri, left]
     with (
-        closing(FakeSawyer(master.uri, joints=sawyer.NEUTRAL, clock=clock, sleep=sleep)) as robot,
+        closing(FakeSawyer(master.uri, joints=SAWYER.neutral, clock=clock, sleep=sleep)) as robot,
         subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process,
     ):
         assert process.stdout is not None

@@ -15,13 +15,13 @@ from fake_robot import LIMITS, FakeArm, FakeGripper
 
 from anther.core.errors import InputError, StageFailure
 from anther.core.geometry import Array
-from anther.robot.arm import sawyer
+from anther.robot.arm.sawyer import SAWYER
 from anther.robot.cart_testing import CART_CHECKS, CartRig
 from anther.robot.cells.hardware import guarded_arm
 from anther.robot.devices import CartLimits, DeviceError, JointTrajectory, Robot
 from anther.robot.safety import GuardedArm, GuardedCart, guard
 
-STOWED = sawyer.NEUTRAL
+STOWED = SAWYER.neutral
 CART = CartLimits(np.array([0.0, 0.0]), np.array([100.0, 2.0]), STOWED, stale_after=0.05)
 FURTHER = np.array([11.0, 1.5])
 

@@ -17,8 +17,8 @@ from made_arm import CELL
 
 from anther.cli.main import main
 from anther.core.errors import AntherError, InputError
-from anther.robot.arm import sawyer
 from anther.robot.arm.arms import find_arm
+from anther.robot.arm.sawyer import SAWYER, TOOL
 from anther.robot.cells import CellFile, _parts, read_cell
 from anther.robot.drivers import sawyer_ros1
 
@@ -48,10 +48,10 @@ def test_a_cell_file_says_what_stands_where_and_what_it_may(write: Write) -> Non
     cell = read_cell(write())
     assert isinstance(cell, CellFile)
     assert (cell.arm.driver, cell.gripper.driver) == ("sawyer-ros1", "robotiq-2f")
-    assert cell.T_flange_cam == pytest.approx(sawyer.T_FLANGE_CAM, abs=1e-6)
+    assert cell.T_flange_cam == pytest.approx(TOOL.T_flange_cam, abs=1e-6)
     assert cell.shaker is None
     limits = cell.safety_limits()
-    assert limits.joint_speed == pytest.approx(0.3 * sawyer.VELOCITY)
+    assert limits.joint_speed == pytest.approx(0.3 * SAWYER.velocity)
     assert limits.flange_speed == pytest.approx(0.45)
     assert limits.contact_force == 20.0
     assert [place.upper[2] for place in cell.keep_out] == [-0.48]
@@ -230,7 +230,7 @@ def test_a_jog_stays_within_the_limits(machines: Machines, capsys: pytest.Captur
     file, arm, _ = machines
     assert main(["cell", "jog", str(file), "--by", "30"]) == 2
     assert main(["cell", "jog", str(file), "--joint", "7"]) == 2
-    arm.q = np.append(arm.q[:6], sawyer.UPPER[6] - 0.03)
+    arm.q = np.append(arm.q[:6], SAWYER.upper[6] - 0.03)
     assert main(["cell", "jog", str(file), "--joint", "6", "--by", "5"]) == 2
     assert "Traceback" not in capsys.readouterr().err
     assert arm.heard == []

@@ -12,7 +12,7 @@ from test_safety import HERE, around, path, turned
 
 from anther.core.errors import StageFailure
 from anther.core.geometry import Array, Box
-from anther.robot.arm import sawyer
+from anther.robot.arm.sawyer import SAWYER
 from anther.robot.devices import JointTrajectory, More, SafetyLimits
 from anther.robot.safety import GuardedArm
 from anther.robot.safety._motion import JUMP, LONGEST
@@ -52,20 +52,20 @@ def test_a_chain_that_joins_passes_whole() -> None:
     assert arm.now == pytest.approx(WHOLE.positions[-1])
     assert len(record.times) == sum(len(piece.times) for piece in pieces)
     guarded.follow(WHOLE.backwards())  # it knows where the last of them ended
-    assert arm.now == pytest.approx(sawyer.NEUTRAL)
+    assert arm.now == pytest.approx(SAWYER.neutral)
 
 
 def test_a_motion_that_nothing_follows_may_not_end_at_speed_and_one_that_follows_nothing_not_begin_so() -> None:
     pieces = cut(WHOLE)
-    for first in (pieces[0], moved(pieces[1], by=sawyer.NEUTRAL - pieces[1].positions[0])):
+    for first in (pieces[0], moved(pieces[1], by=SAWYER.neutral - pieces[1].positions[0])):
         arm = FakeArm()
         with pytest.raises(StageFailure, match="speed at the ends"):
             GuardedArm(arm, LIMITS).follow(first)
         assert (arm.done, arm.held) == (0, 1)
     arm = FakeArm()
     with pytest.raises(StageFailure, match="speed at the ends"):
-        GuardedArm(arm, LIMITS).follow(moved(pieces[1], by=sawyer.NEUTRAL - pieces[1].positions[0]), None, lambda: None)
-    assert np.array_equal(arm.now, sawyer.NEUTRAL), "nothing was commanded"
+        GuardedArm(arm, LIMITS).follow(moved(pieces[1], by=SAWYER.neutral - pieces[1].positions[0]), None, lambda: None)
+    assert np.array_equal(arm.now, SAWYER.neutral), "nothing was commanded"
 
 
 BAD: dict[str, tuple[str, Change]] = {
@@ -107,7 +107,7 @@ def test_joins_within_the_tolerance_pass() -> None:
 
 
 LATER: dict[str, tuple[str, JointTrajectory, SafetyLimits]] = {
-    "range": ("beyond its range", path(turned(0, 0.4), samples=301), replace(LIMITS, joint_upper=sawyer.NEUTRAL + 0.3)),
+    "range": ("beyond its range", path(turned(0, 0.4), samples=301), replace(LIMITS, joint_upper=SAWYER.neutral + 0.3)),
     "joint speed": (
         "speed of joint 0",
         path(turned(0, 1.0), seconds=2.0, samples=301),

@@ -25,7 +25,7 @@ from live_cameras import FakeWebcam, webcam
 from slow_clock import AGAIN_IF_HELD_UP, clock, sleep
 
 from anther.core.geometry import Array
-from anther.robot.arm import sawyer
+from anther.robot.arm.sawyer import SAWYER
 from anther.robot.devices import GripperState
 from anther.robot.drivers.intera import RethinkGripper, types
 from anther.robot.drivers.robotiq import Robotiq2F, open_line
@@ -79,7 +79,7 @@ def sawyers() -> Iterator[ArmRig]:
     with closing(FakeSawyer(master.uri, clock=clock, sleep=sleep)) as robot:
         connect = lambda: test_sawyer_ros1.connected(master.uri, mode="trajectory")  # noqa: E731
         faults = {"force lost": setting(robot, "numb", True), "stop": setting(robot, "pressed", True)}
-        yield rig_of(robot, connect, sawyer.ACCELERATION, faults=faults)
+        yield rig_of(robot, connect, SAWYER.acceleration, faults=faults)
     master.stop()
 
 
@@ -188,7 +188,7 @@ class Dishonest(FakeArm):
     """It says that it has gone where it has not."""
 
     def joints(self) -> Array:
-        return np.array(sawyer.NEUTRAL)
+        return np.array(SAWYER.neutral)
 
 
 class Generous(FakeGripper):
@@ -200,13 +200,13 @@ class Generous(FakeGripper):
 
 def unfaulted(arm: type, fault: str) -> ArmRig:
     """Return the rig of an arm on which a fault has no effect."""
-    return ArmRig(arm, time.time, lambda s: None, sawyer.ACCELERATION, commands=lambda: 0, faults={fault: lambda: None})
+    return ArmRig(arm, time.time, lambda s: None, SAWYER.acceleration, commands=lambda: 0, faults={fault: lambda: None})
 
 
 @pytest.mark.parametrize(
     ("check", "rig", "message"),
     [
-        (check_motion, ArmRig(Dishonest, time.time, lambda s: None, sawyer.ACCELERATION), "joints at the end"),
+        (check_motion, ArmRig(Dishonest, time.time, lambda s: None, SAWYER.acceleration), "joints at the end"),
         (
             check_stale_readings,
             unfaulted(Stale, "silence"),

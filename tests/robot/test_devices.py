@@ -18,8 +18,8 @@ from straight_plant import straight_plant
 from anther.core.errors import InputError, StageFailure
 from anther.core.geometry import Box, Intrinsics
 from anther.perception.capture import Capture
-from anther.robot.arm import sawyer
 from anther.robot.arm.model import outline
+from anther.robot.arm.sawyer import SAWYER
 from anther.robot.cells import read_cell
 from anther.robot.devices import (
     Arm,
@@ -95,7 +95,7 @@ ROBOTS = {
 
 
 def planner(robot: Robot) -> SmallPlanner:
-    return SmallPlanner(six() if len(robot.arm.joints()) == 6 else sawyer.SAWYER)
+    return SmallPlanner(six() if len(robot.arm.joints()) == 6 else SAWYER)
 
 
 @pytest.fixture(params=ROBOTS)
@@ -172,7 +172,7 @@ def test_a_trajectory_must_be_timed() -> None:
 def test_limits_with_an_empty_range_are_refused() -> None:
     box = Box(-np.ones(3), np.ones(3))
     with pytest.raises(InputError, match="empty range"):
-        SafetyLimits(sawyer.forward, outline, sawyer.UPPER, sawyer.LOWER, sawyer.VELOCITY, sawyer.ACCELERATION, box)
+        SafetyLimits(SAWYER.forward, outline, SAWYER.upper, SAWYER.lower, SAWYER.velocity, SAWYER.acceleration, box)
 
 
 @pytest.mark.parametrize("changes", [{"contact_force": np.inf}, {"shake_duration": 1e6}, {"tracking": np.nan}])

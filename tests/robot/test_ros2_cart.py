@@ -26,7 +26,7 @@ from test_cart_file import CELL, cell_file
 
 from anther.cli.cell import check
 from anther.core.errors import InputError
-from anther.robot.arm import sawyer
+from anther.robot.arm.sawyer import SAWYER
 from anther.robot.cart_testing import CART_CHECKS, CartRig
 from anther.robot.cells import _parts, read_cell
 from anther.robot.devices import Cart, CartLimits, DeviceError, Robot
@@ -35,7 +35,7 @@ from anther.robot.drivers._rails import Odometry
 from anther.robot.drivers.ros2_cart import LATE, VelocityCart
 from anther.robot.safety import guard
 
-ENDS = CartLimits(np.array([0.0]), np.array([60.0]), sawyer.NEUTRAL)
+ENDS = CartLimits(np.array([0.0]), np.array([60.0]), SAWYER.neutral)
 SPEED, ACCELERATION = 0.3, 0.2
 INSTALL = "no rclpy: pip install 'anther[ros2]', or source ROS 2"
 needs_ros = pytest.mark.skipif(find_spec("rclpy") is None or find_spec("nav_msgs") is None, reason=INSTALL)
@@ -327,7 +327,7 @@ def test_limits_that_no_cart_has_are_refused(wire: Wire, options: dict[str, floa
 
 def test_a_lift_is_refused(wire: Wire) -> None:
     with pytest.raises(InputError, match=r"cart: got 2 axes; allowed: travel alone.*Remove lift"):
-        wire.connect(CartLimits(np.zeros(2), np.ones(2), sawyer.NEUTRAL))
+        wire.connect(CartLimits(np.zeros(2), np.ones(2), SAWYER.neutral))
 
 
 def test_the_drive_stops_by_itself_when_the_driver_is_gone(wire: Wire) -> None:

@@ -18,9 +18,9 @@ from test_execution import Plan
 from anther.core.errors import StageFailure
 from anther.core.geometry import Array, Box, Intrinsics
 from anther.pollination.execution import execute
-from anther.robot.arm import sawyer
 from anther.robot.arm.model import outline
 from anther.robot.arm.planner import SHAKE_CAP
+from anther.robot.arm.sawyer import SAWYER, TOOL
 from anther.robot.devices import ArmSample, DeviceError, Frame, GripperState, JointTrajectory, SafetyLimits
 from anther.robot.pressing import Pressing
 from anther.robot.safety import (
@@ -38,7 +38,7 @@ from anther.robot.safety import (
 from anther.robot.swing import Swing
 
 
-def path(goal: Array, *, seconds: float = 5.0, start: Array = sawyer.NEUTRAL, samples: int = 100) -> JointTrajectory:
+def path(goal: Array, *, seconds: float = 5.0, start: Array = SAWYER.neutral, samples: int = 100) -> JointTrajectory:
     """Return a joint line with a quintic time law, at rest at both ends."""
     s = np.linspace(0, 1, samples)[:, None]
     rise, rate = s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2 / seconds
@@ -46,7 +46,7 @@ def path(goal: Array, *, seconds: float = 5.0, start: Array = sawyer.NEUTRAL, sa
 
 
 def turned(joint: int, angle: float) -> Array:
-    return sawyer.NEUTRAL + angle * np.eye(7)[joint]
+    return SAWYER.neutral + angle * np.eye(7)[joint]
 
 
 def in_place(amplitude: float, frequency: float) -> JointTrajectory:
@@ -54,7 +54,7 @@ def in_place(amplitude: float, frequency: float) -> JointTrajectory:
     t = np.linspace(0, 2, int(2 * frequency) + 1)
     v = np.zeros((len(t), 7))
     v[1:-1, 6] = amplitude * frequency
-    return JointTrajectory(t, np.tile(sawyer.NEUTRAL, (len(t), 1)), v)
+    return JointTrajectory(t, np.tile(SAWYER.neutral, (len(t), 1)), v)
 
 
 def around(*corners: float) -> Box:
@@ -62,14 +62,14 @@ def around(*corners: float) -> Box:
     return Box(HERE + corners[:3], HERE + corners[3:])
 
 
-HERE = sawyer.forward(sawyer.NEUTRAL)[:3, 3]
+HERE = SAWYER.forward(SAWYER.neutral)[:3, 3]
 ELBOW_BOX = Box(np.array([0.25, -0.15, 0.25]), np.array([0.45, 0.25, 0.6]))
 SOUND = path(turned(0, 0.4))
 BAD: dict[str, tuple[JointTrajectory, SafetyLimits]] = {
-    "start of the path": (path(sawyer.NEUTRAL, start=sawyer.NEUTRAL + 0.2), LIMITS),
+    "start of the path": (path(SAWYER.neutral, start=SAWYER.neutral + 0.2), LIMITS),
     "joint 1: .* beyond its range": (path(turned(1, 4.0), seconds=30), LIMITS),
-    "joint 3: .* beyond its range": (path(turned(3, sawyer.UPPER[3] - 0.01 - sawyer.NEUTRAL[3])), LIMITS),
-    "joint 5: .* beyond its range": (path(turned(5, sawyer.LOWER[5] + 0.01 - sawyer.NEUTRAL[5]), seconds=30), LIMITS),
+    "joint 3: .* beyond its range": (path(turned(3, SAWYER.upper[3] - 0.01 - SAWYER.neutral[3])), LIMITS),
+    "joint 5: .* beyond its range": (path(turned(5, SAWYER.lower[5] + 0.01 - SAWYER.neutral[5]), seconds=30), LIMITS),
     "speed of joint 0": (path(turned(0, 1.0), seconds=0.6), replace(LIMITS, joint_acceleration=np.full(7, 1e3))),
     "acceleration of joint 6": (path(turned(6, 0.15), seconds=0.2), LIMITS),
     "speed of joint 6": (in_place(2.0, 20.0), LIMITS),
@@ -90,7 +90,7 @@ def test_each_limit_refuses_and_the_arm_holds(message: str) -> None:
         GuardedArm(arm, limits).follow(trajectory)
     assert failure.value.kind == "limits_exceeded"
     assert (arm.done, arm.held) == (0, 1)
-    assert np.array_equal(arm.now, sawyer.NEUTRAL)
+    assert np.array_equal(arm.now, SAWYER.neutral)
 
 
 def test_a_sound_path_passes_and_returns() -> None:
@@ -100,22 +100,22 @@ def test_a_sound_path_passes_and_returns() -> None:
     guarded.follow(SOUND.backwards())
     guarded.follow(JointTrajectory.standstill(guarded.joints(), 0.5))
     assert (arm.done, arm.held) == (3, 0)
-    assert arm.now == pytest.approx(sawyer.NEUTRAL)
+    assert arm.now == pytest.approx(SAWYER.neutral)
 
 
 def test_the_elbow_is_kept_out_though_the_flange_is_far_away() -> None:
-    flange = sawyer.forward(path(turned(0, 0.5)).positions)[:, :3, 3]
+    flange = SAWYER.forward(path(turned(0, 0.5)).positions)[:, :3, 3]
     assert not ELBOW_BOX.contains(flange).any()
 
 
 def test_outline_balls_are_the_planner_s_shapes() -> None:
-    q = np.random.default_rng(0).uniform(sawyer.LOWER, sawyer.UPPER, (5, 7))
-    balls = outline(sawyer.SAWYER, q)
+    q = np.random.default_rng(0).uniform(SAWYER.lower, SAWYER.upper, (5, 7))
+    balls = outline(SAWYER, q)
     assert balls.shape == (5, balls.shape[1], 4)
-    tip = sawyer.forward(q) @ [0, sawyer.STROKE / 2, sawyer.TOOL.tip, 1]
+    tip = SAWYER.forward(q) @ [0, TOOL.stroke / 2, TOOL.tip, 1]
     to_tip = np.linalg.norm(balls[..., :3] - tip[:, None, :3], axis=-1) - balls[..., 3]
     assert np.all(to_tip.min(axis=1) < 0.012)
-    elbow = sawyer.link_poses(q)[:, 3, :3, 3]
+    elbow = SAWYER.link_poses(q)[:, 3, :3, 3]
     assert np.all((np.linalg.norm(balls[..., :3] - elbow[:, None], axis=-1) < balls[..., 3]).any(axis=1))
     assert np.linalg.norm(balls[..., :3], axis=-1).max() < 1.5
 
@@ -142,7 +142,7 @@ def broken(trajectory: JointTrajectory, present: Array, limits: SafetyLimits) ->
     t, q, v = trajectory.times, trajectory.positions, trajectory.velocities
     if not (np.isfinite(t).all() and np.isfinite(q).all() and np.isfinite(v).all()) or np.any(np.diff(t) <= 0):
         return True
-    place = sawyer.forward(q)[:, :3, 3]
+    place = SAWYER.forward(q)[:, :3, 3]
     return bool(
         np.abs(q[0] - present).max() > limits.start_tolerance
         or np.abs(v[[0, -1]]).max() > AT_REST
@@ -166,7 +166,7 @@ NARROW = replace(
 @given(case=spoilt())
 def test_no_spoilt_trajectory_gets_through(case: tuple[str, JointTrajectory]) -> None:
     arm = FakeArm()
-    must_refuse = broken(case[1], sawyer.NEUTRAL, LIMITS)
+    must_refuse = broken(case[1], SAWYER.neutral, LIMITS)
     try:
         GuardedArm(arm, LIMITS).follow(case[1])
     except StageFailure:
@@ -185,10 +185,10 @@ def test_no_spoilt_trajectory_gets_through(case: tuple[str, JointTrajectory]) ->
 def test_no_random_trajectory_that_breaks_a_limit_gets_through(
     goal: list[float], offset: float, seconds: float, samples: int
 ) -> None:
-    start = sawyer.NEUTRAL + offset
+    start = SAWYER.neutral + offset
     trajectory = path(start + np.array(goal), start=start, seconds=seconds, samples=samples)
     arm = FakeArm()
-    must_refuse = broken(trajectory, sawyer.NEUTRAL, NARROW)
+    must_refuse = broken(trajectory, SAWYER.neutral, NARROW)
     try:
         GuardedArm(arm, NARROW).follow(trajectory)
     except StageFailure:
@@ -315,45 +315,45 @@ def test_a_box_beside_the_arm_is_no_reason_to_refuse_and_one_that_a_ball_touches
             continue
         refused.append(gap < 0)
         with pytest.raises(StageFailure, match="keep-out") if refused[-1] else nullcontext():
-            check_trajectory(SOUND, sawyer.NEUTRAL, replace(LIMITS, keep_out=(box,)))
+            check_trajectory(SOUND, SAWYER.neutral, replace(LIMITS, keep_out=(box,)))
     assert 3 < sum(refused) < len(refused) - 3, "both happened"
 
 
 def test_a_path_of_two_samples_is_checked_all_the_way() -> None:
     """Both ends are free, what lies half-way is not; nor is a workspace that ends there."""
     coarse = path(turned(0, 0.8), samples=2)
-    tip = (sawyer.forward(turned(0, 0.4)) @ [0, 0, sawyer.TOOL.tip, 1])[:3]
+    tip = (SAWYER.forward(turned(0, 0.4)) @ [0, 0, TOOL.tip, 1])[:3]
     here = replace(LIMITS, keep_out=(Box(tip - 0.02, tip + 0.02),))
     for end in (coarse.positions[0], coarse.positions[-1]):
         check_trajectory(JointTrajectory.standstill(end, 1.0), end, here)
     with pytest.raises(StageFailure, match="keep-out"):
-        check_trajectory(coarse, sawyer.NEUTRAL, here)
+        check_trajectory(coarse, SAWYER.neutral, here)
     out = JointTrajectory(
-        np.array([0.0, 4.0]), np.tile(sawyer.NEUTRAL, (2, 1)), 0.04 * np.array([[1.0], [-1.0]]) * np.ones(7)
+        np.array([0.0, 4.0]), np.tile(SAWYER.neutral, (2, 1)), 0.04 * np.array([[1.0], [-1.0]]) * np.ones(7)
     )
     there = replace(LIMITS, workspace=Box(HERE - 0.01, HERE + 0.01))
-    check_trajectory(JointTrajectory.standstill(sawyer.NEUTRAL, 1.0), sawyer.NEUTRAL, there)
+    check_trajectory(JointTrajectory.standstill(SAWYER.neutral, 1.0), SAWYER.neutral, there)
     with pytest.raises(StageFailure, match="workspace"):
-        check_trajectory(out, sawyer.NEUTRAL, there)
+        check_trajectory(out, SAWYER.neutral, there)
 
 
 def test_the_arm_is_as_thick_as_its_balls() -> None:
     """A grain just inside any of them is touched."""
-    rng, still = np.random.default_rng(0), JointTrajectory.standstill(sawyer.NEUTRAL, 1.0)
-    balls = LIMITS.outline(sawyer.NEUTRAL[None])[0]
+    rng, still = np.random.default_rng(0), JointTrajectory.standstill(SAWYER.neutral, 1.0)
+    balls = LIMITS.outline(SAWYER.neutral[None])[0]
     for ball in balls[balls[:, 3] > 0.03][::4]:
         away = rng.normal(size=3)
         grain = ball[:3] + 0.97 * ball[3] * away / np.linalg.norm(away)
         with pytest.raises(StageFailure, match="keep-out"):
-            check_trajectory(still, sawyer.NEUTRAL, replace(LIMITS, keep_out=(Box(grain - 1e-4, grain + 1e-4),)))
+            check_trajectory(still, SAWYER.neutral, replace(LIMITS, keep_out=(Box(grain - 1e-4, grain + 1e-4),)))
 
 
 @pytest.mark.parametrize("reached", [True, False])
 def test_a_shake_is_held_against_the_boxes_in_few_poses_and_as_far_as_it_goes(reached: bool) -> None:
     """The arm asks for the next piece of a shake in motion: the check is what it waits for."""
     t = np.linspace(0, 2, 1001)[:, None]
-    swing, omega = turned(0, 0.01) - sawyer.NEUTRAL, 2 * np.pi * 5
-    shake = JointTrajectory(t[:, 0], sawyer.NEUTRAL + swing * np.sin(omega * t), swing * omega * np.cos(omega * t))
+    swing, omega = turned(0, 0.01) - SAWYER.neutral, 2 * np.pi * 5
+    shake = JointTrajectory(t[:, 0], SAWYER.neutral + swing * np.sin(omega * t), swing * omega * np.cos(omega * t))
     balls = LIMITS.outline(shake.positions)
     ends = (balls[..., 1] + balls[..., 3]).max(axis=0)  # of every ball, as far as it goes to the left
     ball = int(ends.argmax())
@@ -368,7 +368,7 @@ def test_a_shake_is_held_against_the_boxes_in_few_poses_and_as_far_as_it_goes(re
     with pytest.raises(StageFailure, match="keep-out") if reached else nullcontext():
         check_trajectory(
             shake,
-            sawyer.NEUTRAL,
+            SAWYER.neutral,
             replace(LIMITS, keep_out=(box,), outline=outline, joint_acceleration=np.full(7, 1e3)),
             joined=True,
             goes_on=True,
@@ -395,7 +395,7 @@ def readings(change: Callable[[int, ArmSample], ArmSample]) -> FakeArm:
     return Changed()
 
 
-FROZEN = ArmSample(0.0, sawyer.NEUTRAL, sawyer.NEUTRAL)
+FROZEN = ArmSample(0.0, SAWYER.neutral, SAWYER.neutral)
 READINGS: dict[str, Callable[[int, ArmSample], ArmSample]] = {
     "contact force": lambda n, s: replace(s, force=LIMITS.contact_force + 1 if n > 40 else s.force),
     "arm force: got -60 N": lambda n, s: replace(s, force=-60.0 if n > 40 else s.force),
@@ -418,17 +418,17 @@ def test_a_bad_reading_stops_the_arm_on_its_way(message: str) -> None:
         guarded.follow(SOUND)
     assert failure.value.kind == ("collision" if message == "contact force" else "device_fault")
     assert (arm.done, arm.held) == (0, 1)
-    travelled = float(np.abs(arm.now - sawyer.NEUTRAL).max())
+    travelled = float(np.abs(arm.now - SAWYER.neutral).max())
     assert travelled < 0.35
     if "stale" in message:
         with pytest.raises(DeviceError, match="stale"):
             guarded.follow(JointTrajectory.standstill(arm.now, 0.1))
 
 
-NOISE = 1e-6 * np.random.default_rng(0).normal(size=(2000, len(sawyer.NEUTRAL)))
+NOISE = 1e-6 * np.random.default_rng(0).normal(size=(2000, len(SAWYER.neutral)))
 HIDDEN: dict[str, Callable[[int, ArmSample], Array]] = {
-    "all with noise": lambda n, s: sawyer.NEUTRAL + NOISE[n],
-    "one to the bit, the others with noise": lambda n, s: np.r_[sawyer.NEUTRAL[0], (s.measured + NOISE[n])[1:]],
+    "all with noise": lambda n, s: SAWYER.neutral + NOISE[n],
+    "one to the bit, the others with noise": lambda n, s: np.r_[SAWYER.neutral[0], (s.measured + NOISE[n])[1:]],
 }
 
 
@@ -439,8 +439,8 @@ def swinging(amplitude: float, frequency: float) -> JointTrajectory:
     x = amplitude * ends**2 * (3 - 2 * ends) * np.sin(2 * np.pi * frequency * t)
     rate = np.gradient(x, t)
     rate[[0, -1]] = 0.0
-    along = np.eye(len(sawyer.NEUTRAL))[0]
-    return JointTrajectory(t, sawyer.NEUTRAL + x[:, None] * along, rate[:, None] * along)
+    along = np.eye(len(SAWYER.neutral))[0]
+    return JointTrajectory(t, SAWYER.neutral + x[:, None] * along, rate[:, None] * along)
 
 
 @pytest.mark.parametrize("how", HIDDEN)
@@ -472,24 +472,24 @@ def test_an_arm_that_lags_is_not_taken_for_stale(lag: float, amplitude: float, f
 @pytest.mark.parametrize(("follows", "noise"), [(0.3, 1.0), (0.06, 0.3), (1.0, 100.0), (0.0, 3000.0)])
 def test_a_small_swing_that_is_soft_or_lost_in_noise_is_not_taken_for_stale(follows: float, noise: float) -> None:
     arm = readings(
-        lambda n, s: replace(s, measured=sawyer.NEUTRAL + follows * (s.commanded - sawyer.NEUTRAL) + noise * NOISE[n])
+        lambda n, s: replace(s, measured=SAWYER.neutral + follows * (s.commanded - SAWYER.neutral) + noise * NOISE[n])
     )
     GuardedArm(arm, LIMITS).follow(swinging(2e-4, 18.0))
     assert arm.done == 1
 
 
 def test_a_joint_that_the_others_still_is_not_taken_for_stale() -> None:
-    two, still = np.eye(len(sawyer.NEUTRAL))[:2].sum(axis=0), np.eye(len(sawyer.NEUTRAL))[0]
+    two, still = np.eye(len(SAWYER.neutral))[:2].sum(axis=0), np.eye(len(SAWYER.neutral))[0]
     alone = swinging(2e-4, 18.0)
     both = JointTrajectory(
         alone.times,
         *(
             start + (x - start)[:, :1] * two
-            for x, start in ((alone.positions, sawyer.NEUTRAL), (alone.velocities, 0.0))
+            for x, start in ((alone.positions, SAWYER.neutral), (alone.velocities, 0.0))
         ),
     )
     arm = readings(
-        lambda n, s: replace(s, measured=s.commanded - 0.99 * (s.commanded - sawyer.NEUTRAL) * still + NOISE[n])
+        lambda n, s: replace(s, measured=s.commanded - 0.99 * (s.commanded - SAWYER.neutral) * still + NOISE[n])
     )
     GuardedArm(arm, LIMITS).follow(both)
     assert arm.done == 1
@@ -499,11 +499,11 @@ def test_a_joint_that_the_others_still_is_not_taken_for_stale() -> None:
 def test_a_joint_that_another_turns_back_while_it_creeps_is_not_taken_for_stale(creeps: float, stale: bool) -> None:
     """Its command travels a hundredth of the fast joint's, whose acceleration turns it by as much."""
     far = swinging(0.2, 0.8)
-    share = np.array([1.0, creeps / 0.4, *np.zeros(len(sawyer.NEUTRAL) - 2)])
+    share = np.array([1.0, creeps / 0.4, *np.zeros(len(SAWYER.neutral) - 2)])
     both = JointTrajectory(
-        far.times, sawyer.NEUTRAL + (far.positions - sawyer.NEUTRAL)[:, :1] * share, far.velocities[:, :1] * share
+        far.times, SAWYER.neutral + (far.positions - SAWYER.neutral)[:, :1] * share, far.velocities[:, :1] * share
     )
-    arm = readings(lambda n, s: replace(s, measured=np.r_[s.commanded[0], sawyer.NEUTRAL[1:]] + NOISE[n]))
+    arm = readings(lambda n, s: replace(s, measured=np.r_[s.commanded[0], SAWYER.neutral[1:]] + NOISE[n]))
     with pytest.raises(DeviceError, match="joint 1 reads the same") if stale else nullcontext():
         GuardedArm(arm, LIMITS).follow(both)
 
@@ -513,9 +513,9 @@ def test_readings_at_uneven_times_make_no_swing_of_a_steady_motion() -> None:
     times -= times[0]
     share = times / times[-1]
     x, rate = 0.1 * share**2 * (3 - 2 * share), 0.6 * share * (1 - share) / times[-1]
-    along = np.eye(len(sawyer.NEUTRAL))[0]
+    along = np.eye(len(SAWYER.neutral))[0]
     arm = readings(lambda n, s: replace(s, measured=s.commanded + NOISE[n]))
-    GuardedArm(arm, LIMITS).follow(JointTrajectory(times, sawyer.NEUTRAL + x[:, None] * along, rate[:, None] * along))
+    GuardedArm(arm, LIMITS).follow(JointTrajectory(times, SAWYER.neutral + x[:, None] * along, rate[:, None] * along))
     assert arm.done == 1
 
 
@@ -562,7 +562,7 @@ def test_a_stale_reading_between_two_motions_is_found() -> None:
     arm = FakeArm()
     guarded = GuardedArm(arm, LIMITS)
     guarded.follow(SOUND)
-    arm.joints = lambda: sawyer.NEUTRAL  # type: ignore[method-assign]
+    arm.joints = lambda: SAWYER.neutral  # type: ignore[method-assign]
     with pytest.raises(DeviceError, match="stale or the arm was moved"):
         guarded.follow(SOUND)
     assert arm.done == 1
@@ -587,7 +587,7 @@ def test_a_gripper_that_would_crush_opens() -> None:
     gripper = FakeGripper(0.008)
     with pytest.raises(StageFailure, match="grip force: got 8 N; the pads were opened"):
         GuardedGripper(gripper, replace(LIMITS, grip_force=5.0)).move(0.006)
-    assert gripper.opening == sawyer.STROKE
+    assert gripper.opening == TOOL.stroke
 
 
 def test_a_hard_pad_on_a_thin_stem_opens_before_it_cuts() -> None:
@@ -599,7 +599,7 @@ def test_a_hard_pad_on_a_thin_stem_opens_before_it_cuts() -> None:
     with pytest.raises(StageFailure, match="stem stress: got") as failure:
         GuardedGripper(gripper, replace(LIMITS, pressing=Pressing(pad_modulus=2e7))).move(0.004)
     assert failure.value.kind == "limits_exceeded"
-    assert gripper.opening == sawyer.STROKE
+    assert gripper.opening == TOOL.stroke
     assert stem_stress(gripper.state(), soft) == 0
 
 
@@ -792,9 +792,9 @@ def test_limits_of_a_trial_hold_for_a_robot_that_was_guarded_with_wider_ones() -
 
 
 def test_check_is_the_same_for_whoever_asks() -> None:
-    check_trajectory(SOUND, sawyer.NEUTRAL, LIMITS)
+    check_trajectory(SOUND, SAWYER.neutral, LIMITS)
     with pytest.raises(StageFailure, match="start of the path"):
-        check_trajectory(SOUND, sawyer.NEUTRAL + 0.06, LIMITS)
+        check_trajectory(SOUND, SAWYER.neutral + 0.06, LIMITS)
 
 
 def test_an_arm_has_as_many_joints_as_its_limits_say() -> None:

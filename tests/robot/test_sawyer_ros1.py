@@ -20,7 +20,7 @@ from small_planner import SmallPlanner
 from streamed_motions import halfway
 
 from anther.core.errors import InputError
-from anther.robot.arm import sawyer
+from anther.robot.arm.sawyer import SAWYER
 from anther.robot.devices import Arm, ArmSample, DeviceError, JointTrajectory
 from anther.robot.drivers.intera import DEFINITIONS, types
 from anther.robot.drivers.ros1 import Node
@@ -77,7 +77,7 @@ def far(arm: Arm, way: float = 0.3) -> JointTrajectory:
 def test_it_goes_where_it_is_told_and_says_so(arm: Sawyer, robot: FakeSawyer) -> None:
     conforms: Arm = arm
     start, seen = conforms.joints(), list[ArmSample]()
-    assert start == pytest.approx(sawyer.NEUTRAL, abs=1e-9)  # though the robot names its joints in another order
+    assert start == pytest.approx(SAWYER.neutral, abs=1e-9)  # though the robot names its joints in another order
     record = arm.follow(far(arm, 0.05), seen.append)
     assert record.commanded[-1] == pytest.approx(start + 0.05, abs=1e-6)
     assert arm.joints() == pytest.approx(start + 0.05, abs=1e-3)
@@ -92,7 +92,7 @@ def test_what_the_robot_is_set_to_before_anything_moves(arm: Sawyer, robot: Fake
     sleep(0.2)
     assert (robot.ratio, robot.timeout) == (0.1, 0.03)
     assert robot.heard == []
-    assert arm.joints() == pytest.approx(sawyer.NEUTRAL, abs=1e-9)  # though the robot names its joints in another order
+    assert arm.joints() == pytest.approx(SAWYER.neutral, abs=1e-9)  # though the robot names its joints in another order
     assert arm.readings.clock.offset == pytest.approx(-CLOCK, abs=0.05)
 
 
@@ -125,8 +125,8 @@ def test_a_command_that_was_made_before_a_pause_is_not_sent_after_it(
 @pytest.mark.parametrize(
     ("names", "message"),
     [
-        (["head_pan", *sawyer.JOINTS[:-1], "right_j7"], "right_j6 missing"),
-        ([*sawyer.JOINTS, "right_j0"], "names twice"),
+        (["head_pan", *SAWYER.joints[:-1], "right_j7"], "right_j6 missing"),
+        ([*SAWYER.joints, "right_j0"], "names twice"),
     ],
 )
 def test_joints_with_other_names_are_refused(arm: Sawyer, robot: FakeSawyer, names: list[str], message: str) -> None:
@@ -137,7 +137,7 @@ def test_joints_with_other_names_are_refused(arm: Sawyer, robot: FakeSawyer, nam
 
 
 def far_from_neutral() -> JointTrajectory:
-    return SmallPlanner().move(sawyer.NEUTRAL, sawyer.NEUTRAL + 0.1)
+    return SmallPlanner().move(SAWYER.neutral, SAWYER.neutral + 0.1)
 
 
 def test_an_arm_with_other_joints_is_not_connected_to() -> None:

@@ -13,8 +13,8 @@ from test_safety import HERE
 
 from anther.core.errors import InputError, StageFailure
 from anther.core.geometry import Array
-from anther.robot.arm import sawyer
 from anther.robot.arm.planner import Planner
+from anther.robot.arm.sawyer import SAWYER
 from anther.robot.arm.shaking import swing_trajectory
 from anther.robot.swing import Swing, motion, whole_shake
 
@@ -123,16 +123,16 @@ def test_bad_swings_are_refused(changes: dict[str, Any], message: str) -> None:
 
 # On the arm.
 
-REST = solve(np.vstack([np.c_[sawyer.forward(sawyer.NEUTRAL)[:3, :3], HERE], [0, 0, 0, 1]]))
+REST = solve(np.vstack([np.c_[SAWYER.forward(SAWYER.neutral)[:3, :3], HERE], [0, 0, 0, 1]]))
 ALONG = np.array([0.0, 0.6, 0.8])
 
 
 def test_the_flange_moves_as_the_swing_says_and_motions_join() -> None:
     done = pieces([0.001, 0.001, 0.0005], [0.0, 0.004, 0.0], 0.0)
-    paths = [swing_trajectory(sawyer.SAWYER, REST, ALONG, [piece], 0.006) for piece in done]
+    paths = [swing_trajectory(SAWYER, REST, ALONG, [piece], 0.006) for piece in done]
     for piece, path in zip(done, paths, strict=True):
-        T = sawyer.forward(path.positions)
-        away = T[:, :3, 3] - sawyer.forward(REST)[:3, 3]
+        T = SAWYER.forward(path.positions)
+        away = T[:, :3, 3] - SAWYER.forward(REST)[:3, 3]
         assert away @ ALONG == pytest.approx(piece.motion(path.times)[0], abs=2e-6)
         assert np.linalg.norm(away - np.outer(away @ ALONG, ALONG), axis=1).max() < 1e-5
         assert np.abs(T[:, :3, :3] - T[0, :3, :3]).max() < 1e-4
@@ -147,21 +147,21 @@ def test_the_flange_moves_as_the_swing_says_and_motions_join() -> None:
 
 def test_a_piece_beyond_the_reach_of_the_shake_is_refused() -> None:
     piece = Swing.first(TONES, [0.002, 0.002, 0.0], 1.0, 0.4)
-    swing_trajectory(sawyer.SAWYER, REST, ALONG, [piece], 0.004)
+    swing_trajectory(SAWYER, REST, ALONG, [piece], 0.004)
     with pytest.raises(InputError, match="displacement of a swing"):
-        swing_trajectory(sawyer.SAWYER, REST, ALONG, [piece], 0.0039)
+        swing_trajectory(SAWYER, REST, ALONG, [piece], 0.0039)
     with pytest.raises(InputError, match="reach of a swing"):
-        swing_trajectory(sawyer.SAWYER, REST, ALONG, [piece], 0.3)
+        swing_trajectory(SAWYER, REST, ALONG, [piece], 0.3)
 
 
 @pytest.mark.parametrize("side", [-1, 1])
 def test_a_swing_is_free_only_if_both_its_ends_are(monkeypatch: pytest.MonkeyPatch, side: int) -> None:
     planner = Planner(np.zeros((0, 3)), np.zeros((0, 3)))
-    rest = sawyer.forward(REST)[:3, 3]
+    rest = SAWYER.forward(REST)[:3, 3]
     piece = Swing.first([1.0], [0.02], 2.0, 1.0)
 
     def up_to_a_wall(way: Array, *_: Any) -> bool:
-        return bool(np.all(side * (sawyer.forward(way)[:, :3, 3] - rest) @ ALONG < 0.015))
+        return bool(np.all(side * (SAWYER.forward(way)[:, :3, 3] - rest) @ ALONG < 0.015))
 
     planner.swing(REST, ALONG, [piece], 0.02)
     monkeypatch.setattr(planner.world, "path_free", up_to_a_wall)

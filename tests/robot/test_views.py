@@ -7,8 +7,8 @@ import pytest
 
 from anther.core.errors import InputError, StageFailure
 from anther.core.geometry import Box
-from anther.robot.arm import sawyer
 from anther.robot.arm._collision import CollisionWorld
+from anther.robot.arm.sawyer import SAWYER, TOOL
 from anther.robot.arm.views import Params, capture_time, cylinder_points, plan_views, reachable_views
 from anther.sim.simulated_cell import PRESETS, USUAL_DISTANCE, layout
 
@@ -41,8 +41,8 @@ def test_views_are_spread_wide(views):
 
 
 def test_motions_lead_from_view_to_view_without_touching_the_region(views):
-    world = CollisionWorld(sawyer.SAWYER, cylinder_points(REGION), np.zeros((0, 3)), [BENCH])
-    here = sawyer.READY
+    world = CollisionWorld(SAWYER, cylinder_points(REGION), np.zeros((0, 3)), [BENCH])
+    here = SAWYER.ready
     for motion, q in zip(views.motions, views.joints, strict=True):
         np.testing.assert_allclose(motion.positions[[0, -1]], [here, q], atol=1e-6)
         assert all(world.free(x) for x in motion.positions[::10])
@@ -50,7 +50,7 @@ def test_motions_lead_from_view_to_view_without_touching_the_region(views):
 
 
 def test_camera_pose_follows_from_joints(views):
-    np.testing.assert_allclose(views.T_world_cam, sawyer.forward(views.joints) @ sawyer.T_FLANGE_CAM, atol=1e-12)
+    np.testing.assert_allclose(views.T_world_cam, SAWYER.forward(views.joints) @ TOOL.T_flange_cam, atol=1e-12)
 
 
 def test_capture_time_counts_motion_and_stops(views):
@@ -59,8 +59,8 @@ def test_capture_time_counts_motion_and_stops(views):
 
 def test_order_is_shorter_than_a_random_one(views):
     def length(order):
-        q = np.array([sawyer.READY, *views.joints[order]])
-        return np.abs(np.diff(q, axis=0) / sawyer.VELOCITY).max(axis=1).sum()
+        q = np.array([SAWYER.ready, *views.joints[order]])
+        return np.abs(np.diff(q, axis=0) / SAWYER.velocity).max(axis=1).sum()
 
     rng = np.random.default_rng(0)
     assert length(np.arange(10)) < min(length(rng.permutation(10)) for _ in range(50))

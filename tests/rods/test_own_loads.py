@@ -10,7 +10,7 @@ import pytest
 from made_rods import NO_GRAVITY, cantilever, random_tree
 
 from anther.core.errors import InputError
-from anther.plant import fit_free_vibration
+from anther.plant.bench import fit_free_vibration
 from anther.rods import (
     Clamp,
     FunctionDrive,

@@ -30,7 +30,7 @@ from anther.perception.capture import Capture
 from anther.perception.flowers import Flowers
 from anther.perception.skeleton import Skeleton
 from anther.pollination.execution import Step
-from anther.robot.arm import sawyer
+from anther.robot.arm.sawyer import SAWYER
 from anther.robot.devices import ArmSample, DeviceError
 from anther.show.log import Kept, Log
 from anther.show.log._messages import joints
@@ -127,7 +127,7 @@ def test_a_machine_that_stops_is_told_and_raises_as_before(tmp_path: Path) -> No
     book = Log(tmp_path / "log.mcap")
     robot = tapped(book, FakeArm(fault=fault))
     with pytest.raises(DeviceError, match="a joint is hot"):
-        robot.arm.follow(PLANNER.move(sawyer.NEUTRAL, sawyer.NEUTRAL - 0.1))
+        robot.arm.follow(PLANNER.move(SAWYER.neutral, SAWYER.neutral - 0.1))
     book.close()
     assert spoken(kept_in(tmp_path / "log.mcap"), "a joint is hot")
 

@@ -14,7 +14,7 @@ from PIL import Image
 from test_viewer import shaken
 
 from anther.core.geometry import Box, Intrinsics, look_at
-from anther.robot.arm import sawyer
+from anther.robot.arm.sawyer import SAWYER
 from anther.robot.devices import Frame
 from anther.show import run_scene, scene
 from anther.show.film import save_film, with_robot
@@ -96,7 +96,7 @@ def test_the_robot_is_drawn_where_it_is_in_front_of_what_the_camera_saw(tmp_path
     assert results.trial is not None
     arm = run_scene.arm_of(results)
     assert arm is not None
-    hand = arm.forward(sawyer.NEUTRAL)[:3, 3]
+    hand = arm.forward(SAWYER.neutral)[:3, 3]
     pose = look_at(hand + np.array([0.0, -1.0, 0.2]), hand)
     robot = cast(Any, SimpleNamespace(side_camera=SimpleNamespace(intrinsics=CAMERA), T_world_side_camera=pose))
     grey = np.full((60, 60, 3), 90, np.uint8)

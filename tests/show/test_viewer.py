@@ -26,7 +26,7 @@ from anther.plant.model import TOMATO, build_plant
 from anther.pollination.execution import Trial
 from anther.pollination.response import Response
 from anther.pollination.shake import Pads
-from anther.robot.arm import sawyer
+from anther.robot.arm.sawyer import SAWYER, TOOL
 from anther.show.results import RunResults
 from anther.show.run_scene import arm_of
 from anther.show.viewer import write_html
@@ -42,10 +42,10 @@ def shaken(folder: Path) -> RunResults:
     skeleton, stem, flowers = branched()
     plant = build_plant(skeleton, stem, flowers, None, TOMATO)
     times = np.arange(0, SECONDS, 0.01)
-    joints = np.tile(sawyer.NEUTRAL, (len(times), 1))
+    joints = np.tile(SAWYER.neutral, (len(times), 1))
     joints[:, 0] += SWING * np.sin(2 * np.pi * FREQUENCY * times)
-    moved = grip_at(joints) - grip_at(sawyer.NEUTRAL[None])
-    way = moved[np.abs(joints[:, 0] - sawyer.NEUTRAL[0]).argmax()]
+    moved = grip_at(joints) - grip_at(SAWYER.neutral[None])
+    way = moved[np.abs(joints[:, 0] - SAWYER.neutral[0]).argmax()]
     trial = Trial(
         phases=("shake",),
         phase_times=np.array([[0.0, SECONDS]]),
@@ -57,7 +57,7 @@ def shaken(folder: Path) -> RunResults:
         stop_reason="finished",
     )
     held = plant.rods.nodes[plant.stem_nodes[len(plant.stem_nodes) // 2]]
-    grasp = horizontal_grasp(held, sawyer.NEUTRAL)
+    grasp = horizontal_grasp(held, SAWYER.neutral)
     shake = replace(
         made_plan(), grasp=grasp, direction=way / np.linalg.norm(way), frequency=FREQUENCY, amplitude=0.005, pads=FIRM
     )
@@ -69,8 +69,8 @@ def shaken(folder: Path) -> RunResults:
 
 def grip_at(joints: Any) -> Any:
     """Return (T, 3) where the pads' middle is [m]."""
-    T = sawyer.forward(joints)
-    return T[:, :3, :3] @ sawyer.T_FLANGE_GRASP[:3, 3] + T[:, :3, 3]
+    T = SAWYER.forward(joints)
+    return T[:, :3, :3] @ TOOL.T_flange_grasp[:3, 3] + T[:, :3, 3]
 
 
 def test_the_plant_goes_where_the_arm_takes_it(tmp_path: Path) -> None:
@@ -79,7 +79,7 @@ def test_the_plant_goes_where_the_arm_takes_it(tmp_path: Path) -> None:
     assert motion is not None
     assert shake is not None
     assert plant is not None
-    arm = (grip_at(motion.joints) - grip_at(sawyer.NEUTRAL[None])) @ shake.direction
+    arm = (grip_at(motion.joints) - grip_at(SAWYER.neutral[None])) @ shake.direction
     held = np.linalg.norm(plant.rods.nodes - shake.grasp.point, axis=1).argmin()
     np.testing.assert_allclose(motion.nodes[:, held] @ shake.direction, arm, atol=0.03 * np.abs(arm).max())
     assert np.abs(motion.nodes[:, 0]).max() < 1e-9  # the root stays in the soil

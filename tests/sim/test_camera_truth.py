@@ -14,7 +14,7 @@ from anther.cli import trial
 from anther.cli.args.trial import Args
 from anther.core.geometry import Intrinsics, inverse, look_at, transform_points
 from anther.pollination import Params
-from anther.robot.arm import sawyer
+from anther.robot.arm.sawyer import SAWYER
 from anther.robot.devices import Frame
 from anther.sim import simulated_cell
 from anther.sim.capture import CameraErrors, camera_errors, noisy_rgb
@@ -101,7 +101,7 @@ def test_gains_spread_as_widely_as_the_truth_says() -> None:
 @pytest.mark.parametrize("factor", [0.0, 1.0, 2.5])
 def test_the_hand_eye_error_of_a_photograph_scales_with_the_truth(factor: float) -> None:
     truth = replace(NOMINAL, pose_error=0.0, hand_eye_error=factor)
-    capture, true = simulated_cell.photograph(Scene.of_plant(PLANT), sawyer.READY[None], 3, truth=truth)
+    capture, true = simulated_cell.photograph(Scene.of_plant(PLANT), SAWYER.ready[None], 3, truth=truth)
     error = inverse(capture.T_world_cam[0]) @ true.T_world_cam[0]
     assert np.degrees(Rotation.from_matrix(error[:3, :3]).magnitude()) == pytest.approx(0.2 * factor, abs=1e-6)
     assert np.linalg.norm(error[:3, 3]) == pytest.approx(0.001 * factor, abs=1e-9)

@@ -14,7 +14,8 @@ from small_planner import solve
 from straight_plant import BASE, chain, plant_of, straight_plant, with_blade
 
 from anther.core.errors import StageFailure
-from anther.robot.arm import sawyer
+from anther.core.geometry import transform_each
+from anther.robot.arm.sawyer import SAWYER
 from anther.robot.devices import JointTrajectory
 from anther.sim import plant_mechanics
 from anther.sim.cell import Cell, Params, mujoco
@@ -110,9 +111,9 @@ def test_the_generated_shape_neither_sags_nor_drifts() -> None:
     plant = straight_plant()
     cell = Cell(plant)
     idle(cell, 0.5)
-    moved = np.einsum("kij,kj->ki", cell.segment_poses()[:, :3], np.c_[plant.end, np.ones(len(plant.end))]) - plant.end
+    moved = transform_each(cell.segment_poses(), plant.end) - plant.end
     assert np.abs(moved).max() < 1e-6
-    assert cell.joints == pytest.approx(sawyer.NEUTRAL, abs=1e-6)
+    assert cell.joints == pytest.approx(SAWYER.neutral, abs=1e-6)
 
 
 def test_a_plant_too_soft_to_stand_is_refused() -> None:
@@ -186,11 +187,11 @@ def test_a_grown_plant_is_fine_enough_and_swings_as_one_cut_finer(species: str, 
 
 def test_flange_in_the_world_is_the_arm_models_flange() -> None:
     rng = np.random.default_rng(0)
-    for q in rng.uniform(sawyer.LOWER, sawyer.UPPER, (3, 7)):
+    for q in rng.uniform(SAWYER.lower, SAWYER.upper, (3, 7)):
         cell = Cell(plant_of(chain(np.add(BASE, [[0, 0, 0], [0, 0, 0.1]]), 0.004)), q)
         body = cell.data.body("flange")
-        assert body.xpos == pytest.approx(sawyer.forward(q)[:3, 3], abs=1e-9)
-        assert body.xmat.reshape(3, 3) == pytest.approx(sawyer.forward(q)[:3, :3], abs=1e-9)
+        assert body.xpos == pytest.approx(SAWYER.forward(q)[:3, 3], abs=1e-9)
+        assert body.xmat.reshape(3, 3) == pytest.approx(SAWYER.forward(q)[:3, :3], abs=1e-9)
 
 
 def test_leaf_blades_are_boxes_that_touch_and_midribs_are_not() -> None:

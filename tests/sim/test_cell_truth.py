@@ -12,14 +12,14 @@ from straight_plant import BASE, chain, plant_of, straight_plant
 
 from anther.core.geometry import Array, inverse, small_transform
 from anther.pollination.shake.pads import friction_force
-from anther.robot.arm import sawyer
+from anther.robot.arm.sawyer import SAWYER, TOOL
 from anther.robot.swing import whole_shake
 from anther.sim.cell import Cell, mujoco
 from anther.sim.judge import judge
 from anther.sim.robot import SimArm
 from anther.sim.truth import NOMINAL, Truth, draw
 
-GRASP = sawyer.T_FLANGE_GRASP
+GRASP = TOOL.T_flange_grasp
 Q = solve(horizontal_grasp(np.add(BASE, [0, 0, 0.22]), np.zeros(7)).T_world_flange)
 BESIDE = solve(horizontal_grasp(np.add(BASE, [-0.15, 0, 0.2]), np.zeros(7)).T_world_flange)
 ROD = plant_of(chain(BASE + np.linspace(0, 0.3, 13)[:, None] * [0, 0, 1.0], 0.004, youngs=1e11), damping_ratio=0.3)
@@ -40,7 +40,7 @@ def push(truth: Truth, turn: float, move: Array) -> tuple[Array, Array, Array, A
     cell = Cell(ROD, Q, truth=truth)
     go(cell, Q, 0.0)
     T_flange_rod = inverse(cell.flange_pose()) @ cell.segment_poses()[8]
-    moved = sawyer.forward(Q) @ GRASP @ small_transform([0, turn, 0], move) @ inverse(GRASP)
+    moved = SAWYER.forward(Q) @ GRASP @ small_transform([0, turn, 0], move) @ inverse(GRASP)
     go(cell, solve(moved, Q), 0.0, 60, 40)  # soon: friction creeps
     centre, force, moment, wrench = cell.flange_pose() @ GRASP, np.zeros(3), np.zeros(3), np.zeros(6)
     for i in range(cell.data.ncon):
@@ -117,7 +117,7 @@ def test_pads_that_give_way_do_not_slip() -> None:
     cell = Cell(ROD, Q, truth=PADS)
     go(cell, Q, 0.0)
     start, point = cell.time, (cell.flange_pose() @ GRASP)[:, 3]
-    go(cell, solve(sawyer.forward(Q) @ small_transform([0, 0, 0], [0, 0, 0.0015]), Q), 0.0, 60, 40)
+    go(cell, solve(SAWYER.forward(Q) @ small_transform([0, 0, 0], [0, 0, 0.0015]), Q), 0.0, 60, 40)
     log, verdict = cell.log(), judge(cell, (start, cell.time), 5.0)
     seen = inverse(cell.flange_pose(log.qpos[log.times >= start])) @ point  # the rod is too stiff to follow
     assert np.ptp(seen[:, 2]) > 0.0006
@@ -130,18 +130,18 @@ def test_a_joint_gives_way_by_torque_over_stiffness_and_its_encoder_does_not_see
     m, d = cell.model, cell.data
     flange = m.body("flange").id
     go(cell, BESIDE, cell.opening)
-    assert cell.flange_pose() == pytest.approx(sawyer.forward(BESIDE), abs=1e-6)  # its own weight is carried
+    assert cell.flange_pose() == pytest.approx(SAWYER.forward(BESIDE), abs=1e-6)  # its own weight is carried
     for share in np.linspace(0, 1, 20):
         d.xfrc_applied[flange, :3] = share * force
         go(cell, BESIDE, cell.opening, 50)
     go(cell, BESIDE, cell.opening, 3000)
-    flex = [m.joint(f"{name}_flex") for name in sawyer.JOINTS]
+    flex = [m.joint(f"{name}_flex") for name in SAWYER.joints]
     angle = np.array([d.qpos[joint.qposadr[0]] for joint in flex])
     place, axis = (np.array([x[joint.id] for joint in flex]) for x in (d.xanchor, d.xaxis))
     torque = np.einsum("ji,ji->j", axis, np.cross(d.xipos[flange] - place, force))
     assert np.abs(torque).max() > 1.0
-    assert angle == pytest.approx(torque / (2.0 * sawyer.SAWYER.stiffness), rel=0.05, abs=1e-6)
-    assert cell.flange_pose() == pytest.approx(sawyer.forward(cell.joints + angle), abs=1e-12)
+    assert angle == pytest.approx(torque / (2.0 * SAWYER.stiffness), rel=0.05, abs=1e-6)
+    assert cell.flange_pose() == pytest.approx(SAWYER.forward(cell.joints + angle), abs=1e-12)
     assert d.body("flange").xpos == pytest.approx(cell.flange_pose()[:3, 3], abs=1e-5)
 
 
@@ -156,7 +156,7 @@ def shaken(truth: Truth, seed: int = 0, rest: int = 500) -> tuple[float, float, 
     log = cell.log()
     steady, after = (log.times > 0.6) & (log.times <= 1.6), log.times > log.times[-1] - 0.5
     wave = np.exp(-10j * np.pi * log.times[steady])
-    said, true = sawyer.forward(log.joints)[:, :3, 3], cell.flange_pose(log.qpos)[:, :3, 3]
+    said, true = SAWYER.forward(log.joints)[:, :3, 3], cell.flange_pose(log.qpos)[:, :3, 3]
     a, b = (2 * abs((y[steady, 1] * wave).mean()) for y in (said, true))
     return a, b, float(np.ptp(true[after], axis=0).max())
 

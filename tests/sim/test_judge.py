@@ -13,7 +13,7 @@ from straight_plant import BASE, straight_plant, with_blade
 from anther.core.geometry import Array
 from anther.pollination.execution import Trial, execute
 from anther.pollination.grasp import Grasp
-from anther.robot.arm import sawyer
+from anther.robot.arm.sawyer import SAWYER, TOOL
 from anther.robot.devices import Robot
 from anther.sim import judge as judging
 from anther.sim.cell import BENCH, Cell
@@ -39,7 +39,7 @@ class Plan:
 
 def near_plant(joints: Array, plant: SimPlant | None = None, **kind: float) -> Cell:
     """A cell whose arm already stands close to the plant, which saves simulated seconds."""
-    back = PLANNER.line(joints, moved(sawyer.forward(joints), -0.13), 0.3)
+    back = PLANNER.line(joints, moved(SAWYER.forward(joints), -0.13), 0.3)
     return Cell(plant or straight_plant(**kind), back.positions[-1])
 
 
@@ -74,7 +74,7 @@ def test_a_stem_in_the_middle_is_held_through_the_shake(held: tuple[Cell, Trial,
     assert verdict.push < 0.1
     assert 0.1 < verdict.effort < 0.9
     # the arm really shook as far as it was told
-    y = sawyer.forward(trial.measured)[:, 1, 3]
+    y = SAWYER.forward(trial.measured)[:, 1, 3]
     assert np.ptp(y) / 2 == pytest.approx(0.001, rel=0.1)
     assert verdict.flower_amplitude[0] > 0.0005
     # a sinusoid of that amplitude needs about this much acceleration; the pedicel rings as well
@@ -134,7 +134,7 @@ def test_a_petiole_between_the_pads_is_a_branch_grasped() -> None:
     T = grasp.T_world_flange.copy()
     turn = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # the fingers close up and down: the petiole lies across
     T[:3, :3] = turn @ T[:3, :3]
-    T[:3, 3] = point - T[:3, :3] @ sawyer.T_FLANGE_GRASP[:3, 3]
+    T[:3, 3] = point - T[:3, :3] @ TOOL.T_flange_grasp[:3, 3]
     grasp = replace(grasp, T_world_flange=T, approach=T[:3, 2])
     grasp = replace(grasp, joints=solve(T, GRASP.joints))
     assert grasp.joints is not None
@@ -180,14 +180,14 @@ def test_a_leaf_in_the_way_is_felt_but_gives_way() -> None:
     assert (verdict.organ_grasped, verdict.failure) == ("stem", None)
 
 
-@pytest.mark.parametrize("opening", [sawyer.STROKE, 0.024])
+@pytest.mark.parametrize("opening", [TOOL.stroke, 0.024])
 def test_driving_through_the_plant_is_a_collision(opening: float) -> None:
     assert GRASP.joints is not None
     cell = near_plant(GRASP.joints)
     SimGripper(cell).move(opening)
-    side = PLANNER.line(cell.joints, moved(sawyer.forward(cell.joints), 0.13), 0.3)
+    side = PLANNER.line(cell.joints, moved(SAWYER.forward(cell.joints), 0.13), 0.3)
     SimArm(cell).follow(side)
-    across = sawyer.forward(cell.joints).copy()
+    across = SAWYER.forward(cell.joints).copy()
     across[1, 3] += 0.25
     SimArm(cell).follow(PLANNER.line(cell.joints, across, 0.3))
     verdict = judge(cell, None, 5.0)
@@ -210,7 +210,7 @@ def test_touching_the_bench_is_a_collision() -> None:
     q = solve(beside.T_world_flange, GRASP.joints)
     cell = near_plant(q)
     SimArm(cell).follow(PLANNER.line(cell.joints, moved(beside.T_world_flange, -0.1), 0.3))
-    down = sawyer.forward(cell.joints).copy()
+    down = SAWYER.forward(cell.joints).copy()
     down[2, 3] -= 0.05
     SimArm(cell).follow(PLANNER.line(cell.joints, down, 0.1))
     assert BENCH in cell.log().contact_other

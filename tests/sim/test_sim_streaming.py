@@ -10,7 +10,7 @@ from fake_robot import LIMITS
 from straight_plant import straight_plant
 
 from anther.core.errors import StageFailure
-from anther.robot.arm import sawyer
+from anther.robot.arm.sawyer import SAWYER
 from anther.robot.arm.shaking import swing_trajectory
 from anther.robot.devices import LEAD, ArmRecord, ArmSample, Camera, DeviceError, JointTrajectory
 from anther.robot.safety import GuardedArm
@@ -30,7 +30,7 @@ def cell() -> Cell:
 
 
 def motion(piece: Swing) -> JointTrajectory:
-    return swing_trajectory(sawyer.SAWYER, sawyer.NEUTRAL, ALONG, [piece], 0.005)
+    return swing_trajectory(SAWYER, SAWYER.neutral, ALONG, [piece], 0.005)
 
 
 def swung(cell: Cell, note: Callable[[float], None] = lambda _: None) -> ArmRecord:
@@ -58,7 +58,7 @@ def test_joined_motions_are_one(cell: Cell) -> None:
     seconds = FIRST.seconds + SECOND.seconds + LAST.seconds
     assert np.ptp(record.times) == pytest.approx(seconds + 0.1, abs=0.003)
     passed = record.times - record.times[0] + dt[0]
-    y = sawyer.forward(record.commanded)[:, 1, 3] - sawyer.forward(sawyer.NEUTRAL)[1, 3]
+    y = SAWYER.forward(record.commanded)[:, 1, 3] - SAWYER.forward(SAWYER.neutral)[1, 3]
     for piece in (FIRST, SECOND, LAST):
         own = (passed >= piece.begin) & (passed <= piece.begin + piece.seconds)
         assert y[own] == pytest.approx(piece.motion(passed[own] - piece.begin)[0], abs=3e-6)
@@ -70,11 +70,11 @@ def test_joined_motions_are_one(cell: Cell) -> None:
         usual = np.median(jumps)
         assert max(jumps[s - 3 : s + 3].max() for s in seams) < 10 * usual + 1e-3
     assert np.abs(record.measured - record.commanded).max() < 0.01
-    assert record.measured[-1] == pytest.approx(sawyer.NEUTRAL, abs=2e-3)
+    assert record.measured[-1] == pytest.approx(SAWYER.neutral, abs=2e-3)
 
 
 def test_a_motion_that_nothing_follows_is_as_it_was(cell: Cell) -> None:
-    whole = swing_trajectory(sawyer.SAWYER, sawyer.NEUTRAL, ALONG, [Swing.first([4.0], [0.0], 0.6, 0.3)], 0.005)
+    whole = swing_trajectory(SAWYER, SAWYER.neutral, ALONG, [Swing.first([4.0], [0.0], 0.6, 0.3)], 0.005)
     plain = SimArm(cell).follow(whole)
     asked = SimArm(Cell(straight_plant())).follow(whole, None, lambda: None)
     assert np.ptp(plain.times) == pytest.approx(np.ptp(asked.times), abs=0.003)

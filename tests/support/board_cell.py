@@ -18,14 +18,14 @@ from made_board import BOARD_CENTRE, T_BASE_BOARD, render
 
 from anther.core.geometry import Array, Intrinsics, inverse, look_at, pose7, small_transform, transform_from_pose7
 from anther.robot.arm import _kinematics
-from anther.robot.arm.sawyer import SAWYER, T_FLANGE_CAM
+from anther.robot.arm.sawyer import SAWYER, TOOL
 from anther.robot.calibration import CharucoBoard
 from anther.robot.devices import DeviceError, Frame
 
 CAMERA = Intrinsics(640, 480, 460.0, 460.0, 319.5, 239.5)
 BOARD = "charuco:7x5:30mm:22mm"
-TRUE_FLANGE_CAM = T_FLANGE_CAM @ small_transform([0.05, -0.06, 0.04], [0.012, -0.010, 0.008])
-"""The cell file says `T_FLANGE_CAM`, as a person measures it: 5 degrees and 17 mm from this."""
+TRUE_FLANGE_CAM = TOOL.T_flange_cam @ small_transform([0.05, -0.06, 0.04], [0.012, -0.010, 0.008])
+"""The cell file says `TOOL.T_flange_cam`, as a person measures it: 5 degrees and 17 mm from this."""
 EYE = BOARD_CENTRE[:3] + np.array([-0.15, 0.02, 0.38])
 MODEST = 2e-4
 """Noise of a joint's reading [rad]: 0.2 mm at 1 m. A guess."""

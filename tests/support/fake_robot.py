@@ -9,8 +9,8 @@ import numpy as np
 
 from anther.core.geometry import Array, Box, Intrinsics, transform
 from anther.pollination.grasp import Grasp
-from anther.robot.arm import sawyer
 from anther.robot.arm.model import outline
+from anther.robot.arm.sawyer import SAWYER, TOOL
 from anther.robot.devices import (
     LEAD,
     ArmRecord,
@@ -26,12 +26,12 @@ from anther.robot.devices import (
 )
 
 LIMITS = SafetyLimits(
-    forward=sawyer.forward,
-    outline=partial(outline, sawyer.SAWYER),
-    joint_lower=sawyer.LOWER,
-    joint_upper=sawyer.UPPER,
-    joint_speed=sawyer.VELOCITY,
-    joint_acceleration=sawyer.ACCELERATION,
+    forward=SAWYER.forward,
+    outline=partial(outline, SAWYER),
+    joint_lower=SAWYER.lower,
+    joint_upper=SAWYER.upper,
+    joint_speed=SAWYER.velocity,
+    joint_acceleration=SAWYER.acceleration,
     workspace=Box(np.array([-1.0, -1.2, -0.5]), np.array([1.2, 1.2, 1.5])),
 )
 
@@ -45,7 +45,7 @@ class FakeArm:
 
     force = 0.0
 
-    def __init__(self, joints: Array = sawyer.NEUTRAL, fault: Callable[[int], None] = lambda _: None) -> None:
+    def __init__(self, joints: Array = SAWYER.neutral, fault: Callable[[int], None] = lambda _: None) -> None:
         self.now, self.clock, self.done, self.held, self.fault = np.array(joints), 0.0, 0, 0, fault
         self.noise = np.random.default_rng(0)
 
@@ -75,10 +75,10 @@ class FakeArm:
 class FakeGripper:
     """Closes until it meets something `width` wide [m]; 0 is nothing."""
 
-    stroke = sawyer.STROKE
+    stroke = TOOL.stroke
 
     def __init__(self, width: float = 0.008) -> None:
-        self.width, self.opening, self.commands = width, sawyer.STROKE, []
+        self.width, self.opening, self.commands = width, TOOL.stroke, []
 
     def move(self, opening: float) -> GripperState:
         self.commands.append(opening)
@@ -126,7 +126,7 @@ def fake_robot(arm: FakeArm | None = None, gripper: FakeGripper | None = None) -
 def horizontal_grasp(point: Array, joints: Array, *, diameter: float = 0.008) -> Grasp:
     """Return a grasp of an upright stem, approached along +x, with the flange's +x up."""
     R = np.array([[0, 0, 1.0], [0, -1, 0], [1, 0, 0]])
-    T = transform(R, point - R @ sawyer.T_FLANGE_GRASP[:3, 3])
+    T = transform(R, point - R @ TOOL.T_flange_grasp[:3, 3])
     return Grasp(
         T_world_flange=T,
         point=point,

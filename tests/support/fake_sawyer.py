@@ -15,7 +15,7 @@ import numpy as np
 from logged_arm import LoggedArm
 
 from anther.core.geometry import Array
-from anther.robot.arm import sawyer
+from anther.robot.arm.sawyer import SAWYER
 from anther.robot.devices import JointTrajectory
 from anther.robot.drivers._streamed import prioritize_thread
 from anther.robot.drivers.intera import types
@@ -35,13 +35,13 @@ class FakeSawyer(LoggedArm):
         master: str,
         *,
         rate: float = 200.0,
-        joints: Array = sawyer.NEUTRAL,
+        joints: Array = SAWYER.neutral,
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         self.clock, self.sleep = clock, sleep
         self.q, self.v = np.array(joints), np.zeros(7)
-        self.names = ["head_pan", *reversed(sawyer.JOINTS), "torso_t0"]
+        self.names = ["head_pan", *reversed(SAWYER.joints), "torso_t0"]
         self.enabled, self.stopped, self.pressed, self.error = True, False, False, False
         self.cuff = self.collided = self.mute = False
         self.timeout, self.ratio, self.force, self.lag, self.ahead = 0.2, 0.3, 1.0, 0.0, CLOCK
@@ -75,7 +75,7 @@ class FakeSawyer(LoggedArm):
         self.node.close()
 
     def _command(self, message: Any) -> None:
-        order = [message.names.index(name) for name in sawyer.JOINTS]
+        order = [message.names.index(name) for name in SAWYER.joints]
         rate = message.velocity[order] if message.mode == 4 else np.zeros(7)
         self._target = (self.clock(), message.mode, message.position[order], rate)
         self.heard.append(self._target[0])
@@ -113,12 +113,12 @@ class FakeSawyer(LoggedArm):
             return
         told, mode, q, rate = self._target
         if mode == 1:
-            step = np.clip(q - self.q, -self.ratio * sawyer.VELOCITY * dt, self.ratio * sawyer.VELOCITY * dt)
+            step = np.clip(q - self.q, -self.ratio * SAWYER.velocity * dt, self.ratio * SAWYER.velocity * dt)
             self.q, self.v = self.q + step, step / dt
         elif now - told <= self.timeout:
             self.q, self.v = q + rate * (now - told), rate
         else:
-            less = np.clip(self.v, -sawyer.ACCELERATION * dt, sawyer.ACCELERATION * dt)
+            less = np.clip(self.v, -SAWYER.acceleration * dt, SAWYER.acceleration * dt)
             self.v = self.v - less
             self.q = self.q + self.v * dt
 
@@ -128,7 +128,7 @@ class FakeSawyer(LoggedArm):
         header = make["std_msgs/msg/Header"](0, stamp, "base")
         noisy = self.frozen + ENCODERS * self.noise.standard_normal(7)
         told = np.where(np.isnan(self.frozen), self.q + self.offset, noisy)
-        said = dict(zip(sawyer.JOINTS, told, strict=True))
+        said = dict(zip(SAWYER.joints, told, strict=True))
         angles, none = np.array([said.get(name, 0.1) for name in self.names]), np.zeros(0)
         self._held.append((self.clock(), make["sensor_msgs/msg/JointState"](header, self.names, angles, none, none)))
         while self._held and self._held[0][0] <= self.clock() - self.lag:
@@ -158,5 +158,5 @@ def swing(seconds: float, amplitude: float) -> JointTrajectory:
     t = np.arange(0, seconds, 0.002)
     share = np.clip(np.minimum(t, t[-1] - t) / 0.5, 0, 1)
     q = amplitude * share**2 * (3 - 2 * share) * np.sin(2 * np.pi * 1.9 * t)
-    joints = sawyer.NEUTRAL + q[:, None] * np.ones(len(sawyer.NEUTRAL))
+    joints = SAWYER.neutral + q[:, None] * np.ones(len(SAWYER.neutral))
     return JointTrajectory(t, joints, np.gradient(joints, t, axis=0))

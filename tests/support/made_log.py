@@ -13,7 +13,7 @@ from mcap.records import Message
 from test_execution import PLANNER, Plan
 
 from anther.pollination.execution import Trial, execute
-from anther.robot.arm import sawyer
+from anther.robot.arm.sawyer import TOOL
 from anther.robot.devices import Robot
 from anther.show.log import Log
 from anther.show.log.live import Tail
@@ -21,7 +21,7 @@ from anther.show.log.live import Tail
 
 def tapped(book: Log, arm: FakeArm | None = None, **devices: Any) -> Robot:
     arm = arm or FakeArm()
-    return book.tap(fake_robot(arm, **devices), LIMITS, sawyer.T_FLANGE_CAM, lambda: arm.clock)
+    return book.tap(fake_robot(arm, **devices), LIMITS, TOOL.T_flange_cam, lambda: arm.clock)
 
 
 def done(book: Log, robot: Robot) -> Trial:

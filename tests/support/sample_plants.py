@@ -9,6 +9,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order
 from scipy.spatial.transform import Rotation
 
+from anther.core.geometry import arc_length
 from anther.perception.flowers import Flowers
 from anther.perception.skeleton import Skeleton
 from anther.perception.stem import BRANCH, STEM, Stem
@@ -47,12 +48,11 @@ def branched(branches: int = 3, *, radius: tuple[float, float] = (4e-3, 2.5e-3))
 def stem_along(skeleton: Skeleton, top: int) -> Stem:
     """The main stem from the root to node `top`."""
     path = skeleton.path_from_root(top)
-    steps = np.linalg.norm(np.diff(skeleton.nodes[path], axis=0), axis=1)
     organ = np.full(len(skeleton.nodes), BRANCH, dtype=np.uint8)
     organ[path] = STEM
     on_stem = organ == STEM
     attached = np.unique(skeleton.parent[1:][~on_stem[1:] & on_stem[skeleton.parent[1:]]])
-    return Stem(path, np.concatenate([[0.0], np.cumsum(steps)]), np.flatnonzero(np.isin(path, attached)), organ)
+    return Stem(path, arc_length(skeleton.nodes[path]), np.flatnonzero(np.isin(path, attached)), organ)
 
 
 def turned(skeleton: Skeleton, flowers: Flowers, angle: float) -> tuple[Skeleton, Flowers]:

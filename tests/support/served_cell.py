@@ -36,7 +36,7 @@ from served_world import World
 from anther.core.choices import ArmName, Crop
 from anther.robot.arm.arms import simulated_arm
 from anther.robot.arm.model import ArmModel
-from anther.robot.arm.sawyer import ACCELERATION, SAWYER, VELOCITY
+from anther.robot.arm.sawyer import SAWYER
 from anther.sim import cell
 from anther.sim._motor import sensed_force
 from anther.sim.capture import camera_errors, perturbed_hand_eye
@@ -108,10 +108,10 @@ class ServedSawyer(FakeSawyer):
             return -self.v / dt
         mode, (told, q, _) = commands[-1]
         if mode == 1:
-            return catching_up(q - self.q, -self.v, ACCELERATION, self.ratio * VELOCITY)
+            return catching_up(q - self.q, -self.v, SAWYER.acceleration, self.ratio * SAWYER.velocity)
         if when - told > self.timeout:
             return -self.v / dt
-        return along(self, [aim for of, aim in commands if of == mode], when - BEHIND, ACCELERATION)
+        return along(self, [aim for of, aim in commands if of == mode], when - BEHIND, SAWYER.acceleration)
 
     def tell(self) -> None:
         """Publish what its encoders read, and the force at its flange."""

@@ -11,6 +11,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from anther.core import Array
+from anther.core.geometry import arc_length, interpolate
 from evaluation.perception.real.answers import NoAnswer
 
 ALPHA, V_BIAS = 2.0, 1.0
@@ -99,5 +100,5 @@ def _length(nodes: Array, segment: Path) -> float:
 
 def _midpoint(line: Array) -> Array:
     """Return the point half way along a polyline (P12)."""
-    arc = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-    return np.array([np.interp(arc[-1] / 2, arc, line[:, axis]) for axis in range(3)])
+    arc = arc_length(line)
+    return interpolate(arc[-1] / 2, arc, line)

@@ -91,7 +91,17 @@ def _requirements() -> tuple[list[Requirement], dict[str, list[Requirement]]]:
     names = distribution.metadata.get_all("Provides-Extra") or []
     core = [need for need in needs if need.marker is None or need.marker.evaluate({"extra": ""})]
     rest = [need for need in needs if need not in core]
-    return core, {x: [n for n in rest if n.marker is not None and n.marker.evaluate({"extra": x})] for x in names}
+    return core, {name: _needs_of(name, rest) for name in names}
+
+
+def _needs_of(extra: str, needs: list[Requirement]) -> list[Requirement]:
+    """Return those of the needs that are an extra's, with those of the extras of Anther that it names."""
+    found = []
+    for need in needs:
+        if need.marker is not None and need.marker.evaluate({"extra": extra}):
+            named = [_needs_of(name, needs) for name in need.extras] if need.name == "anther" else [[need]]
+            found += [one for part in named for one in part]
+    return found
 
 
 def installed_version(package: str) -> str | None:

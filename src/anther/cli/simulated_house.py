@@ -14,11 +14,11 @@ from typing import Literal, cast
 import numpy as np
 
 from anther.core.checks import check_range
-from anther.core.choices import Crop
+from anther.core.choices import SIDES, Crop
 from anther.core.errors import bad_input
 from anther.history import House, RowPass, Side
 from anther.history import Row as MapRow
-from anther.robot.cells.rows import SIDES, RowOfFile
+from anther.robot.cells.rows import RowOfFile
 from anther.robot.cells.rows import Side as FileSide
 from anther.sim import Row, SimPlant, grow_row
 from anther.sim.row import FEWEST, MOST

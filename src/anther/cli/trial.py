@@ -17,7 +17,7 @@ from anther.core.errors import StageFailure, bad_input
 from anther.core.runs import WHERE_IT_STOPPED, stage_under_way
 from anther.history import Belief, earlier_shake, hide_password, starting_material
 from anther.plant.imported import with_known_places
-from anther.plant.source import PRIORS
+from anther.plant.model import PRIORS
 from anther.plant.visit import Visit
 from anther.pollination.pipeline import Params, mask_finder, pollinate
 from anther.pollination.shake import with_preset

@@ -1,7 +1,7 @@
 """The public names of the room, and where they stand; `__init__.py` finds them when they are asked for."""
 
-from .errors import AntherError, InputError, MissingExtra, StageFailure
-from .geometry import Array, Box, Intrinsics, inverse, look_at, transform, transform_points
+from .errors import AntherError, InputError, StageFailure
+from .geometry import Array, Box, Intrinsics, inverse, transform, transform_points
 from .runs import Advance, Run
 
 __all__ = [
@@ -11,11 +11,9 @@ __all__ = [
     "Box",
     "InputError",
     "Intrinsics",
-    "MissingExtra",
     "Run",
     "StageFailure",
     "inverse",
-    "look_at",
     "transform",
     "transform_points",
 ]

@@ -21,5 +21,7 @@ HandEyeMethod = Literal["tsai", "park", "horaud", "daniilidis"]
 """Closed-form solvers of a camera's place on the flange."""
 Discretisation = Literal["consistent", "paper"]
 """Of elastic rods: second order at forks and kinks too, or the paper's formula."""
+SIDES = ("left", "right")
+"""Of a row, as seen by who looks along the rails the way that the cart's travel grows."""
 Species = Literal["tomato", "pepper", "maize"]
 """Plants whose limbs have names of their own (`anther.perception.traits`)."""

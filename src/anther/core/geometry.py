@@ -1,4 +1,4 @@
-"""Rigid transforms and the pinhole camera.
+"""Rigid transforms, the pinhole camera, and lines through points.
 
 `T_a_b` is a 4x4 matrix that maps coordinates in frame b to frame a. World is the arm's base, z up.
 A camera frame is OpenCV's optical frame: x right, y down, z forward. A "7-number pose" is
@@ -69,6 +69,11 @@ def transform_points(T_a_b: ArrayLike, points_b: ArrayLike) -> Array:
     """Return (N, 3) points given in frame b as coordinates in frame a."""
     T = np.asarray(T_a_b, dtype=np.float64)
     return np.asarray(points_b, dtype=np.float64) @ T[:3, :3].T + T[:3, 3]
+
+
+def transform_each(T_a_b: Array, points_b: Array) -> Array:
+    """Return (..., N, 3) the points (N, 3) of frame b in frame a, each by its own of the transforms (..., N, 4, 4)."""
+    return np.einsum("...nij,nj->...ni", T_a_b[..., :3, :3], points_b) + T_a_b[..., :3, 3]
 
 
 def small_transform(rotation_vector: ArrayLike, translation: ArrayLike) -> Array:
@@ -207,3 +212,20 @@ def occupied_cells(points: Array, edge: float) -> NDArray[np.int64]:
     size = cells.max(axis=0) - lower + 1
     held = np.unique(np.ravel_multi_index(tuple((cells - lower).T), size))  # many times quicker than by rows
     return np.stack(np.unravel_index(held, size), axis=1) + lower
+
+
+def unit_vectors(azimuth: Array | float, elevation: Array) -> Array:
+    """Return (..., 3) the directions at angles about z from x, and above the horizon [rad]."""
+    level = np.cos(elevation)
+    return np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=-1)
+
+
+def arc_length(line: Array) -> Array:
+    """Return (N,) how far each point of a line (N, k) is from the first, along the line."""
+    return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1)))
+
+
+def interpolate(at: ArrayLike, known: ArrayLike, rows: Array) -> Array:
+    """Return (..., k) the rows (N, k) at places (...) between those (N,) that are known; beyond these the last one."""
+    x, places = np.asarray(at, dtype=np.float64), np.asarray(known, dtype=np.float64)
+    return np.stack([np.interp(x, places, column) for column in rows.T], axis=-1)

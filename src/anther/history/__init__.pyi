@@ -5,7 +5,7 @@ from ._database import hide_password, open_reader
 from ._export import export
 from ._merge import merge
 from ._records import Outcome
-from ._row_records import SURE, House, Recognition, Row, RowPass, Side, Stem
+from ._row_records import SURE, House, Row, RowPass, Side
 from ._shift_records import Block, Climate, Order, Report, Robot, Shift, StemResult, Work
 from ._trials import (
     add_missing,
@@ -19,7 +19,6 @@ from ._trials import (
     record_outcome,
     record_trial,
 )
-from .fruit_set import Count, FruitSet, fit
 from .row_map import read_stems, record_house, record_pass
 from .shift import begin_shift, find_unfinished_shift, read_shift, run_shift, stop_robot
 
@@ -28,19 +27,15 @@ __all__ = [
     "Belief",
     "Block",
     "Climate",
-    "Count",
-    "FruitSet",
     "House",
     "Order",
     "Outcome",
-    "Recognition",
     "Report",
     "Robot",
     "Row",
     "RowPass",
     "Shift",
     "Side",
-    "Stem",
     "StemResult",
     "Work",
     "add_missing",
@@ -51,7 +46,6 @@ __all__ = [
     "export",
     "find_unfinished_shift",
     "find_visit",
-    "fit",
     "hide_password",
     "merge",
     "open_reader",

@@ -14,8 +14,7 @@ from anther.history._database import DEFAULT, open_reader
 from anther.history._records import material_of
 from anther.history._tables import GraspRow, Plant, ResponseRow, ShakeRow, VisitRow
 from anther.plant.belief import EarlierShake
-from anther.plant.model import TOMATO, Material
-from anther.plant.source import PRIORS
+from anther.plant.model import PRIORS, TOMATO, Material
 
 
 @dataclass(frozen=True, slots=True)

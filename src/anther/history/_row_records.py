@@ -15,7 +15,6 @@ from anther.core.records import Range, Record, Shape, Stored
 SURE = 0.95
 """A stem is recognised, or new, with this probability; else it is unsure. To confuse two costs 19 times what doubt does
 (a judgement)."""
-SIDES = ("left", "right")
 Metres = Annotated[float, Range(-1e5, 1e5, "m")]
 
 

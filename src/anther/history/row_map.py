@@ -19,10 +19,11 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session, selectinload
 
 from anther.core import Array
+from anther.core.choices import SIDES
 from anther.core.errors import bad_input
 from anther.history._database import DEFAULT, open_reader, open_writer
 from anther.history._row_match import WEEK, Hooks, align
-from anther.history._row_records import SIDES, House, Recognition, RowPass, Side, Stem, check_increasing
+from anther.history._row_records import House, Recognition, RowPass, Side, Stem, check_increasing
 from anther.history._tables import RowSide, StemRow, VisitRow, pollinated
 from anther.history._trials import plant_of
 from anther.plant.visit import check_labels

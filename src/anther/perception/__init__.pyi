@@ -2,13 +2,12 @@
 
 from .capture import Capture, viewed_box
 from .cloud import Cloud, fuse
-from .cloud.ply import write_ply
 from .flowers import Flowers, find_flowers, flower_centres
 from .formats.clouds import read_cloud
 from .formats.skeletons import read_skeleton, write_skeleton
 from .masks import Masks, segment
 from .row_pass import SeenRow, find_hooks
-from .skeleton import Plants, Skeleton, find_plants, skeletonize
+from .skeleton import Skeleton, find_plants, skeletonize
 from .stem import Stem, find_stem
 from .supports import find_supports
 from .traits import measure
@@ -18,7 +17,6 @@ __all__ = [
     "Cloud",
     "Flowers",
     "Masks",
-    "Plants",
     "SeenRow",
     "Skeleton",
     "Stem",
@@ -35,6 +33,5 @@ __all__ = [
     "segment",
     "skeletonize",
     "viewed_box",
-    "write_ply",
     "write_skeleton",
 ]

@@ -9,7 +9,7 @@ from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from anther.core.geometry import Array
+from anther.core.geometry import Array, arc_length
 from anther.perception.cloud import Cloud
 from anther.perception.masks import FLOWER
 from anther.perception.skeleton import Skeleton
@@ -110,12 +110,12 @@ def measure_blade(points: Array, midrib: Array) -> Blade:
 
 def _smooth(midrib: Array) -> tuple[Array, Array, Array]:
     """Return a smooth midrib with straight ends (L, 3), its arc length (L,) from the base, and tangents (L, 3)."""
-    way = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(midrib, axis=0), axis=1))])
+    way = arc_length(midrib)
     fit = polynomial.polyfit(way / way[-1], midrib, min(4, len(midrib) - 1))  # bends twice, and does not waver
     line = polynomial.polyval(np.linspace(0, 1, 200), fit).T
     out = np.arange(1, 101)[:, None]  # half of its length beyond either end
     line = np.concatenate([line[0] + out[::-1] * (line[0] - line[1]), line, line[-1] + out * (line[-1] - line[-2])])
-    arc = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    arc = arc_length(line)
     tangent = np.gradient(line, arc, axis=0)
     return line, arc - arc[100], tangent / np.linalg.norm(tangent, axis=1)[:, None]
 

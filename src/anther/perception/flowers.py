@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from anther.core.choices import Crop
-from anther.core.geometry import Array
+from anther.core.geometry import Array, interpolate
 from anther.core.records import Range, Shape, Stored
 from anther.perception.cloud import Cloud
 from anther.perception.hanging import StringLine
@@ -182,7 +182,7 @@ def _reach(centres: Array, cloud: Cloud, skeleton: Skeleton, stem: Stem) -> Arra
         return np.full(len(centres), np.inf)
     at = np.arange(0, len(stem.node_ids) - 1 + 1e-9, 0.1)  # tenths of an edge
     ball = np.column_stack([skeleton.nodes[stem.node_ids], skeleton.radius[stem.node_ids]])
-    ball = np.stack([np.interp(at, np.arange(len(ball)), column) for column in ball.T], axis=1)
+    ball = interpolate(at, np.arange(len(ball)), ball)
     away, nearest = KDTree(ball[:, :3]).query(points)
     off, own = away - ball[nearest, 3], KDTree(points).query_ball_point(centres, APART)
     return np.array([np.quantile(off[some], 0.9) if some else np.inf for some in own])

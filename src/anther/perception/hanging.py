@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter1d, maximum_filter, uniform_filter
 
 from anther.core.errors import StageFailure
-from anther.core.geometry import Array
+from anther.core.geometry import Array, interpolate
 from anther.perception.cloud import Cloud
 from anther.perception.masks import FLOWER, PLANT
 
@@ -92,7 +92,7 @@ class HangingStem:
     def completed(self, cloud: Cloud) -> Cloud:
         """Return the cloud with the stem's surface where it is hidden: for its skeleton, not for what is in the way."""
         fine = np.arange(0, len(self.axis) - 1, 0.15)
-        line = np.stack([np.interp(fine, np.arange(len(self.axis)), column) for column in self.axis.T], axis=1)
+        line = interpolate(fine, np.arange(len(self.axis)), self.axis)
         line = line[~self.seen[np.round(fine).astype(int)]]
         turn = np.linspace(0, 2 * np.pi, 16, endpoint=False)
         radius = 0.004  # m, where the stem is hidden: a guess; the skeleton's own radii there come from it

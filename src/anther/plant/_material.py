@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Annotated
 
+from anther.core.choices import Crop
 from anther.core.records import Range, Record, Spread
 
 
@@ -78,3 +79,5 @@ PEPPER = Material(density=1100.0, density_spread=0.15)
 
 The tomato's values with a wider density, because the authors used 1500 kg/m3 for pepper (facts: pollination 0).
 """
+PRIORS: dict[Crop, Material] = {"tomato": TOMATO, "pepper": PEPPER}
+"""What is believed of a crop before anything was measured."""

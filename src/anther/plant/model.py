@@ -20,13 +20,13 @@ from anther.perception.cloud import Cloud
 from anther.perception.flowers import Flowers, assume_flowers
 from anther.perception.skeleton import Skeleton
 from anther.perception.stem import PEDICEL, Stem
-from anther.plant._material import LEARNED, PEPPER, TOMATO, Material
+from anther.plant._material import LEARNED, PEPPER, PRIORS, TOMATO, Material
 from anther.plant._shape import branch_stiffening, edge_radii, hang_flowers, in_blade, leaf_mass, least_youngs
 from anther.plant.string import HeldString, straightened, topmost_hold
 from anther.rods import Clamp, Rods, Support, standing, with_gravity_equilibrium
 
 __all__ = [
-    "LEARNED", "PEPPER", "TOMATO", "Material", "Params", "PlantModel", "build_plant", "plant_with_flowers",
+    "LEARNED", "PEPPER", "PRIORS", "TOMATO", "Material", "Params", "PlantModel", "build_plant", "plant_with_flowers",
 ]  # fmt: skip
 
 

@@ -24,10 +24,8 @@ from anther.perception.formats.skeletons import SkeletonFile
 from anther.perception.skeleton import Skeleton
 from anther.perception.stem import PEDICEL, Stem
 from anther.plant.imported import main_stem, node_named, read_source
-from anther.plant.model import PEPPER, TOMATO, Material, PlantModel, plant_with_flowers
+from anther.plant.model import PRIORS, TOMATO, Material, PlantModel, plant_with_flowers
 from anther.rods import Clamp, Rods, least_stiffness, standing
-
-PRIORS: dict[Crop, Material] = {"tomato": TOMATO, "pepper": PEPPER}
 
 
 class Properties(NamedTuple):

@@ -11,7 +11,7 @@ from anther.core.choices import Crop
 from anther.core.errors import InputError, StageFailure
 from anther.core.runs import Run
 from anther.plant.belief import EarlierShake
-from anther.plant.model import PEPPER, TOMATO, Material
+from anther.plant.model import PRIORS, Material
 from anther.plant.string import Ends, HeldString
 from anther.pollination.pipeline import Done, FindMasks, Params, pollinate
 from anther.robot.cell import Cell
@@ -50,7 +50,7 @@ def visit_row_stem(
     """
     params = params or Params()
     hung = replace(params, crop=crop, plant=replace(params.plant, string=HeldString.of(crop, hook, foot, others)))
-    believed = material or (PEPPER if crop == "pepper" else TOMATO)
+    believed = material or PRIORS[crop]
     try:
         return pollinate(cell, believed, run, hung, find_masks, earlier)
     except InputError as error:  # what the views show is not to be worked with

@@ -4,11 +4,11 @@ from .arm.arms import find_arm
 from .arm.model import ArmModel
 from .arm.planner import Planner
 from .arm.urdf import from_urdf
-from .arm.views import Views, plan_views
+from .arm.views import plan_views
 from .calibration import CharucoBoard, HandEye, calibrate, estimate_intrinsics
-from .cell import Cell, MotionPlanner
-from .cells import CellFile, read_cell
-from .cells.hardware import connect_cell, hardware_cell
+from .cell import Cell
+from .cells import read_cell
+from .cells.hardware import connect_cell
 from .devices import (
     LEAD,
     Arm,
@@ -40,7 +40,6 @@ __all__ = [
     "CartLimits",
     "CartState",
     "Cell",
-    "CellFile",
     "CharucoBoard",
     "DeviceError",
     "Frame",
@@ -49,19 +48,16 @@ __all__ = [
     "GuardedArm",
     "HandEye",
     "JointTrajectory",
-    "MotionPlanner",
     "Planner",
     "Robot",
     "SafetyLimits",
     "Swing",
-    "Views",
     "calibrate",
     "connect_cell",
     "estimate_intrinsics",
     "find_arm",
     "from_urdf",
     "guard",
-    "hardware_cell",
     "plan_views",
     "read_cell",
 ]

@@ -16,7 +16,7 @@ from ._motion import (
     unit_direction,
 )
 from ._response import Observed, displacements, frequency_response, observed_response, response_map, steady_motion
-from ._rods import GRAVITY, Array, NaturalShape, Rods, Section
+from ._rods import GRAVITY, NaturalShape, Rods, Section
 from ._simulation import Trajectory, simulate
 from ._strains import joints, strain_changes
 from ._supports import Support
@@ -24,7 +24,6 @@ from ._supports import Support
 __all__ = [
     "GRAVITY",
     "RIGID",
-    "Array",
     "Burst",
     "Chirp",
     "Clamp",

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from anther.core.checks import check_array, check_range
 from anther.core.errors import bad_input
-from anther.core.geometry import ComplexArray
+from anther.core.geometry import ComplexArray, interpolate
 from anther.rods._rods import Array, Rods
 
 
@@ -159,16 +159,12 @@ class SampledDrive(Motion):
 
     def displacement(self, times: ArrayLike) -> Array:
         """Return (T, 3) displacements [m] at (T,) times [s]."""
-        return self._interpolated(times, self.displacements)
+        return interpolate(times, self.times, self.displacements)
 
     def rotation(self, times: ArrayLike) -> Array:
         """Return (T, 3) rotation vectors [rad] at (T,) times [s]."""
         assert self.rotations is not None
-        return self._interpolated(times, self.rotations)
-
-    def _interpolated(self, times: ArrayLike, samples: Array) -> Array:
-        t = np.asarray(times, dtype=np.float64)
-        return np.stack([np.interp(t, self.times, column) for column in samples.T], axis=-1)
+        return interpolate(times, self.times, self.rotations)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

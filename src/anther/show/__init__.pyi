@@ -3,13 +3,11 @@
 from .log import Log
 from .pictures.plant import draw_plant
 from .pictures.report import draw_plan
-from .results import read_run
 from .summary import summarise
 
 __all__ = [
     "Log",
     "draw_plan",
     "draw_plant",
-    "read_run",
     "summarise",
 ]

@@ -12,7 +12,7 @@ import trimesh
 from PIL import Image
 
 from anther.core.files import written
-from anther.core.geometry import Array
+from anther.core.geometry import Array, interpolate
 from anther.pollination.execution import Trial
 from anther.robot.arm.model import ArmModel
 from anther.robot.devices import Frame, Robot
@@ -62,7 +62,7 @@ def with_robot(frames: Sequence[Frame], trial: Trial, robot: Robot, arm: ArmMode
     colours = np.concatenate([np.tile(rgb(colour), (len(mesh.vertices), 1)) for _, mesh, colour in meshes])
 
     def posed(time: float) -> Array:
-        joints = np.array([np.interp(time, trial.shake_times, q) for q in trial.measured.T])
+        joints = interpolate(time, trial.shake_times, trial.measured)
         at = [np.eye(4), *arm.link_poses(joints)]
         return np.concatenate([mesh.vertices @ at[i][:3, :3].T + at[i][:3, 3] for i, mesh, _ in meshes])
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anther.core.checks import check_array, check_range, check_transform
-from anther.core.geometry import Array, Intrinsics, look_at, small_transform
+from anther.core.geometry import Array, Intrinsics, look_at, small_transform, unit_vectors
 from anther.core.opencv import cv2
 from anther.core.records import Range, Record
 from anther.perception.capture import Capture, Keep, View, no_keep
@@ -114,6 +114,11 @@ class CaptureTruth:
     T_world_cam: Array
     depth: NDArray[Any]
     organ: NDArray[Any]
+
+
+def in_poses(plant: SimPlant, scene: Scene, poses: Sequence[Array] | Array) -> Sight:
+    """Return what each view finds of a plant whose segments are at poses (V, K, 4, 4) in the world by then."""
+    return lambda view: scene.moved(plant.posed_vertices(poses[view]))
 
 
 def capture_views(
@@ -234,8 +239,7 @@ def orbit_poses(
     check_range("number of views", count, 1, 1000)
     azimuth = np.radians(np.linspace(*azimuths, count) if count > 1 else [np.mean(azimuths)])
     rise = np.radians(np.resize(elevations, count))
-    toward = np.stack([np.cos(rise) * np.cos(azimuth), np.cos(rise) * np.sin(azimuth), np.sin(rise)], axis=1)
-    return np.stack([look_at(target + distance * d, target) for d in toward])
+    return np.stack([look_at(target + distance * toward, target) for toward in unit_vectors(azimuth, rise)])
 
 
 def noisy_rgb(rgb: NDArray[Any], rng: np.random.Generator, errors: CameraErrors | None = None) -> NDArray[np.uint8]:

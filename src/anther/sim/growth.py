@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import eigh
 
-from anther.core.geometry import Array, transform, transform_points
+from anther.core.geometry import Array, transform, transform_points, unit_vectors
 from anther.sim.mesh import Mesh, revolve, tube, unit
 from anther.sim.plant import GRAVITY, SOIL_Z, Organ, Pot, SimPlant, Twine
 
@@ -35,8 +35,7 @@ def arc(base: Array, azimuth: float, length: float, elevation: tuple[float, floa
         elevation: of its first and last piece above the horizon [rad].
         count: pieces.
     """
-    angle = np.linspace(*elevation, count)
-    steps = np.stack([np.cos(angle) * np.cos(azimuth), np.cos(angle) * np.sin(azimuth), np.sin(angle)], axis=1)
+    steps = unit_vectors(azimuth, np.linspace(*elevation, count))
     return np.vstack([base, base + np.cumsum(steps * length / count, axis=0)])
 
 

@@ -16,11 +16,11 @@ from scipy.signal import butter, sosfiltfilt
 from scipy.stats import norm
 
 from anther.core.errors import FailureKind
-from anther.core.geometry import Array, inverse
+from anther.core.geometry import Array, inverse, transform_each
 from anther.core.oscillation import fit_swing
 from anther.plant.limits import moved
 from anther.sim.cell import NEIGHBOUR, Cell, CellLog
-from anther.sim.pieces import of_flower_stalks
+from anther.sim.pieces import by_kind, of_flower_stalks
 from anther.sim.plant import Organ
 from anther.sim.truth import DOSE_EXPONENT, DOSE_MEASURES, HALF_DOSE, TOLERANCE, tolerances
 
@@ -371,30 +371,27 @@ def _strain(cell: Cell, log: CellLog, shaking: NDArray[np.bool_]) -> tuple[dict[
     """Return the peak bending strain during the shake: all that is added in stem and branches, the swing elsewhere; and
     that of each flower's pedicel (F,) and peduncle (F,).
 
-    Keys: "stem" with branches, "pedicel", and "base" for all the rest, which is bent most where it begins. A petiole
-    that the gripper holds aside is bent, which it survives; what counts there is how the shake swings it.
+    Keys: those of `by_kind`. A petiole that the gripper holds aside is bent, which it survives; what counts there is
+    how the shake swings it.
     """
     if not shaking.any():
         still = np.zeros(len(cell.plant.flower_segment))
         return {"stem": 0.0, "pedicel": 0.0, "base": 0.0}, still, still
-    organ = cell.plant.organ[cell.mechanics.pieces.first]
-    trunk, stalk = np.isin(organ, (Organ.STEM, Organ.BRANCH)), organ == Organ.PEDICEL
-    qpos = log.qpos[shaking]
+    plant, pieces, qpos = cell.plant, cell.mechanics.pieces, log.qpos[shaking]
     bent = np.max([cell.mechanics.strain(q) for q in qpos], axis=0)
     swung = np.max([cell.mechanics.strain(q) for q in qpos - qpos.mean(axis=0)], axis=0)
-    parts = {"stem": bent[trunk], "pedicel": swung[stalk], "base": swung[~trunk & ~stalk]}
-    stalks = of_flower_stalks(cell.plant, cell.mechanics.pieces, swung)
+    parts = by_kind(plant, pieces, swung) | {"stem": by_kind(plant, pieces, bent)["stem"]}
+    stalks = of_flower_stalks(plant, pieces, swung)
     return {kind: float(strain.max(initial=0)) for kind, strain in parts.items()}, *stalks
 
 
 def _leaf_acceleration(cell: Cell, times: Array, poses: Array | None) -> float:
     plant = cell.plant
-    base = np.flatnonzero((plant.organ == Organ.PETIOLE) & (plant.organ[plant.parent] != Organ.PETIOLE))
+    base = plant.leaf_bases()
     if poses is None or len(times) < 20 or len(base) == 0:
         return 0.0
     dt = float(np.median(np.diff(times)))
-    T = poses[:, base]
-    path = np.einsum("tkij,kj->tki", T[..., :3, :3], plant.start[base]) + T[..., :3, 3]
+    path = transform_each(poses[:, base], plant.start[base])
     slow = sosfiltfilt(butter(2, LEAF_BAND, fs=1 / dt, output="sos"), _acceleration(path, dt), axis=0)
     return float(np.linalg.norm(slow, axis=2).max())
 
@@ -405,19 +402,18 @@ def _flower_motion(cell: Cell, times: Array, poses: Array | None, frequency: flo
     segment, place = plant.flower_segment[own], plant.flower_position[own]
     if poses is None or len(times) < 20:
         return np.full(len(segment), np.nan), np.full(len(segment), np.nan)
-    T = poses[:, segment]
-    path = np.einsum("tfij,fj->tfi", T[..., :3, :3], place) + T[..., :3, 3]
+    path = transform_each(poses[:, segment], place)
     steady = slice(round(0.2 * len(times)), round(0.8 * len(times)))
     dt = float(np.median(np.diff(times)))
     size = np.linalg.norm(_acceleration(path, dt), axis=2)
     every = max(int(1 / (dt * 16 * frequency)), 1)  # 16 samples a period are plenty
     t, paths = times[steady][::every], np.swapaxes(path[steady][::every], 0, 1)
     amplitude = np.array([fit_swing(t, x, frequency).amplitude for x in paths])
-    return amplitude, _usual_peak(size[steady], 1 / (dt * frequency))
+    return amplitude, usual_peak(size[steady], 1 / (dt * frequency))
 
 
-def _usual_peak(size: Array, period: float) -> Array:
-    """(F,) median over the periods of `period` samples of the largest of (T, F): one jolt makes no peak."""
+def usual_peak(size: Array, period: float) -> Array:
+    """Return (F,) the median over the periods of `period` samples of the largest of (T, F): one jolt makes no peak."""
     samples = min(max(round(period), 1), len(size))
     periods = len(size) // samples
     return np.median(size[: periods * samples].reshape(periods, samples, -1).max(axis=1), axis=0)

@@ -69,6 +69,16 @@ class Pieces:
     twist: Array
 
 
+def by_kind(plant: SimPlant, pieces: Pieces, strain: Array) -> dict[str, Array]:
+    """Return kind of `sim.truth.TOLERANCE` -> those of the pieces' strains (..., B) that count against its limit.
+
+    Keys: "stem" with branches, "pedicel", and "base" for all the rest, which is bent most where it begins.
+    """
+    organ = plant.organ[pieces.first]
+    trunk, stalk = np.isin(organ, (Organ.STEM, Organ.BRANCH)), organ == Organ.PEDICEL
+    return {"stem": strain[..., trunk], "pedicel": strain[..., stalk], "base": strain[..., ~trunk & ~stalk]}
+
+
 def of_flower_stalks(plant: SimPlant, pieces: Pieces, strain: Array) -> tuple[Array, Array]:
     """Return (..., F) the largest of the strains (..., B) of the pieces that are each flower's pedicel.
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from anther.core.checks import check_array
 from anther.core.errors import bad_input
-from anther.core.geometry import Array
+from anther.core.geometry import Array, transform_each
 from anther.plant.limits import GRAVITY as GRAVITY  # noqa: PLC0414 - its own modules take it from here
 
 SOIL_Z = -0.30
@@ -245,6 +245,23 @@ class SimPlant:
             segment = int(self.parent[segment])
         return way
 
+    def leaf_bases(self) -> NDArray[np.int64]:
+        """Return (L,) the segments at which leaves begin."""
+        return np.flatnonzero((self.organ == Organ.PETIOLE) & (self.organ[self.parent] != Organ.PETIOLE))
+
+    def leaf_of(self) -> NDArray[np.int64]:
+        """Return (K,) the segment at which the leaf begins that each is part of; -1 of those that are of none."""
+        bases, of = self.leaf_bases(), np.full(len(self.parent), -1)
+        of[bases] = bases
+        for k, parent in enumerate(self.parent):
+            if of[k] < 0 <= parent:
+                of[k] = of[parent]
+        return of
+
+    def mass_centres(self) -> Array:
+        """Return (K, 3) where each segment has its mass: the centre of what it carries, else its own [m]."""
+        return np.where(self.lump_mass[:, None] > 0, self.lump_centre, (self.start + self.end) / 2)
+
     def stem_segments(self) -> NDArray[np.int64]:
         """Return the segments of the main stem, from the soil to the head (pepper: to the first fork)."""
         return np.flatnonzero(self.organ == Organ.STEM)
@@ -265,6 +282,5 @@ class SimPlant:
         T = check_array("T_world_rest", T_world_rest, (len(self.start), 4, 4))
         out = self.vertices.copy()
         rides = self.vertex_segment >= 0
-        T_v = T[self.vertex_segment[rides]]
-        out[rides] = np.einsum("nij,nj->ni", T_v[:, :3, :3], out[rides]) + T_v[:, :3, 3]
+        out[rides] = transform_each(T[self.vertex_segment[rides]], out[rides])
         return out

@@ -20,7 +20,7 @@ from anther.robot.arm.sawyer import SAWYER
 from anther.robot.arm.waiting import waiting_joints
 from anther.robot.devices import Tap, no_tap
 from anther.sim import cell as world
-from anther.sim.capture import Sight, camera_errors, capture_from_poses
+from anther.sim.capture import Sight, camera_errors, capture_from_poses, in_poses
 from anther.sim.render import Scene
 from anther.sim.row import Row, row_scene
 from anther.sim.row_drive import BETWEEN_VIEWS, drive_up
@@ -174,7 +174,7 @@ def build_row(
     def take_views(advance: Advance, keep: Keep) -> Capture:
         believed, true = drive_up(row, rng, truth)
         how: dict[str, Any] = {"rng": rng, "errors": camera_errors(truth), "progress": advance, "keep": keep}
-        return capture_from_poses(_in_wind(mujoco, scene, len(true)), believed, T_world_cam_true=true, **how)[0]
+        return capture_from_poses(_after_wind(mujoco, scene, len(true)), believed, T_world_cam_true=true, **how)[0]
 
     return around(mujoco, scene, take_views, place, noise, tap, odometry=ODOMETRY)
 
@@ -187,17 +187,17 @@ def _waits(place: Layout, arm: ArmModel) -> Array:
     return waiting_joints(arm, held, (1.0, 0.0, 0.0), place.solids, before=way_in, back=leaves)
 
 
-def _in_wind(mujoco: world.Cell, scene: Scene, views: int) -> Sight:
-    """Return what each of the views finds of a plant that sways in this world's wind; the arm finds it as they end."""
+def _after_wind(mujoco: world.Cell, scene: Scene, views: int) -> Sight:
+    """Let this world's wind blow while views are taken; return what each finds. The arm finds the plant as they end."""
     if not mujoco.truth.wind:
         return scene
     _blow(mujoco, calm_time(mujoco.plant))
-    shapes = list[Array]()
+    poses = list[Array]()
     for view in range(views):
         _blow(mujoco, BETWEEN_VIEWS if view else 0.0)
-        shapes.append(mujoco.plant.posed_vertices(mujoco.segment_poses()))
+        poses.append(mujoco.segment_poses())
     mujoco.forget()  # of what the wind did the robot is not to blame
-    return lambda view: scene.moved(shapes[view])
+    return in_poses(mujoco.plant, scene, poses)
 
 
 def _blow(mujoco: world.Cell, seconds: float) -> None:

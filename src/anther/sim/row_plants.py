@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from anther.core.choices import Crop
 from anther.core.errors import StageFailure
-from anther.core.geometry import Array
+from anther.core.geometry import Array, arc_length, interpolate
 from anther.sim._settling import settle
 from anther.sim.growth import GOLDEN_ANGLE, SELF_SUPPORT, Growth, arc, buckling_factor, varied
 from anther.sim.mesh import Mesh, join, revolve, transport, tube, unit
@@ -133,7 +133,7 @@ class Axis:
 
     def at(self, arc: float | Array) -> Array:
         """Return the points (..., 3) at these lengths [m]."""
-        return np.stack([np.interp(arc, self.arc, self.points[:, i]) for i in range(3)], axis=-1)
+        return interpolate(arc, self.arc, self.points)
 
     def segment(self, arc: float | Array) -> NDArray[np.intp]:
         """Return the segments (...) at these lengths [m]; of one that ends there, that."""
@@ -146,7 +146,7 @@ class Axis:
 
 def axis_of(points: Array) -> Axis:
     """Return the axis through points (n, 3) [m]."""
-    return Axis(points, np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))]))
+    return Axis(points, arc_length(points))
 
 
 def hanging_axis(place: Place, rng: np.random.Generator, *, length: float, lifted: float) -> Axis:

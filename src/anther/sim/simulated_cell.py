@@ -24,7 +24,7 @@ from anther.robot.devices import SafetyLimits, Tap, no_tap
 from anther.robot.safety import guard
 from anther.sim import arm_model
 from anther.sim import cell as world
-from anther.sim.capture import CaptureTruth, Sight, camera_errors, capture_views, perturbed_hand_eye
+from anther.sim.capture import CaptureTruth, Sight, camera_errors, capture_views, in_poses, perturbed_hand_eye
 from anther.sim.pepper import grow_pepper
 from anther.sim.plant import SimPlant
 from anther.sim.render import Scene
@@ -139,7 +139,7 @@ def in_wind(plant: SimPlant, scene: Scene, views: Views, truth: Truth) -> Sight:
     if truth.wind == 0:
         return scene
     poses = swaying(plant, truth.wind, np.linspace(0, capture_time(views), len(views.joints)))
-    return lambda view: scene.moved(plant.posed_vertices(poses[view]))
+    return in_poses(plant, scene, poses)
 
 
 @cache

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from anther.core.geometry import Array
+from anther.core.geometry import Array, interpolate
 from anther.sim.growth import AREAL_DENSITY, GOLDEN_ANGLE, Growth, arc, blade_colours, ripple
 from anther.sim.mesh import blade, star, tube, unit
 from anther.sim.plant import POT_AXIS, Organ, SimPlant
@@ -135,7 +135,7 @@ def grow_truss(growth: Growth, parent: int, azimuth: float, order: int) -> None:
     rise, fall = np.radians(rng.uniform(15, 45)), np.radians(rng.uniform(-40, -5))
     fine = arc(growth.end(parent), azimuth, length, (rise, fall), 24)
     at = np.concatenate([[0, 0.25, 0.5], 0.5 + 0.5 * np.arange(1, flowers) / (flowers - 1)])
-    points = np.stack([np.interp(at * 24, np.arange(25), fine[:, i]) for i in range(3)], axis=1)
+    points = interpolate(at * 24, np.arange(25), fine)
     thick = rng.uniform(0.001, 0.0018)
     peduncle = growth.chain(points, thick * (1 - 0.5 * at), Organ.PEDUNCLE, parent, STEM_GREEN, sides=7)
     for i in range(flowers):

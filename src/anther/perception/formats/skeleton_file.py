@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from anther.core.choices import Units
 from anther.core.errors import bad_input
-from anther.core.geometry import Array
+from anther.core.geometry import Array, arc_length
 from anther.core.records import Range, Record, Shape
 from anther.perception.formats._raw_points import LIKELY, METRES, other_units
 from anther.perception.skeleton import LARGEST, SMALLEST, Skeleton
@@ -269,7 +269,7 @@ def _base(nodes: Array, edges: NDArray[Any]) -> int:
     while way[-1] != highest and parent[way[-1]] >= 0:
         way.append(int(parent[way[-1]]))
     path = nodes[way]
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    arc = arc_length(path)
     ceiling = _ceiling(path[0], nodes)
     for k in np.flatnonzero(path[:, 2] <= ceiling):
         ahead = slice(k + 1, int(np.searchsorted(arc, arc[k] + 0.03)) + 1)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, median_filter
 
 from anther.core.compiling import compiled, inlined
-from anther.core.geometry import Array
+from anther.core.geometry import Array, arc_length, interpolate
 from anther.perception.skeleton.raw_tree import RawTree, chains
 from anther.perception.skeleton.voxel_solid import nearest
 
@@ -139,13 +139,12 @@ def _shared(at: int, host: NDArray[Any], forks: set[int]) -> int:
 
 def _even(line: Array, values: Array, spacing: float, fewest: int = 0) -> tuple[Array, Array]:
     """Return the line and the values on it at even steps close to `spacing`; nothing if it is too short."""
-    step = np.linalg.norm(np.diff(line, axis=0), axis=1)
-    arc = np.concatenate([[0], np.cumsum(step)])
+    arc = arc_length(line)
     count = max(round(arc[-1] / spacing), fewest)
     if count < 1:
         return line[:0], values[:0]
     at = np.linspace(0, arc[-1], count + 1)
-    return np.stack([np.interp(at, arc, column) for column in line.T], axis=1), np.interp(at, arc, values)
+    return interpolate(at, arc, line), np.interp(at, arc, values)
 
 
 def _smooth(line: Array, sigma: float = 1.0) -> Array:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import KDTree
 
-from anther.core.geometry import Array
+from anther.core.geometry import Array, interpolate
 from anther.perception.cloud import Cloud, Support
 from anther.perception.cloud._fusion import voxel_means
 from anther.perception.hanging import StringLine
@@ -199,8 +199,8 @@ class _Rod:
         return t, x, y
 
     def _off(self, t: Array, x: Array, y: Array) -> Array:
-        at = [np.interp(t, np.arange(len(self.aside)), column) for column in self.aside.T]
-        return np.hypot(x - at[0], y - at[1])
+        at = interpolate(t, np.arange(len(self.aside)), self.aside)
+        return np.hypot(x - at[:, 0], y - at[:, 1])
 
     def holds(self, points: Array, cell: float) -> NDArray[np.bool_]:
         """Return which points (N, 3) are its own: within a cell of its surface, half of one where others touch it."""
@@ -339,7 +339,7 @@ def _followed(scene: _Scene, line: _Line, at: float, ring: Array) -> list[tuple[
     if radius + 0.2 * cell <= _STRING:  # taut
         aside = offset + ends[:, None] * slope
     else:
-        aside = np.stack([np.interp(ends, t[low:high], column[low:high]) for column in path.T], axis=1)
+        aside = interpolate(ends, t[low:high], path[low:high])
     rod = _Rod(line.start + ends[0] * line.along, line.along, line.across, step, aside, radius, alone[low:high])
     own = rod.holds(scene.points, 1.5 * cell)
     evidence = Evidence(

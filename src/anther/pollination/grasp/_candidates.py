@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from anther.core.geometry import Array
+from anther.core.geometry import Array, interpolate
 from anther.perception.skeleton import Skeleton
 from anther.perception.skeleton.support import probability
 from anther.perception.stem import Stem
@@ -112,7 +112,7 @@ def _fits(stem: Stem, skeleton: Skeleton, arcs: Array, window: float) -> list[tu
     """
     s, nodes = stem.arc_length, skeleton.nodes[stem.node_ids]
     dense = np.linspace(s[0], s[-1], max(int(10 * (s[-1] - s[0]) / window), 20))
-    line = np.stack([np.interp(dense, s, nodes[:, i]) for i in range(3)], axis=1)
+    line = interpolate(dense, s, nodes)
     radius = np.interp(dense, s, skeleton.radius[stem.node_ids])
     fits = []
     for arc in arcs:

@@ -13,14 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.core.errors import StageFailure, bad_input
-from anther.core.geometry import ComplexArray
+from anther.core.geometry import Array, ComplexArray
 from anther.core.records import Range, Record, Share, Spread
 from anther.plant.model import LEARNED, Material, PlantModel
 from anther.pollination.learning._observed import ObservedShake
 from anther.pollination.shake.observables import branch_of, semi_major
 from anther.pollination.shake.pads import PADS, PADS_LEARNED, Pads, grip_rows, pad_nodes
 from anther.pollination.shake.search import Phasors, Version, answer, draw_deviates, draw_version
-from anther.rods import Array
 
 
 @dataclass(frozen=True, slots=True)

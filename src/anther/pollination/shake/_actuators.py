@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from anther.core.geometry import Array
 from anther.pollination.grasp import Grasp
-from anther.rods import Array
 
 Limit = Callable[[Grasp, Array, Array], Array]
 """(grasp, unit direction (3,), frequencies (Q,) [Hz]) -> largest amplitudes (Q,) [m]."""

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array, vstack
 
-from anther.core.geometry import ComplexArray
+from anther.core.geometry import Array, ComplexArray
 from anther.plant.model import PlantModel
-from anther.rods import Array, Rods, displacements, joints
+from anther.rods import Rods, displacements, joints
 
 
 class Observables(NamedTuple):

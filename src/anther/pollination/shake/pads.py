@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anther.core.errors import StageFailure
+from anther.core.geometry import Array
 from anther.core.records import Range, Record, Spread
 from anther.plant.model import PlantModel
-from anther.rods import Array, Springs
+from anther.rods import Springs
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,13 +17,13 @@ from scipy.sparse import vstack
 
 from anther.core.compiling import compiled, read_only
 from anther.core.errors import StageFailure
-from anther.core.geometry import ComplexArray
+from anther.core.geometry import Array, ComplexArray
 from anther.plant.limits import PEAKS
 from anther.plant.model import Material, PlantModel
 from anther.pollination.decision import Answer
 from anther.pollination.shake.observables import branch_of, observables
 from anther.pollination.shake.pads import PADS, Pads, friction_force
-from anther.rods import Array, Observed, displacements, observed_response
+from anther.rods import Observed, displacements, observed_response
 
 
 class Gains(NamedTuple):

@@ -30,7 +30,7 @@ def _body(tool: Tool) -> tuple[Corners, ...]:
 class GripperShape:
     """A parallel gripper with its wrist camera, in the flange frame; fingers close along +-y.
 
-    The defaults are those of `sawyer.TOOL`, which gives the source of each number.
+    The defaults are those of `TOOL`, which gives the source of each number.
 
     Attributes:
         stroke: largest opening between the pads [m].

@@ -72,7 +72,7 @@ class GripperSize(Record):
 
 
 PRESETS = {
-    # sawyer.TOOL's numbers
+    # TOOL's numbers
     "rethink": GripperSize(
         opening=TOOL.stroke,
         palm=(0.064, 0.11, 0.06),
@@ -127,7 +127,7 @@ def with_camera(tool: Tool, T_flange_cam: Array, outline: tuple[float, float, fl
     centre = T_flange_cam[:3, 3] - depth / 2 * T_flange_cam[:3, 2]
     half = np.abs(T_flange_cam[:3, :3]) @ np.array([width, height, depth]) / 2  # of the box along the flange's axes
     lower, upper = np.minimum(centre[:2], 0.0) - 0.02, np.maximum(centre[:2], 0.0) + 0.02
-    thin = 0.003  # half the thickness of the bracket, as of `sawyer.TOOL`, like its half width above [m]
+    thin = 0.003  # half the thickness of the bracket, as of `TOOL`, like its half width above [m]
     plate = _solid("bracket", np.append((lower + upper) / 2, thin), np.append((upper - lower) / 2, thin))
     camera = _solid("camera", centre, half)
     return replace(tool, T_flange_cam=T_flange_cam, camera=(camera, plate))

@@ -177,8 +177,3 @@ SAWYER = ArmModel(
     ),
     wrist=Capsule((0, 0, -0.1345), (0, 0, -0.0525), _LINKS[5].capsules[1].radius),  # right_l5's round end
 )
-
-JOINTS, LOWER, UPPER, VELOCITY = SAWYER.joints, SAWYER.lower, SAWYER.upper, SAWYER.velocity
-ACCELERATION, NEUTRAL, READY = SAWYER.acceleration, SAWYER.neutral, SAWYER.ready
-STROKE, T_FLANGE_CAM, T_FLANGE_GRASP = TOOL.stroke, TOOL.T_flange_cam, TOOL.T_flange_grasp
-link_poses, forward, jacobian = SAWYER.link_poses, SAWYER.forward, SAWYER.jacobian

@@ -18,7 +18,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from anther.core.checks import check_array, check_range, check_transform
 from anther.core.errors import StageFailure
-from anther.core.geometry import Array, Box, inverse, look_at
+from anther.core.geometry import Array, Box, inverse, look_at, unit_vectors
 from anther.core.records import Range, Record, Shape
 from anther.robot.arm import _kinematics
 from anther.robot.arm._tours import shortest_tour
@@ -303,10 +303,7 @@ def _camera_pose(region: Box, azimuth: float, elevation: float, height_share: fl
 
 
 def _unit_rays(directions: Array) -> Array:
-    azimuth, elevation = np.deg2rad(directions).T
-    return np.stack(
-        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=1
-    )
+    return unit_vectors(*np.deg2rad(directions).T)
 
 
 def _spread(rays: Array, count: int, first: Array) -> list[int]:

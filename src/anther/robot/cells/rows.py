@@ -10,11 +10,9 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from anther.core.choices import SIDES
 from anther.core.errors import bad_input
 from anther.robot.cells._reading import Keys, TomlFile, build, read_toml
-
-SIDES = ("left", "right")
-"""As seen by who looks along the rails the way that the cart's travel grows."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from contextlib import suppress
 from typing import Any
 
 from anther.core.checks import check_range
-from anther.robot.arm import sawyer
+from anther.robot.arm.sawyer import TOOL
 from anther.robot.devices import DeviceError, GripperState
 from anther.robot.drivers.ros1 import Node, typestore
 
@@ -150,7 +150,7 @@ class RethinkGripper:
         stroke: [m].
     """
 
-    stroke = sawyer.STROKE
+    stroke = TOOL.stroke
 
     def __init__(
         self,
@@ -198,7 +198,7 @@ class RethinkGripper:
             self._io.set("reboot", True)
         self._io.set("calibrate", True)
         self._wait(lambda: bool(self._io.value("is_calibrated")), "does not calibrate. Look what is in its way.")
-        self._io.set("speed_mps", sawyer.TOOL.speed)
+        self._io.set("speed_mps", TOOL.speed)
 
     def close(self) -> None:
         """Sign off from the master; the gripper holds."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from anther.core.checks import check_range
 from anther.core.geometry import Array
-from anther.robot.arm import sawyer
+from anther.robot.arm.sawyer import SAWYER
 from anther.robot.devices import DeviceError
 from anther.robot.drivers._readings import STALE
 from anther.robot.drivers._streamed import Reference, StreamedArm, braking
@@ -40,8 +40,8 @@ class Sawyer(StreamedArm):
         self,
         node: Node,
         *,
-        names: Sequence[str] = sawyer.JOINTS,
-        acceleration: Array = sawyer.ACCELERATION,
+        names: Sequence[str] = SAWYER.joints,
+        acceleration: Array = SAWYER.acceleration,
         mode: Mode = "position",
         rate: float = 100.0,
         speed_ratio: float = 0.1,

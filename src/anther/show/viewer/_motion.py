@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from anther.core.geometry import Array, ComplexArray
+from anther.core.geometry import Array, ComplexArray, interpolate
 from anther.plant.model import PlantModel
 from anther.pollination.execution import Trial
 from anther.pollination.shake import ShakePlan
@@ -56,7 +56,7 @@ def motion_of(results: RunResults) -> Replay | None:
     begin, end = float(trial.shake_times[0]), float(trial.shake_times[-1])
     frequency = trial.steps[-1].frequencies[0] if trial.steps else shake.frequency
     times = np.arange(begin, end, 1 / max(RATE, 10 * frequency))  # a faster shake plays slower
-    joints = np.column_stack([np.interp(times, trial.shake_times, q) for q in trial.measured.T])
+    joints = interpolate(times, trial.shake_times, trial.measured)
     opening = float(trial.gripper[0, 0]) if len(trial.gripper) else 0.0
     return Replay(
         arm,
@@ -118,5 +118,5 @@ def _read_tracks(results: RunResults, times: Array) -> Array:
         when, where = response.times[seen], response.tracks[seen, f]
         after = np.clip(np.searchsorted(when, times), 1, len(when) - 1)
         near = (times >= when[0]) & (times <= when[-1]) & (when[after] - when[after - 1] <= longest)
-        out[near, f] = np.column_stack([np.interp(times[near], when, axis) for axis in where.T])
+        out[near, f] = interpolate(times[near], when, where)
     return out
