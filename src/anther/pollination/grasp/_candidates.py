@@ -176,7 +176,7 @@ def place_confidence(stem: Stem, skeleton: Skeleton, arcs: Array) -> Array | Non
     fitted = (-6.67, 8.66, 1.13, 1.26, 3.08)
     sure = probability(fitted, place_evidence(stem, skeleton, arcs))
     # constant and weights of the evidence in the log-odds: `python -m evaluation.perception.fit_course`
-    of_course = (11.27, 18.81, 6.87)
+    of_course = (8.32, 16.61, 4.22)
     sure = sure * probability(of_course, course_evidence(stem, skeleton, arcs))
     little = 0.1  # of the plant's height: a leaf's tip, or too short to be held for sure
     most = 0.4  # so many such grasps on the development plants were right
