@@ -206,6 +206,6 @@ def course_evidence(stem: Stem, skeleton: Skeleton, arcs: Array) -> Array:
     length = np.linalg.norm(along, axis=1) * np.linalg.norm(way, axis=1)
     turn = np.arccos(np.clip(np.sum(along * way, axis=1)[1:] / length[1:], -1, 1))
     foot = np.median(radius[: max(len(nodes) // 4, around)])
-    here = [np.median(radius[a : b + 1]) for a, b in zip(low, high, strict=True)]
+    here = np.array([np.median(radius[a : b + 1]) for a, b in zip(low, high, strict=True)])
     columns = -np.concatenate([turn[:1], turn]), np.minimum(np.log(here / foot), 0)
     return np.stack([np.interp(arcs, stem.arc_length, column) for column in columns], axis=1)
