@@ -22,6 +22,7 @@ how it was planned. That pollination never imports sim says the order."""
 BEHIND = {
     "evaluation/perception/colour_images.py",
     "evaluation/perception/fit_confidence.py",
+    "evaluation/perception/fit_course.py",
     "evaluation/perception/fit_feet.py",
     "evaluation/perception/hand_eye.py",
     "evaluation/perception/registration.py",

@@ -14,10 +14,14 @@ was found), organs_own (share of the named tree's nodes on the asked plant, mean
 that close on a support, of scenes with supports; a string wound round a stem counts as the stem), two_stems_48 (of 48
 pairs of own plants with their feet 0.04-0.12 m apart, those whose grasp is on the asked stem; clouds, not whole
 trials), flagged_wrong (share of the wrong answers, another plant's stem or a grasp off the asked one's, that are
-refused, or have a confidence below 0.75, a note of the stem, or a gripper that does not fit), false_flags (share of
-right answers that have, where one plant alone was meant), alike_flagged (share of questions that have where several
-would do), scene_over_one (processor time of a scene of five over that of one of them, median; of all scenes where there
-are none of five), scenes; and own_, helios_, real_ for parts.
+refused, or have a confidence of the root or the grasp below 0.75, a note of a second stem or of a low one, or a gripper
+that does not fit), false_flags (share of right answers that have, where one plant alone was meant), alike_flagged
+(share of questions that have where several would do), any_flagged_wrong, any_false_flags (the same where the main
+stem's confidence counts as well: that is about its whole course, not about what is held), course_wrong (share of the
+right answers whose main stem leaves the true one over more than a twentieth of its length below its first fork, or is
+cut short by a tenth), course_flagged_wrong, course_false_flags (share of these and of the other right answers with a
+main stem's confidence below 0.75), scene_over_one (processor time of a scene of five over that of one of them, median;
+of all scenes where there are none of five), scenes; and own_, helios_, real_ for parts.
 """
 
 from __future__ import annotations
@@ -40,6 +44,7 @@ from anther.core import AntherError
 from anther.core.geometry import Array, transform_points
 from anther.perception import Skeleton, Stem, find_stem, find_supports, flower_centres, skeletonize
 from anther.perception.skeleton import Params
+from anther.perception.stem.confidence import doubt
 from anther.pollination import Grasp
 from anther.robot.arm.sawyer import SAWYER
 from anther.robot.pressing import Pressing
@@ -87,11 +92,20 @@ class Answer:
 
     @property
     def flagged(self) -> bool:
-        """Whether a user is warned."""
+        """Whether a user is warned that something else than the asked stem may be held."""
         if self.stem is None or self.skeleton is None or self.grasp is None or self.unfit:
             return True
-        sure = (self.skeleton.root_confidence, self.stem.confidence, self.grasp.confidence)
-        return bool(self.stem.notes) or min(value for value in (*sure, 1.0) if value is not None) < SURE
+        notes = set(self.stem.notes) - set(doubt(self.stem.confidence))
+        return bool(notes) or _low(self.skeleton.root_confidence) or _low(self.grasp.confidence)
+
+    @property
+    def course_flagged(self) -> bool:
+        """Whether a user is warned that the main stem may run into something else, or end early."""
+        return self.stem is not None and _low(self.stem.confidence)
+
+
+def _low(confidence: float | None) -> bool:
+    return confidence is not None and confidence < SURE
 
 
 def ask(scene: Scene, root: Array | None = None) -> Answer:
@@ -125,6 +139,7 @@ class Judge:
     def of(self, answer: Answer, asked: Sequence[int]) -> Row:
         """Return an answer's row; `asked` are the plants that will do."""
         row: Row = {"flagged": answer.flagged, "seconds": answer.seconds, "refused": answer.refused}
+        row["course_flagged"] = answer.course_flagged
         row |= {"unfit": answer.unfit, "answers": len(asked)}
         if answer.skeleton is None or answer.stem is None or answer.grasp is None:
             return row | {"found": None, "right": False, "grasp_right": False, "traced": 0.0}
@@ -136,11 +151,15 @@ class Judge:
         all_on = self.owner(nodes)
         held, gap = self._held(answer.grasp)
         support = self._support_in_pads(answer.grasp) and not answer.unfit
+        traced = self._traced(found, nodes[answer.stem.node_ids]) if right else 0.0
+        below = answer.stem.node_ids[: answer.stem.fork + 1]
+        course = right and traced >= 0.9 and float(self.on_stem(found, nodes[below]).mean()) >= 0.95
         return row | {
             "found": found,
             "right": right,
             "grasp_right": right and held == found and gap,
-            "traced": self._traced(found, nodes[answer.stem.node_ids]) if right else 0.0,
+            "traced": traced,
+            "course_right": course,
             "own": float((all_on == found).sum() / max(1, (all_on < count).sum())) if right else 0.0,
             "support_share": float(share[count:].sum()),
             "support_in_pads": support,
@@ -153,25 +172,22 @@ class Judge:
         plant = int(self.owner(grasp.point[None])[0])
         if plant >= len(self.scene.plants):
             return plant, False
-        return plant, bool(self._from_stem(plant, grasp.point[None])[0] <= self._near(plant))
+        return plant, bool(self.on_stem(plant, grasp.point[None])[0])
 
     def _traced(self, plant: int, line: Array) -> float:
         """Return the share of a stem's height along which a line (n, 3) runs within two of its radii."""
         stem = self.scene.plants[plant].stem
         dense = np.concatenate([np.linspace(a, b, 10) for a, b in zip(line, line[1:], strict=False)])
-        close = dense[self._from_stem(plant, dense) <= self._near(plant)]
+        close = dense[self.on_stem(plant, dense)]
         low, high = np.quantile(stem[:, 2], [0.005, 0.995])
         slices = np.floor((close[:, 2] - low) / (high - low) * SLICES).astype(int)
         return len(set(slices[(slices >= 0) & (slices < SLICES)].tolist())) / SLICES
 
-    def _near(self, plant: int) -> float:
-        return 2 * self.scene.plants[plant].radius + 0.002
-
-    def _from_stem(self, plant: int, places: Array) -> Array:
-        """Return (M,) the distance of places from a plant's stem or its surface [m]."""
+    def on_stem(self, plant: int, places: Array) -> NDArray[np.bool_]:
+        """Return which places (M, 3) [m] are within two radii of a plant's stem or its surface."""
         own = (self.scene.owner == plant) & (self.scene.organ == STEM)
         stem = np.vstack([self.scene.plants[plant].stem, self.scene.points[own]])
-        return np.asarray(KDTree(stem).query(places)[0])
+        return np.asarray(KDTree(stem).query(places)[0]) <= 2 * self.scene.plants[plant].radius + 0.002
 
     def _support_in_pads(self, grasp: Grasp) -> bool:
         """Return whether a point of a support lies where the pads close."""
@@ -248,6 +264,9 @@ def _numbers(scenes: list[Row]) -> dict[str, float]:
     asked, supported = [*named, *unnamed], [row for row in scenes if row["supports"]]
     beside = [row[how] for row in supported for how in ("named", "unnamed")]
     most = [row for row in scenes if row["plants"] == 5] or scenes
+    right, wrong = [row for row in asked if row["grasp_right"]], [row for row in asked if not row["grasp_right"]]
+    clear = [row for row in right if row["answers"] == 1]
+    off, straight = [row for row in right if not row["course_right"]], [row for row in right if row["course_right"]]
     return {
         "scenes": float(len(scenes)),
         "asked_named": mean(row["right"] for row in named),
@@ -256,9 +275,14 @@ def _numbers(scenes: list[Row]) -> dict[str, float]:
         "organs_own": mean(row.get("own", 0.0) for row in named),
         "support_as_stem": float(sum(row.get("support_share", 0.0) > 0.05 for row in beside)),
         "support_in_pads": mean(row.get("support_in_pads") for row in beside),
-        "flagged_wrong": mean(row["flagged"] for row in asked if not row["grasp_right"]),
-        "false_flags": mean(row["flagged"] for row in asked if row["grasp_right"] and row["answers"] == 1),
+        "flagged_wrong": mean(row["flagged"] for row in wrong),
+        "false_flags": mean(row["flagged"] for row in clear),
         "alike_flagged": mean(row["flagged"] for row in asked if row["answers"] > 1),
+        "any_flagged_wrong": mean(row["flagged"] or row["course_flagged"] for row in wrong),
+        "any_false_flags": mean(row["flagged"] or row["course_flagged"] for row in clear),
+        "course_wrong": mean(not row["course_right"] for row in right),
+        "course_flagged_wrong": mean(row["course_flagged"] for row in off),
+        "course_false_flags": mean(row["course_flagged"] for row in straight),
         "scene_over_one": median(row["named"]["seconds"] / row["alone"]["seconds"] for row in most),
         "alone_right": mean(row["alone"]["grasp_right"] for row in scenes),
         "alone_traced": mean(row["alone"]["traced"] for row in scenes),

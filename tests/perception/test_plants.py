@@ -12,6 +12,7 @@ from anther.core.errors import InputError
 from anther.core.geometry import Array
 from anther.perception.cloud import Cloud
 from anther.perception.skeleton import Params, Skeleton, find_plants, skeletonize
+from anther.perception.skeleton.plants import _Asked, _middle_one, _Others
 from anther.perception.stem import find_stem
 
 FEET = np.array([[-0.2, 0.0, 0.0], [0.0, 0.02, 0.0], [0.17, -0.03, 0.0]])
@@ -81,6 +82,34 @@ def test_unasked_the_one_in_the_middle_is_taken_and_the_others_are_named(scene: 
     assert "plant 1 is taken" in note
     at_the_right = skeletonize(Cloud(scene[0]), middle=(0.3, 0.0, 0.2))
     assert np.linalg.norm(at_the_right.nodes[0] - FEET[2]) < 0.03
+
+
+def in_the_middle(away: float, chance: float, second: float = 0.3) -> _Asked:
+    """The first of two plants, 0.1 m and `second` [m] from the middle, where one may stand `away` [m] from it."""
+    roots = np.array([[0.1, 0, 0], [second, 0, 0]])
+    others = _Others(np.array([[0.0, away, 0.0]]), np.array([chance]))
+    return _middle_one(roots, np.array([0.98, 0.9]), np.array([2000, 1000]), others, np.zeros(3), 0.02)
+
+
+def test_a_stem_that_may_stand_nearer_the_middle_makes_the_one_there_doubtful() -> None:
+    unrivalled = in_the_middle(0.3, 0.4)
+    assert unrivalled.number == 0
+    assert unrivalled.certain == pytest.approx(0.98)
+    assert unrivalled.second is None
+    doubted = in_the_middle(0.02, 0.4)
+    assert doubted.certain == pytest.approx(0.98 * 0.6)
+    assert doubted.second is not None
+    assert doubted.second.tolist() == [0.0, 0.02, 0.0]
+    assert in_the_middle(0.115, 0.4).certain == doubted.certain, "about as near counts as well"
+    assert in_the_middle(0.02, 0.05).second is None, "an unlikely one is not worth a word"
+
+
+def test_of_two_about_as_near_the_middle_the_larger_is_meant_by_its_share() -> None:
+    asked = in_the_middle(0.3, 0.4, second=0.09)
+    assert asked.number == 0
+    assert asked.certain == pytest.approx(0.98 * 2 / 3)
+    assert asked.second is not None
+    assert asked.second[0] == 0.09
 
 
 @pytest.mark.parametrize("root", [None, (0.0, 0.0, 0.0)])

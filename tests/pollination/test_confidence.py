@@ -15,7 +15,7 @@ from anther.core.errors import InputError, StageFailure
 from anther.perception.cloud import Cloud
 from anther.perception.skeleton import Skeleton
 from anther.perception.skeleton.support import node_confidence, probability
-from anther.perception.stem import Params, find_stem
+from anther.perception.stem import Params, Stem, find_stem
 from anther.perception.stem.confidence import DOUBTFUL, doubt, find_second_stem, plant_evidence, stem_confidence
 from anther.pollination.grasp import Grasp, load_grasps, plan_grasps, save_grasps
 from anther.pollination.grasp._candidates import place_confidence
@@ -69,6 +69,27 @@ def test_a_place_above_a_fork_is_doubted() -> None:
     assert places is not None
     assert places[0] > 0.9
     assert places[1] < 0.4
+
+
+@pytest.mark.parametrize(
+    ("turn", "thickness", "believed"),
+    [(0, 0.8, True), (15, 0.8, True), (0, 0.6, True), (60, 1.0, False), (35, 0.55, False), (10, 0.3, False)],
+)
+def test_a_place_where_the_line_turns_from_the_way_up_or_thins_is_doubted(
+    turn: float, thickness: float, *, believed: bool
+) -> None:
+    """It has gone on into a limb above a fork that was not seen, or into a leaf; below, it is believed all the same."""
+    z = np.linspace(0, 0.25, 26)
+    up = np.stack([0 * z, 0 * z, z], axis=1)
+    angle, steps = np.radians(turn), np.linspace(0.01, 0.2, 20)[:, None]
+    nodes = np.concatenate([up, up[-1] + steps * [np.sin(angle), 0, np.cos(angle)]])
+    radius = np.concatenate([np.full(26, 0.005), np.full(20, 0.005 * thickness)])
+    line = Skeleton(nodes, np.arange(-1, 45), radius, width=radius, confidence=np.full(46, 0.95))
+    stem = Stem(np.arange(46), np.linspace(0, 0.45, 46), np.zeros(0, np.int64), np.zeros(46, np.uint8))
+    places = place_confidence(stem, line, np.array([0.15, 0.3]))
+    assert places is not None
+    assert places[0] > 0.9
+    assert (places[1] >= DOUBTFUL) == believed
 
 
 def test_a_stem_is_doubted_for_its_root_its_flat_sections_and_the_little_it_carries() -> None:

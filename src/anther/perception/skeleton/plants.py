@@ -105,24 +105,39 @@ def find_plants(
     feet = feet[np.argsort(graph.points[feet, int(spread[1] > spread[0])], kind="stable")]
     roots, owner = graph.points[feet], _owners(graph, feet, points)
     _check_number(plant, roots)
-    rival, size = -1, np.bincount(owner[owner >= 0], minlength=len(feet))
-    if named is not None:
-        asked, why = int(np.flatnonzero(feet == named)[0]), "--root names it"
-    elif plant is not None:
-        asked, why = plant, "--plant names it"
-    else:
-        asked, rival = _middle_one(roots, size, points, middle, _TIE * graph.height)
-        why = "the one in the middle" if rival < 0 else "the largest of those about as near the middle"
     sure = np.array([chance[minima == foot][0] for foot in feet])
-    certain, notes = float(sure[asked]), _notes(roots, asked, why, owner)
-    if rival >= 0:
-        certain *= size[asked] / (size[asked] + size[rival])
-        x, y, z = roots[rival]
-        words = f"root: probability {certain:.0%}; the second candidate is {x:.3f},{y:.3f},{z:.3f}"
-        notes += (f"{words} (set it with --root)",)
-    on_it = named is not None and np.linalg.norm(roots[asked] - root) > _NEAR * graph.height
-    start = np.asarray(root, dtype=np.float64) if on_it else roots[asked]
-    return Plants(roots, sure, owner, asked, start, certain, notes)
+    if named is not None:
+        number = int(np.flatnonzero(feet == named)[0])
+        asked = _Asked(number, sure[number], "--root names it")
+    elif plant is not None:
+        asked = _Asked(plant, sure[plant], "--plant names it")
+    else:
+        low, high = np.quantile(points, [0.005, 0.995], axis=0)
+        centre = (low + high) / 2 if middle is None else np.asarray(middle, dtype=np.float64)
+        size, other = np.bincount(owner[owner >= 0], minlength=len(feet)), chance < 0.5
+        others = _Others(graph.points[minima[other]], chance[other])
+        asked = _middle_one(roots, sure, size, others, centre, _TIE * graph.height)
+    notes = _notes(roots, asked, owner)
+    on_it = named is not None and np.linalg.norm(roots[asked.number] - root) > _NEAR * graph.height
+    start = np.asarray(root, dtype=np.float64) if on_it else roots[asked.number]
+    return Plants(roots, sure, owner, asked.number, start, float(asked.certain), notes)
+
+
+class _Asked(NamedTuple):
+    """The number of the plant that is asked for, the probability that its stem is the one that is meant, why it is
+    taken, and the second candidate's place (3,) [m], if there is any."""
+
+    number: int
+    certain: float
+    why: str
+    second: Array | None = None
+
+
+class _Others(NamedTuple):
+    """Minima (M, 3) [m] that count as no feet, and the probability (M,) that a stem stands there after all."""
+
+    places: Array
+    chance: Array
 
 
 def _check_number(plant: int | None, roots: Array) -> None:
@@ -135,26 +150,43 @@ def _listed(roots: Array) -> str:
     return ", ".join(f"{k} at x, y = {x:.3f}, {y:.3f}" for k, (x, y, _) in enumerate(roots))
 
 
-def _notes(roots: Array, asked: int, why: str, owner: NDArray[np.int64]) -> tuple[str, ...]:
-    words = f"{len(roots)} stems in view: {_listed(roots)} m; plant {asked} is taken ({why})"
-    lost = float(np.mean(owner < 0))
-    none = (f"{lost:.0%} of the points belong to no stem in view",) if lost > 0.02 else ()
-    return (f"{words}; name another with --plant or --root", *none)
+def _notes(roots: Array, asked: _Asked, owner: NDArray[np.int64]) -> tuple[str, ...]:
+    words = f"{len(roots)} stems in view: {_listed(roots)} m; plant {asked.number} is taken ({asked.why})"
+    notes = (f"{words}; name another with --plant or --root",)
+    if (lost := float(np.mean(owner < 0))) > 0.02:
+        notes += (f"{lost:.0%} of the points belong to no stem in view",)
+    if asked.second is not None:
+        x, y, z = asked.second
+        words = f"root: probability {asked.certain:.0%}; the second candidate is {x:.3f},{y:.3f},{z:.3f}"
+        notes += (f"{words} (set it with --root)",)
+    return notes
 
 
-def _middle_one(
-    roots: Array, size: NDArray[Any], points: Array, middle: ArrayLike | None, tie: float
-) -> tuple[int, int]:
-    """Return which plant stands nearest to the middle, the largest of those about as near, and the second; -1: none.
+def _middle_one(roots: Array, sure: Array, size: NDArray[Any], others: _Others, centre: Array, tie: float) -> _Asked:
+    """Return the plant that stands nearest to the centre (3,) [m], the largest of those about as near.
 
-    `tie`: how much farther [m] is about as near.
+    It is the one that is meant if its stem stands there, if no stem stands where one is less likely, as near to the
+    centre, and if the second largest of those about as near is not meant.
+
+    Args:
+        roots, sure, size: (K, 3) [m] of the plants, (K,) probabilities that they stand there, (K,) points.
+        others: where a stem may stand.
+        centre: where the one that is meant stands.
+        tie: how much farther [m] is about as near.
     """
-    low, high = np.quantile(points, [0.005, 0.995], axis=0)
-    centre = (low + high) / 2 if middle is None else np.asarray(middle, dtype=np.float64)
-    away = np.linalg.norm(roots[:, :2] - centre[:2], axis=1)
+    away = np.linalg.norm((roots - centre)[:, :2], axis=1)
     alike = np.flatnonzero(away <= away.min() + tie)
     alike = alike[np.argsort(-size[alike], kind="stable")]
-    return int(alike[0]), int(alike[1]) if len(alike) > 1 else -1
+    number, why = int(alike[0]), "the one in the middle"
+    near = np.linalg.norm((others.places - centre)[:, :2], axis=1) <= away[number] + tie
+    places, chance = others.places[near], others.chance[near]
+    certain, second = sure[number] * np.prod(1 - chance), None
+    if len(alike) > 1:
+        certain *= size[number] / (size[number] + size[alike[1]])
+        second, why = roots[alike[1]], "the largest of those about as near the middle"
+    elif certain < 0.75 and len(places):  # a user is warned, and told of what
+        second = places[chance.argmax()]
+    return _Asked(number, float(certain), why, second)
 
 
 def _named(graph: _Graph, root: Array, minima: NDArray[Any], chance: Array) -> int | None:

@@ -166,14 +166,18 @@ def hidden_share(c: Candidates, surface: Array) -> Array:
 def place_confidence(stem: Stem, skeleton: Skeleton, arcs: Array) -> Array | None:
     """Return (K,) the probability that what stands at these arc lengths [m] is the main stem.
 
-    That is: the true main stem (pepper: below its first fork) passes within 5 mm of the place on the centreline.
-    None when the skeleton's own confidence is unknown.
+    That is: the true main stem (pepper: below its first fork) passes within 5 mm of the place on the centreline. It
+    does if the plant's stem was found, and if the centreline still follows it there. None when the skeleton's own
+    confidence is unknown.
     """
     if skeleton.confidence is None:
         return None
     # constant and weights of the evidence in the log-odds: `python -m evaluation.perception.fit_confidence`
     fitted = (-6.67, 8.66, 1.13, 1.26, 3.08)
     sure = probability(fitted, place_evidence(stem, skeleton, arcs))
+    # constant and weights of the evidence in the log-odds: `python -m evaluation.perception.fit_course`
+    of_course = (8.32, 16.61, 4.22)
+    sure = sure * probability(of_course, course_evidence(stem, skeleton, arcs))
     little = 0.1  # of the plant's height: a leaf's tip, or too short to be held for sure
     most = 0.4  # so many such grasps on the development plants were right
     return np.minimum(sure, most) if rise_share(skeleton, stem.node_ids) < little else sure
@@ -186,3 +190,22 @@ def place_evidence(stem: Stem, skeleton: Skeleton, arcs: Array) -> Array:
     """
     below = arcs <= stem.arc_length[stem.fork] + 1e-9
     return np.column_stack([below, np.tile(plant_evidence(skeleton, stem.node_ids), (len(arcs), 1))])
+
+
+def course_evidence(stem: Stem, skeleton: Skeleton, arcs: Array) -> Array:
+    """Return (K, 2), larger is better: whether the centreline still follows the stem at these arc lengths [m].
+
+    A limb that was taken for the stem above a fork that was missed, or a leaf, turns from the way up and is thinner.
+    Columns: 0 less the angle between the centreline there and the way there from the root [rad]; the logarithm of the
+    radius there over that of the stem's lower quarter, at most 0: a stem that seems thicker is one beside a leaf.
+    """
+    nodes, radius = skeleton.nodes[stem.node_ids], skeleton.radius[stem.node_ids]
+    place, around = np.arange(len(nodes)), 3  # nodes to either side, 2 cm of a plant of 0.7 m: the skeleton's noise
+    low, high = np.maximum(place - around, 0), np.minimum(place + around, len(nodes) - 1)
+    along, way = nodes[high] - nodes[low], nodes - nodes[0]
+    length = np.linalg.norm(along, axis=1) * np.linalg.norm(way, axis=1)
+    turn = np.arccos(np.clip(np.sum(along * way, axis=1)[1:] / length[1:], -1, 1))
+    foot = np.median(radius[: max(len(nodes) // 4, around)])
+    here = np.array([np.median(radius[a : b + 1]) for a, b in zip(low, high, strict=True)])
+    columns = -np.concatenate([turn[:1], turn]), np.minimum(np.log(here / foot), 0)
+    return np.stack([np.interp(arcs, stem.arc_length, column) for column in columns], axis=1)
