@@ -15,7 +15,7 @@ from anther.core.geometry import arc_length
 from anther.perception.cloud import Cloud, Support
 from anther.perception.masks import FLOWER, PLANT
 from anther.perception.skeleton import Skeleton
-from anther.perception.stem import BRANCH, STEM, Stem
+from anther.perception.stem import BRANCH, STEM, TRUSS, Stem
 from anther.pollination import grasp
 from anther.pollination.grasp import (
     DOUBT,
@@ -36,6 +36,7 @@ from anther.pollination.grasp._candidates import candidates_along, directions_ac
 from anther.pollination.grasp._clearance import BRANCH as PETIOLE
 from anther.pollination.grasp._clearance import (
     FAR,
+    FLOWER_POINT,
     LEAF,
     OBSTACLE,
     Surroundings,
@@ -687,6 +688,29 @@ def test_a_leaf_that_is_seen_connected_to_no_plant_is_in_the_way_as_much_as_any(
     assert of(loose) == of(connected)
     assert len(loose.yielding) == len(connected.yielding)
     assert surroundings_of(stem, skeleton, loose).kind.tolist().count(LEAF) > 100
+
+
+def test_a_truss_that_hangs_before_the_stem_is_avoided_as_flowers_are():
+    """Ten centimetres from the stem no branch is stiff any more, but what hangs on a truss is pressed on the stem."""
+    stem, skeleton, cloud = make_plant(branches=())
+    way = np.array([[0.0, 0.0, 0.45], [-0.05, 0.022, 0.5], *([-0.05, 0.022, z] for z in np.arange(0.48, 0.1, -0.02))])
+    nodes = np.concatenate([skeleton.nodes, way[1:] + skeleton.nodes[0]])
+    parent = np.concatenate([skeleton.parent, [45], np.arange(len(skeleton.nodes), len(nodes) - 1)])
+    hung = Skeleton(nodes, parent, np.full(len(nodes), 0.004))
+
+    def met(organ: int) -> tuple[int, np.ndarray]:
+        kinds = np.append(stem.organ, np.full(len(way) - 1, organ, dtype=np.uint8))
+        own = Stem(stem.node_ids, stem.arc_length, np.array([45]), kinds)
+        around, best = surroundings_of(own, hung, cloud), plan_grasps(own, hung, cloud)[0]
+        assert 0.1 < best.arc_length < 0.4, "beside what hangs there"
+        return int(np.sum(around.kind == FLOWER_POINT)), best.approach
+
+    count, straight = met(BRANCH)
+    assert count == 0
+    np.testing.assert_allclose(straight, [1, 0, 0], atol=1e-6)  # a finger pushes it aside
+    count, round_it = met(TRUSS)
+    assert count > 30
+    assert abs(round_it[1]) > 0.2
 
 
 def test_a_short_petiole_is_stiffer_than_a_long_one():

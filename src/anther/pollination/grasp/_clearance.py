@@ -16,7 +16,7 @@ from anther.perception.cloud import Cloud, Support
 from anther.perception.masks import FLOWER
 from anther.perception.skeleton import Skeleton
 from anther.perception.stem import LEAF as ORGAN_LEAF
-from anther.perception.stem import Stem
+from anther.perception.stem import TRUSS, Stem
 
 LEAF, FLOWER_POINT, BRANCH, STEM, OBSTACLE, RIGID, STRING = range(7)
 FAR = 0.03  # m, distances beyond are not told apart
@@ -29,8 +29,9 @@ class Surroundings:
     Attributes:
         centers: (M, 3) [m].
         radius: (M,) [m]; 0 for a surface point.
-        kind: (M,) LEAF (any plant surface off the stem), FLOWER_POINT, BRANCH (the piece of it near
-            the stem), STEM, OBSTACLE (pot, soil, bench), RIGID (a stake, pole or wire) or STRING.
+        kind: (M,) LEAF (any plant surface off the stem), FLOWER_POINT (of flowers, and of trusses, which carry flowers
+            or fruit), BRANCH (the piece of it near the stem), STEM, OBSTACLE (pot, soil, bench), RIGID (a stake, pole
+            or wire) or STRING.
         stiffness: (M,) force that pushing it aside by a metre takes, over Young's modulus [m]; 0 but of branches.
     """
 
@@ -91,16 +92,19 @@ def surroundings_of(stem: Stem, skeleton: Skeleton, cloud: Cloud) -> Surrounding
         kind: _support_balls([s for s in cloud.supports if s.soft == (kind == STRING)]) for kind in (RIGID, STRING)
     }
     fuzz = 0.004  # m: points this near the stem's surface are its own
-    piece = 0.006  # m: leaves are counted as pieces of this size
+    piece = 0.006  # m: leaves and trusses are counted as pieces of this size
+    hanging = _balls_along(skeleton, np.flatnonzero((stem.organ == TRUSS) & (outward >= stiff_length)), piece, outward)
+    flowers = thin_out(cloud.points[is_flower], piece)
     parts = [
         (LEAF, free(thin_out(np.concatenate([cloud.points[~is_flower], cloud.loose]), piece), fuzz)),
-        (FLOWER_POINT, thin_out(cloud.points[is_flower], piece)),
+        (FLOWER_POINT, np.concatenate([flowers, hanging[:, :3]])),
         (BRANCH, branch_balls[:, :3]),
         (STEM, stem_balls[:, :3]),
         (OBSTACLE, thin_out(cloud.obstacles, piece)),
         *((kind, balls[:, :3]) for kind, balls in supports.items()),
     ]
     radius = {BRANCH: np.minimum(branch_balls[:, 3], 0.005), STEM: stem_balls[:, 3]}
+    radius[FLOWER_POINT] = np.append(np.zeros(len(flowers)), hanging[:, 3])
     radius |= {kind: balls[:, 3] for kind, balls in supports.items()}
     petiole = 0.002  # m, its radius: depth cameras make thin ones too thick; our estimate, for peppers
     least_lever = 0.015  # m: nearer to the stem a petiole is no stiffer, it swells and turns with its node
