@@ -26,7 +26,7 @@ def close(gripper: Gripper, grasp: Grasp, press: float) -> GripperState:
         DeviceError: the force does not fit the way of the pads.
     """
     loose = 0.0005  # m around the stem: where a force cannot be set (facts: sawyer 3), position is the gentleness
-    too_thick = 2.0  # times: the most in 130 simulated visits was 1.6, by 5.5 mm
+    too_thick = 2.0  # times: the most in 130 simulated visits was 1.6
     expected, thinnest = max(grasp.stem_diameter + loose, THINNEST), max(grasp.stem_diameter / too_thick, THINNEST)
     state = _press(gripper, expected, press, thinnest)
     thickest = 0.012  # m: what is wider than the measured diameter by this is not the stem
