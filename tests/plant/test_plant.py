@@ -246,3 +246,13 @@ def test_a_leaf_too_heavy_for_its_thin_rib_does_not_stiffen_the_plant() -> None:
     stiffer = np.asarray(heavy.rods.youngs) / heavy.material.youngs
     assert np.all(stiffer[1:25] == 1)
     assert np.all(stiffer[26:31] > 2)
+
+
+def test_no_piece_of_a_leaf_gets_stiffer_than_what_cannot_bend(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not even where a blade and the branch that bears it both need the most that is tried."""
+    skeleton, stem, _ = branched(1)
+    flat = np.where(np.arange(len(skeleton.nodes)) >= 27, 1.0, 0.2)
+    seen = Skeleton(skeleton.nodes, skeleton.parent, skeleton.radius, flatness=flat)
+    monkeypatch.setattr("anther.plant._shape._until_it_stands", lambda _: 1.2**39)
+    plant = build_plant(seen, stem, NO_FLOWERS, None, TOMATO)
+    assert (np.asarray(plant.rods.youngs) / plant.material.youngs).max() == pytest.approx(1e4)

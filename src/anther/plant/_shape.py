@@ -291,6 +291,7 @@ def branch_stiffening(
             stands itself, which says nothing where a string holds it.
     """
     factor, rigid = np.where(blade, least, 1.0), 1e3  # takes a part out of the question whether the rest stands
+    most = 10 * rigid  # a piece of a scan, in a leaf on a branch, that none of their factors holds up
     stem_needs = needs or least_youngs(rods, Clamp.root(rods), pedicel, np.where(stem, 1.0, rigid))
     if stem_needs is None:
         return factor
@@ -300,7 +301,7 @@ def branch_stiffening(
             beyond = _beyond(rods, int(base))
             if len(beyond) > 2:
                 factor[beyond[1:]] *= _until_it_stands(_part(replace(rods, youngs=youngs * factor), beyond))
-    return np.where(pedicel, 1.0, factor)
+    return np.where(pedicel, 1.0, np.minimum(factor, most))
 
 
 def _until_it_stands(branch: Rods) -> float:
