@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -527,18 +528,37 @@ def test_depth_that_is_read_tells_what_cannot_be_seen_across() -> None:
     assert np.abs(flat).max() > 0.1
 
 
-def test_the_points_that_are_watched_lie_far_from_each_other_and_on_no_stalk() -> None:
+def test_the_points_that_are_watched_lie_far_from_each_other_first_on_the_stem_and_on_no_stalk() -> None:
     """Each is the one farthest from all before it."""
     skeleton, stem, flowers = branched()
     plant = build_plant(skeleton, stem, flowers, None, TOMATO)
-    chosen, places = watch_points(plant, most=8), plant.rods.nodes
-    assert len(chosen) == len(np.unique(chosen)) == 8
+    chosen, places = watch_points(plant, most=9), plant.rods.nodes
+    assert len(chosen) == len(np.unique(chosen)) == 9
     assert not plant.is_pedicel[chosen].any()
     assert not np.isin(chosen, plant.flower_nodes).any()
-    others = np.setdiff1d(np.flatnonzero(~plant.is_pedicel), plant.flower_nodes)
-    for n in range(1, 8):
-        gap = np.linalg.norm(places[others, None] - places[chosen[:n]], axis=2).min(axis=1)
+    others = np.setdiff1d(np.flatnonzero(~plant.is_pedicel), [*plant.flower_nodes, plant.stem_nodes[0]])
+    for n in range(1, 9):
+        free = np.intersect1d(others, plant.stem_nodes) if n < 3 else others
+        gap = np.linalg.norm(places[free, None] - places[chosen[:n]], axis=2).min(axis=1)
         assert np.linalg.norm(places[chosen[n]] - places[chosen[:n]], axis=1).min() == pytest.approx(gap.max())
+
+
+def test_what_leaves_the_stem_at_its_foot_is_not_watched() -> None:
+    """A second stem from the same foot hangs on a string of its own."""
+    skeleton, stem, flowers = branched()
+    plant = build_plant(skeleton, stem, flowers, None, TOMATO)
+    bases = [node for node in np.unique(plant.rods.parent[1:]) if node in plant.stem_nodes[1:]]
+    limb = next(
+        j for j in range(1, len(plant.rods.nodes)) if j not in plant.stem_nodes and plant.rods.parent[j] in bases
+    )
+    parent = plant.rods.parent.copy()
+    parent[limb] = plant.stem_nodes[0]
+    moved = replace(plant, rods=replace(plant.rods, parent=parent))
+    beyond = {limb}
+    for j in range(limb + 1, len(parent)):
+        beyond |= {j} if parent[j] in beyond else set()
+    assert beyond & set(watch_points(plant, most=400).tolist())
+    assert not beyond & set(watch_points(moved, most=400).tolist())
 
 
 def test_points_are_watched_where_the_camera_sees_them() -> None:

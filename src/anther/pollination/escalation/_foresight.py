@@ -101,7 +101,9 @@ def foresee(
 def watch_points(
     plant: PlantModel, most: int = 60, *, camera: tuple[Intrinsics, Array] | None = None, surface: Array | None = None
 ) -> NDArray[np.int64]:
-    """Return up to so many nodes of stem, branches and leaves that lie far from each other: farthest first.
+    """Return up to so many nodes that lie far from each other: a third of the main stem, then of branches and leaves.
+
+    What leaves the stem at its foot is left out: it is held there, or hangs on another string.
 
     Args:
         plant: its model.
@@ -111,17 +113,26 @@ def watch_points(
         surface: (N, 3) of what may hide nodes from it, world [m].
     """
     stalks = plant.is_pedicel | np.isin(np.arange(len(plant.is_pedicel)), plant.flower_nodes)
-    nodes = np.flatnonzero(~stalks)
+    nodes = np.flatnonzero(~stalks & (_leaves_stem_at(plant) != plant.stem_nodes[0]))
     places, few = plant.rods.nodes[nodes], 12
     if camera is not None:
         seen = _in_sight(places, places[:0] if surface is None else surface, *camera)
         if seen.sum() >= few:
             nodes, places = nodes[seen], places[seen]
-    chosen, gap = [0], np.linalg.norm(places - places[0], axis=1)
-    while len(chosen) < min(most, len(nodes)):
-        chosen.append(int(gap.argmax()))
-        gap = np.minimum(gap, np.linalg.norm(places - places[chosen[-1]], axis=1))
+    chosen, gap = list[int](), np.full(len(nodes), np.inf)
+    for some, share in ((np.isin(nodes, plant.stem_nodes), 1 / 3), (np.ones(len(nodes), dtype=bool), 1.0)):
+        while len(chosen) < min(share * most, np.count_nonzero(some)):
+            chosen.append(int(np.where(some, gap, -1.0).argmax()))
+            gap = np.minimum(gap, np.linalg.norm(places - places[chosen[-1]], axis=1))
     return nodes[chosen]
+
+
+def _leaves_stem_at(plant: PlantModel) -> NDArray[np.int64]:
+    """Return (N,) the node of the main stem at which what bears each node leaves it; of the stem itself the node."""
+    found = np.where(np.isin(np.arange(len(plant.rods.nodes)), plant.stem_nodes), np.arange(len(plant.rods.nodes)), -1)
+    for node in np.flatnonzero(found < 0):
+        found[node] = found[plant.rods.parent[node]]
+    return found
 
 
 def _in_sight(points: Array, surface: Array, intrinsics: Intrinsics, T_world_cam: Array) -> NDArray[np.bool_]:
