@@ -74,7 +74,7 @@ def stuck(force: float, *, since: int = 0, holds: bool | None = None) -> Callabl
 
 LIES = {
     "stuck at 0": (stuck(0.0), "changed by 0.0 N"),
-    "stuck at 0, holds nothing": (stuck(0.0, holds=False), "holds nothing: the pads stand 4.0 mm apart"),
+    "stuck at 0, holds nothing": (stuck(0.0, holds=False), "holds nothing: the pads stand 3.5 mm apart"),
     "stuck at 8 N": (stuck(8.0), "got 8.0 N with the pads 41.7 mm open"),
     "stuck at 8 N once it closes": (stuck(8.0, since=1), "yet the gripper says that it holds nothing"),
     "says that it holds, with 8 N, once it closes": (stuck(8.0, since=1, holds=True), "the pads let go"),
@@ -127,18 +127,15 @@ def test_pads_that_met_hold_nothing() -> None:
     assert gripper.commands[-1] == GRASP.opening
 
 
-def test_the_pads_come_no_nearer_than_the_thinnest_stem_that_can_be() -> None:
-    gripper = ElasticStem(width=GRASP.stem_diameter / 2 - STEP)
-    trial = execute(PLANNER, Plan(), fake_robot(FakeArm(), gripper), LIMITS)
+@pytest.mark.parametrize(("measured", "thinnest"), [(0.008, 0.0035), (0.016, 0.008)])
+def test_the_pads_come_no_nearer_than_the_thinnest_stem_that_can_be(measured: float, thinnest: float) -> None:
+    """Too thick by 4.5 mm, or by half."""
+    plan = replace(Plan(), grasp=replace(GRASP, stem_diameter=measured))
+    missed, held = ElasticStem(width=thinnest - STEP), ElasticStem(width=thinnest + STEP, stiffness=2e4)
+    trial = execute(PLANNER, plan, fake_robot(FakeArm(), missed), LIMITS)
     assert trial.failure == "nothing_grasped"
-    assert min(gripper.commands) == pytest.approx(GRASP.stem_diameter / 2, abs=STEP)
-
-
-def test_a_stem_that_was_measured_half_too_thick_is_held() -> None:
-    trial = execute(
-        PLANNER, Plan(), fake_robot(FakeArm(), ElasticStem(width=GRASP.stem_diameter / 1.6, stiffness=2e4)), LIMITS
-    )
-    assert trial.failure is None
+    assert min(missed.commands) == pytest.approx(thinnest)
+    assert execute(PLANNER, plan, fake_robot(FakeArm(), held), LIMITS).failure is None
 
 
 @given(st.floats(SOFTEST * 1.01, 1e5), st.integers(1, 12))
