@@ -17,8 +17,8 @@ def close(gripper: Gripper, grasp: Grasp, press: float) -> GripperState:
     """Close to the measured diameter and on in steps until the pads press with a force [N]; verify the grip.
 
     Depth sensors see thin stems too thick (facts: perception), but none by more than 4.5 mm, or by half where that is
-    more: nearer the pads do not come, and what they hold there is nothing. A stem that was measured too thin is pressed hard at
-    once: the pads let go a little and close again from where they met it.
+    more: nearer the pads do not come, and what they hold there is nothing. A stem that was measured too thin is pressed
+    hard at once: the pads let go a little and close again from where they met it.
 
     Raises:
         StageFailure: nothing_grasped; branch_or_leaf_grasped when it is much too thick; limits_exceeded when the pads
