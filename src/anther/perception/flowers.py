@@ -67,7 +67,8 @@ def find_flowers(
         crop: where it is known, its petals' colour tells flowers from clips and string.
     """
     centres = flower_centres(cloud) if centres is None else centres
-    free, notes = (_reach(centres, cloud, skeleton, stem) > REACH) & _has_petals(centres, cloud, crop), list[str]()
+    own, notes = _own_points(centres, cloud), list[str]()
+    free = (_reach(own, cloud, skeleton, stem) > REACH) & _has_petals(own, cloud, crop)
     if not free.all():
         notes.append(f"{np.count_nonzero(~free)} flower-like clusters were left out: a clip or a string")
     centres = centres[free]
@@ -175,29 +176,38 @@ def _carriers(centres: Array, skeleton: Skeleton, stem: Stem) -> tuple[Array, ND
     return away[np.arange(len(centres)), carrier], carrier
 
 
-def _reach(centres: Array, cloud: Cloud, skeleton: Skeleton, stem: Stem) -> Array:
-    """Return (F,) how far the points of each flower reach off the main stem's surface [m], nine in ten of them."""
-    points = cloud.points[cloud.labels == FLOWER]
-    if not len(centres) or not len(points):
-        return np.full(len(centres), np.inf)
+def _own_points(centres: Array, cloud: Cloud) -> list[NDArray[np.int64]]:
+    """Return for each flower (F, 3) which of the cloud's points it is made of."""
+    petals = np.flatnonzero(cloud.labels == FLOWER)
+    if not len(centres) or not len(petals):
+        return [petals[:0]] * len(centres)
+    near = KDTree(cloud.points[petals]).query_ball_point(centres, APART)
+    return [petals[np.asarray(some, dtype=np.int64)] for some in near]
+
+
+def _reach(own: list[NDArray[np.int64]], cloud: Cloud, skeleton: Skeleton, stem: Stem) -> Array:
+    """Return (F,) how far the points that are each flower's `own` reach off the stem's surface [m], nine in ten."""
     at = np.arange(0, len(stem.node_ids) - 1 + 1e-9, 0.1)  # tenths of an edge
     ball = np.column_stack([skeleton.nodes[stem.node_ids], skeleton.radius[stem.node_ids]])
     ball = interpolate(at, np.arange(len(ball)), ball)
-    away, nearest = KDTree(ball[:, :3]).query(points)
-    off, own = away - ball[nearest, 3], KDTree(points).query_ball_point(centres, APART)
-    return np.array([np.quantile(off[some], 0.9) if some else np.inf for some in own])
+    line = KDTree(ball[:, :3])
+
+    def reach(points: Array) -> float:
+        away, nearest = line.query(points)
+        return float(np.quantile(away - ball[nearest, 3], 0.9))
+
+    return np.array([reach(cloud.points[some]) if len(some) else np.inf for some in own])
 
 
-def _has_petals(centres: Array, cloud: Cloud, crop: Crop | None) -> NDArray[np.bool_]:
+def _has_petals(own: list[NDArray[np.int64]], cloud: Cloud, crop: Crop | None) -> NDArray[np.bool_]:
     """Return (F,) which flowers are of the crop's colour: a tomato's are yellow, which no clip or string is.
 
-    Where none is, the light may be to blame, and all may be flowers.
+    Where none is, the light may be to blame, and all may be flowers. `own` are the points of each.
     """
-    petals = cloud.labels == FLOWER
-    if crop != "tomato" or cloud.colors is None or not len(centres) or not petals.any():
-        return np.ones(len(centres), dtype=bool)
-    own = KDTree(cloud.points[petals]).query_ball_point(centres, APART)
-    rgb = np.array([cloud.colors[petals][some].mean(axis=0) if some else np.full(3, np.nan) for some in own])
+    if crop != "tomato" or cloud.colors is None:
+        return np.ones(len(own), dtype=bool)
+    rgb = np.array([cloud.colors[some].mean(axis=0) if len(some) else np.full(3, np.nan) for some in own])
+    rgb = rgb.reshape(-1, 3)
     least = 0.35  # by which blue is less than red and green: petals 0.43 to 0.9, clips up to 0.25 (four simulated rows)
     yellow = rgb[:, 2] < (1 - least) * rgb[:, :2].mean(axis=1)
     return yellow | ~yellow.any()

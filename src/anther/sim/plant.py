@@ -233,8 +233,13 @@ class SimPlant:
         for k, way in enumerate(ways):
             own = way - set().union(*ways[:k], *ways[k + 1 :])
             of[list(own)] = k
-        for k in range(1, len(of)):
-            of[k] = of[self.parent[k]] if of[k] < 0 else of[k]
+        return self._passed_on(of)
+
+    def _passed_on(self, of: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return (K,) numbers where segments that have none, -1, take that of what they grow on."""
+        for k, parent in enumerate(self.parent):
+            if of[k] < 0 <= parent:
+                of[k] = of[parent]
         return of
 
     def _way_down(self, segment: int) -> set[int]:
@@ -253,10 +258,7 @@ class SimPlant:
         """Return (K,) the segment at which the leaf begins that each is part of; -1 of those that are of none."""
         bases, of = self.leaf_bases(), np.full(len(self.parent), -1)
         of[bases] = bases
-        for k, parent in enumerate(self.parent):
-            if of[k] < 0 <= parent:
-                of[k] = of[parent]
-        return of
+        return self._passed_on(of)
 
     def mass_centres(self) -> Array:
         """Return (K, 3) where each segment has its mass: the centre of what it carries, else its own [m]."""

@@ -203,10 +203,11 @@ class Escalation:
         shares = {k: sum(a * one.loads[k] / self._limits[n][k] for a, n, one in shaken) for k in WORDS}
         lost = 0.5  # the shake ends when a smaller share of the points tracked in the probe is still tracked
         if self._holding:
-            follows = NextPiece(np.zeros(len(self._frequencies)), 0.0, ENOUGH)
+            follows = self._end(ENOUGH)
         elif observation.followed < lost * self._visible_count:
-            words = f"Only {observation.followed} of {self._visible_count} points are still followed: ended."
-            follows = NextPiece(np.zeros(len(self._frequencies)), 0.0, words)
+            follows = self._end(
+                f"Only {observation.followed} of {self._visible_count} points are still followed: ended."
+            )
         elif self._probing:
             self._probe_answers.append(answers)
             follows = self._after_probe(max(shares.values()))
@@ -402,6 +403,9 @@ class Escalation:
     def _excite(self, shake: int, amplitude: float, seconds: float, words: str) -> NextPiece:
         return NextPiece(amplitude * (np.arange(len(self._frequencies)) == shake), seconds, words)
 
+    def _end(self, words: str) -> NextPiece:
+        return NextPiece(np.zeros(len(self._frequencies)), 0.0, words)
+
     def _repeat(self, shake: int, amplitude: float, why: str) -> NextPiece:
         self._repeated = True
         return self._excite(
@@ -453,7 +457,7 @@ class Escalation:
         if already:
             left -= self._piece.begin + self._piece.seconds - self._same_since
             if left <= 0:
-                return NextPiece(np.zeros(len(self._frequencies)), 0.0, f"{words} {ENOUGH}")
+                return self._end(f"{words} {ENOUGH}")
             left = max(left - self._ramp_seconds([shake]) - LEAD, 0.0)  # nothing changes on that ramp
         return self._excite(shake, amplitude, left, words)
 

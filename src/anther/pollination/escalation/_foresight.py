@@ -129,7 +129,8 @@ def watch_points(
 
 def _leaves_stem_at(plant: PlantModel) -> NDArray[np.int64]:
     """Return (N,) the node of the main stem at which what bears each node leaves it; of the stem itself the node."""
-    found = np.where(np.isin(np.arange(len(plant.rods.nodes)), plant.stem_nodes), np.arange(len(plant.rods.nodes)), -1)
+    found = np.full(len(plant.rods.nodes), -1)
+    found[plant.stem_nodes] = plant.stem_nodes
     for node in np.flatnonzero(found < 0):
         found[node] = found[plant.rods.parent[node]]
     return found
