@@ -15,7 +15,7 @@ from anther.plant import PRIORS, Crop, Material, Visit
 from anther.pollination import Done, Params, Seen, ShakePlan, execute, model_plant, plan_shake, pollinate
 from anther.pollination.execution import EARLY
 from anther.pollination.shake import arm_shaker
-from anther.robot import Planner
+from anther.robot import Cell, Planner
 from anther.robot.arm.arms import simulated_arm
 from anther.robot.cell import MotionPlanner
 from anther.show import summarise
@@ -27,7 +27,10 @@ from evaluation.trials.grasping_pictures import portrait
 from evaluation.trials.grasping_table import as_counted
 from evaluation.trials.paper_grasp import paper_grasp
 
-COMPUTE = ("masks", "cloud", "skeleton", "stem", "flowers", "planner", "grasp", "plant model", "shake plan", "motions")
+COMPUTE = (
+    "masks", "cloud", "skeleton", "stem", "flowers", "planner", "grasp", "place", "plant model", "shake plan",
+    "motions",
+)  # fmt: skip
 LISTED = (
     "grasp_pose7",
     "true_held_beside",
@@ -164,20 +167,27 @@ class TimedPlanner:
     def __getattr__(self, name: str) -> Any:
         """Return a method of the planner, one that plans a motion with the clock around it."""
         method = getattr(self.planner, name)
+        if name == "moved":
+            return lambda T: TimedPlanner(method(T), self.run)
         if name not in ("move", "line", "swing"):
             return method
         return lambda *args: self.run.timed("motions", lambda _: method(*args))
 
 
-def watched(cell: SimulatedCell, run: Memory) -> Any:
-    """Return the robot's side of the cell without its side camera, which no grasp needs; planning motions is timed."""
+def timed(cell: SimulatedCell, run: Memory) -> Cell:
+    """Return the robot's side of the cell; planning motions is timed."""
     side = cell.robot_side
-    robot = replace(side.robot, side_camera=None, T_world_side_camera=None)
 
     def plan_around(cloud: Cloud) -> Any:
-        return TimedPlanner(run.timed("planner", lambda _: side.plan_around(cloud)), run)
+        return TimedPlanner(side.plan_around(cloud), run)
 
-    return replace(side, robot=robot, plan_around=plan_around)
+    return replace(side, plan_around=plan_around)
+
+
+def watched(cell: SimulatedCell, run: Memory) -> Cell:
+    """Return the robot's side of the cell without its side camera, which no grasp needs; planning motions is timed."""
+    side = timed(cell, run)
+    return replace(side, robot=replace(side.robot, side_camera=None, T_world_side_camera=None))
 
 
 def performed(cell: SimulatedCell, perform: Callable[[], Done]) -> tuple[dict[str, Any], Done | None]:

@@ -3,8 +3,9 @@
     python -m evaluation.trials.rows --rows 20 --jobs 2
 
 Every row is drawn (`anther.sim.grow_row`), and its plants' truth is wide (`anther.sim.truth.WIDE`). The robot is told
-the hook, and of a pepper the foot, by the map alone, a few centimetres off. A camera on the cart takes the views while
-it drives up. The judge is `anther.sim.judge`; besides, the pull of the stem's string is followed. Every trial ends in
+the hook, and of a pepper the foot, by the map alone, a few centimetres off. A camera on the cart takes the views a stem
+ahead; where the cart then stands, the side camera shows. The judge is `anther.sim.judge`; besides, the pull of the
+stem's string is followed. Every trial ends in
 one JSON in --out and is not run again; those of the campaign, which takes more than a day's hours, are in
 docs/results/long/done/rows.jsonl (--done). Keys of --json:
 
@@ -14,6 +15,8 @@ neighbour_harm   share of rows: a neighbour, a string, a post, pipe or gutter wa
 cycle_s          median of the visits that shook [s], while the cart stands: the sum of its parts, thought_s,
                  approach_s, shake_s, retreat_s; a visit is a process, whose thought begins with loading what was
                  compiled before; from stem to stem it drives for another 2 s (`anther.sim.STEM_TO_STEM`, a guess)
+ahead_s          median of what is thought of a stem before the cart stands before it [s]: while the one before is
+                 worked on, so that it takes no time of its own while it is less than cycle_s
 
 held_row_tomato and so on are of one crop; _low and _high are 95 % intervals. held_row_helios, moved_row_helios and
 neighbour_harm_helios are of tomatoes of a second generator (`helios_row`), which count in nothing else; left out where
@@ -35,6 +38,7 @@ from anther.core import StageFailure
 from anther.plant import Crop
 from anther.plant.limits import MOVED
 from anther.pollination import visit_row_stem
+from anther.pollination.row import AHEAD
 from anther.sim import build_row, grow_row, mapped_others, mapped_string
 from anther.sim.cell import BENCH, NEIGHBOUR, POT, CellLog
 from anther.sim.judge import LETS_GO, string_pull
@@ -43,7 +47,7 @@ from evaluation.numbers import metrics_of
 from evaluation.statistics import bootstrap, interval, median
 from evaluation.tables import by_number, by_part, markdown
 from evaluation.trials.grasping_pictures import portrait
-from evaluation.trials.grasping_trial import COMPUTE, PICTURE, notes, overlap, performed, truth_of
+from evaluation.trials.grasping_trial import COMPUTE, PICTURE, notes, overlap, performed, timed, truth_of
 from evaluation.trials.helios_row import grow_helios_row
 from evaluation.trials.shaking import Brief
 
@@ -74,13 +78,14 @@ def one(row: Row, folder: Path) -> Row:
         return {"success": False, "failure": failure.kind, "message": str(failure)}
     (hook, foot), others = mapped_string(grown, cell.world.arm), mapped_others(grown, cell.world.arm)
     found, done = performed(
-        cell, lambda: visit_row_stem(cell.robot_side, case.species, hook, run, foot=foot, others=others)
+        cell, lambda: visit_row_stem(timed(cell, run), case.species, hook, run, foot=foot, others=others)
     )
     log = cell.world.log()
     found |= touched(log) | {"string_pull": string_pull(cell.world, log), "plants": len(grown.plants)}
     found |= {"notes": notes(run)}
     if done is not None:
         found |= {"thought_s": thought(found, run), "approach_s": approach(found.get("phases_s", {}))}
+        found["ahead_s"] = sum(took(run, name) for name in AHEAD)
         found["flowers_seen"], found["flowers_there"] = (
             len(run.results["flowers"].positions),
             len(cell.plant.flower_segment),
@@ -91,13 +96,14 @@ def one(row: Row, folder: Path) -> Row:
 
 
 def thought(row: Row, run: Brief) -> float:
-    """Return what thought took while the arm waited [s].
-
-    Of wall and processor time the lesser counts: other programs share the machine. What is thought while the arm is on
-    its way counts as approach alone.
-    """
-    seconds = sum(min(run.total[name], run.cpu[name]) for name in COMPUTE if name in run.total)
+    """Return what thought took while arm and cart waited [s]. What is thought on the arm's way counts as approach."""
+    seconds = sum(took(run, name) for name in COMPUTE if name not in AHEAD)
     return max(seconds - overlap(row.get("phases_s", {}), run), 0.0)
+
+
+def took(run: Brief, name: str) -> float:
+    """Return what a stage took [s]: of wall and processor time the lesser, as other programs share the machine."""
+    return min(run.total.get(name, 0.0), run.cpu.get(name, 0.0))
 
 
 def approach(phases: dict[str, float]) -> float:
@@ -157,7 +163,7 @@ def metrics(rows: Sequence[Row]) -> dict[str, float]:
     cycles = np.array([cycle(row) for row in shook])
     low, high = bootstrap(cycles)
     table |= {"cycle_s": median(cycles), "cycle_s_low": low, "cycle_s_high": high}
-    return table | {part: median(row[part] for row in shook) for part in PARTS}
+    return table | {part: median(row[part] for row in shook) for part in (*PARTS, "ahead_s")}
 
 
 def report(rows: Sequence[Row], found: dict[str, float]) -> list[RenderableType]:
@@ -167,7 +173,7 @@ def report(rows: Sequence[Row], found: dict[str, float]) -> list[RenderableType]
     crops = {"": f"{found['rows']:.0f} rows (95 % interval)"} | {f"_{crop}": crop for crop in CROPS}
     crops |= {"_helios": f"{found['rows_helios']:.0f} of Helios"} if found["rows_helios"] else {}
     shares = {text: f"{key}*:.0% ({key}*_low:.0% to {key}*_high:.0%)" for key, text in words.items()}
-    parts = {part: part[:-2] for part in (*PARTS, "cycle_s")}
+    parts = {part: part[:-2] for part in (*PARTS, "cycle_s")} | {"ahead_s": "thought ahead, meanwhile"}
     name = {"own": "", "helios": "Helios's "}
     each = [
         (f"{name[row.get('generator', 'own')]}{row['species']} {row['seed']}", "yes" if held(row) else "no",

@@ -9,11 +9,12 @@ import pytest
 
 from anther.core.errors import StageFailure
 from anther.core.geometry import Array
+from anther.perception import skeleton
 from anther.perception.cloud import Cloud
 from anther.perception.hanging import StringLine, find_hanging_stem
 from anther.perception.skeleton import Skeleton, skeletonize
 from anther.plant.string import HeldString
-from anther.pollination.pipeline import Params, _hung, _topped
+from anther.pollination.pipeline import Params, _hung, _topped, _tree
 
 RADIUS = 0.005
 
@@ -70,6 +71,31 @@ def test_a_stem_goes_on_behind_a_leaf() -> None:
     assert len(hidden.points) < len(found.completed(hidden).points)
 
 
+def test_a_tree_that_gets_to_the_top_round_through_leaves_is_made_again_along_the_stem(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    cloud, string = cloud_of(stem_seen(), blade(0.2)), HeldString.of("tomato", (0.705, 0, 1.2))
+    hung, params = _hung(cloud, replace(Params(), plant=replace(Params().plant, string=string)))
+    assert hung is not None
+    z = np.linspace(0, 0.5, 51)
+    straight, parent = leaning(z), np.arange(51) - 1
+    round_about = straight + np.outer(0.06 * np.sin(np.pi * np.clip((z - 0.2) / 0.1, 0, 1)), [0, 1, 0])
+    assert hung.is_followed(straight, parent)
+    assert not hung.is_followed(round_about, parent)
+    leaf = np.concatenate([straight, straight[20] + np.outer(np.linspace(0.01, 0.1, 10), [0, 1.0, 0])])
+    assert hung.is_followed(leaf, np.append(parent, [20, *range(51, 60)])), "a leaf may go where it likes"
+    given = list[Cloud]()
+
+    def skeletonized(shown: Cloud, *_: object) -> Skeleton:
+        given.append(shown)
+        nodes = round_about if len(given) == 1 else straight
+        return Skeleton(nodes, parent, np.full(51, RADIUS))
+
+    monkeypatch.setattr(skeleton, "skeletonize", skeletonized)
+    np.testing.assert_allclose(_tree(cloud, hung, params, None).nodes, straight)
+    assert len(given[1].points) > len(given[0].points) >= len(cloud.points)
+
+
 def test_of_two_stems_the_asked_one_is_that_below_the_hook() -> None:
     own, (points, normals) = stem_seen(), stem_seen(-0.1)
     both = cloud_of(own, (points + np.array([0, 0.12, 0]), normals))
@@ -109,14 +135,14 @@ def test_no_stem_below_the_hook_is_said() -> None:
 
 def test_the_pipeline_takes_the_hook_unless_the_stem_is_named() -> None:
     cloud, params = cloud_of(stem_seen()), Params()
-    assert _hung(cloud, params) == (cloud, params)
+    assert _hung(cloud, params) == (None, params)
     hung = replace(params, plant=replace(params.plant, string=HeldString.of("tomato", (0.7, 0.0, 1.2))))
     _, named = _hung(cloud, hung)
     assert named.skeleton.root is not None
     assert named.stem.tip is not None
     assert named.stem.tip[2] > named.skeleton.root[2] + 0.4
     rooted = replace(hung, skeleton=replace(params.skeleton, root=(0.7, 0.0, 0.1)))
-    assert _hung(cloud, rooted) == (cloud, rooted)
+    assert _hung(cloud, rooted) == (None, rooted)
 
 
 def test_a_hanging_stem_ends_where_its_tree_does_though_more_of_it_is_seen() -> None:

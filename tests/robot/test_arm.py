@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from anther.core.errors import InputError, StageFailure
-from anther.core.geometry import Box, transform
+from anther.core.geometry import Box, transform, transform_points
 from anther.robot.arm import _kinematics, motions, shaking
 from anther.robot.arm._collision import CollisionWorld
 from anther.robot.arm._kinematics import newton_step
@@ -421,3 +422,24 @@ def test_joined_motions_follow_each_other():
     assert both.duration == pytest.approx(there.duration + back.duration)
     np.testing.assert_allclose(both.positions[[0, -1]], [path[0], path[0]], atol=1e-9)
     assert_within_limits(both)
+
+
+def test_a_planner_among_what_has_moved_goes_the_ways_that_were_known(planner, monkeypatch):
+    """A search takes longer than there is time for: here it finds nothing."""
+    known = planner.moved(np.eye(4))
+    joints = known.reach(PREGRASP, GRASP)
+    by = transform(Rotation.from_rotvec([0, 0, 0.02]).as_matrix(), [0.01, -0.008, 0.004])
+    elsewhere = known.moved(by)
+    from_moved = KDTree(transform_points(by, known.plant)).query(elsewhere.plant)[0]
+    assert from_moved.max() < 0.03, "cubes of a grid"
+    monkeypatch.setattr(Planner, "_search", lambda *_: None)
+    near = elsewhere.reach(by @ PREGRASP, by @ GRASP)
+    assert np.abs(near - joints).max() < 0.1
+    np.testing.assert_allclose(SAWYER.forward(near), by @ GRASP, atol=1e-4)
+    before = elsewhere.line(near, by @ PREGRASP).positions[-1]
+    motion = elsewhere.move(SAWYER.ready, before)
+    assert elsewhere.world.path_free(motion.positions)
+    np.testing.assert_allclose(motion.positions[-1], before, atol=1e-6)
+    blocked = Planner(*elsewhere._around[:2], [Box(np.array([0.3, -0.4, -0.4]), np.array([0.6, 0.4, 0.4]))])
+    blocked._known = list(known._known)
+    assert blocked.reach(by @ PREGRASP, by @ GRASP) is None, "a known way is gone only where it is free"

@@ -11,7 +11,7 @@ from anther.core.geometry import inverse, transform_points
 from anther.sim import draw, drive_past, grow_row
 from anther.sim.render import d455
 from anther.sim.row_cell import before_arm
-from anther.sim.row_drive import BEYOND, RATE, drive_up
+from anther.sim.row_drive import BEYOND, RATE, look_ahead
 
 
 @pytest.mark.parametrize("crop", ["tomato", "pepper"])
@@ -41,20 +41,22 @@ def test_the_odometry_goes_wrong_and_the_cart_does_not() -> None:
 
 
 @pytest.mark.parametrize("crop", ["tomato", "pepper"])
-def test_on_the_way_to_a_plant_the_camera_has_it_in_view_and_knows_the_last_place_best(crop: Crop) -> None:
+def test_a_stem_ahead_the_camera_has_the_plant_in_view_and_odometry_errs_until_the_cart_stands(
+    crop: Crop,
+) -> None:
     before = before_arm(grow_row(crop, 5, 4))
     beside = before.worked.end[before.worked.stem_segments()]
     stem = beside[np.abs(beside[:, 2] - before.flowers[2]) < 0.1]
     errors = []
     for seed in range(20):
-        believed, true = drive_up(before, np.random.default_rng(seed), draw(seed))
+        believed, true = look_ahead(before, np.random.default_rng(seed), draw(seed))
         pixels = np.array([d455().project(transform_points(inverse(T), stem)) for T in true])
         assert ((pixels >= 0) & (pixels < [1280, 720])).all(axis=2).mean() > 0.9
         assert (np.diff(true[:, 1, 3]) > 0).all(), "on along the rails"
         errors.append(np.linalg.norm(believed[:, :3, 3] - true[:, :3, 3], axis=1))
     spread = np.sqrt(np.mean(np.square(errors), axis=0))
-    assert spread[-1] < 0.004, "calibration alone"
-    assert spread[0] > 0.006, "odometry backwards from there"
+    assert 0.005 < spread[-1] < 0.02, "from there to where the cart stands"
+    assert spread[0] > 1.2 * spread[-1]
 
 
 def test_every_post_has_a_tag_of_its_own_towards_the_path() -> None:

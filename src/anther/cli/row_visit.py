@@ -13,6 +13,7 @@ from anther.core.runs import Run
 from anther.history import Order, Report, earlier_shake, starting_material
 from anther.plant.visit import Visit
 from anther.pollination import visit_row_stem
+from anther.pollination.row import AHEAD
 from anther.show.results import EXECUTED, SUMMARY
 from anther.show.summary import summarise
 from anther.sim import STEM_TO_STEM, Row, build_row, mapped_others, mapped_string
@@ -35,8 +36,8 @@ def visit_stem(row: Row, order: Order, history: str, folder: Path, *, quiet: boo
     """Visit the plant of a row that is asked for, in its own run folder; its stages are shown, unless it is `quiet`.
 
     The robot knows what its cell holds, and the place of the stem's hook as a map has it.
-    The report's time is the simulator's for motions, and this computer's for what is computed: of wall and processor
-    time the lesser, as other programs share it.
+    The report's time is the simulator's for motions, and this computer's for what is computed once the cart stands: of
+    wall and processor time the lesser, as other programs share it.
     """
     belief = starting_material(order.species, order.plant, history)
     earlier = earlier_shake(order.species, order.plant, history)
@@ -69,8 +70,10 @@ def visit_stem(row: Row, order: Order, history: str, folder: Path, *, quiet: boo
     note_times(run)
     finish(run)
     stages = run.seconds.keys() - BY_THE_SIMULATOR
-    thought = sum(min(run.seconds[stage], run.cpu_seconds[stage]) for stage in stages)
+    took = {stage: min(run.seconds[stage], run.cpu_seconds[stage]) for stage in stages}
+    ahead = sum(took.pop(stage, 0.0) for stage in AHEAD)
     moved = (visit.simulated_capture_seconds or 0.0) + (visit.simulated_execution_seconds or 0.0)
     entry = 120.0  # s to enter a row (a guess)
     travel = entry if order.enters else STEM_TO_STEM
-    return Report(visit, order.begin + timedelta(seconds=travel + moved + thought))
+    waits = max(0.0, ahead - travel - moved)  # for what is thought during the visit before, taken to be as long
+    return Report(visit, order.begin + timedelta(seconds=travel + waits + moved + sum(took.values())))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from anther.core.choices import Crop
-from anther.core.geometry import Array, interpolate
+from anther.core.geometry import Array, interpolate, transform_points
 from anther.core.records import Range, Shape, Stored
 from anther.perception.cloud import Cloud
 from anther.perception.hanging import StringLine
@@ -43,6 +43,10 @@ class Flowers(Stored):
     positions: Annotated[Array, Shape("F", 3), Range(unit="m")]
     attachment: Annotated[NDArray[np.int64], Shape("F")]
     notes: tuple[str, ...] = ()
+
+    def moved(self, T: Array) -> Flowers:
+        """Return them moved by T (4, 4)."""
+        return replace(self, positions=transform_points(T, self.positions))
 
 
 def find_flowers(

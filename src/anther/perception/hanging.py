@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter1d, maximum_filter, uniform_filter
+from scipy.spatial import KDTree
 
 from anther.core.errors import StageFailure
 from anther.core.geometry import Array, interpolate
@@ -89,17 +90,32 @@ class HangingStem:
     axis: Array
     seen: NDArray[np.bool_]
 
-    def completed(self, cloud: Cloud) -> Cloud:
-        """Return the cloud with the stem's surface where it is hidden: for its skeleton, not for what is in the way."""
+    def completed(self, cloud: Cloud, *, whole: bool = False) -> Cloud:
+        """Return the cloud with the stem's surface where it is hidden, or everywhere if `whole`.
+
+        That is for its skeleton, not for what is in the way.
+        """
         fine = np.arange(0, len(self.axis) - 1, 0.15)
         line = interpolate(fine, np.arange(len(self.axis)), self.axis)
-        line = line[~self.seen[np.round(fine).astype(int)]]
+        line = line[whole | ~self.seen[np.round(fine).astype(int)]]
         turn = np.linspace(0, 2 * np.pi, 16, endpoint=False)
         radius = 0.004  # m, where the stem is hidden: a guess; the skeleton's own radii there come from it
         ring = radius * np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
         new = (line[:, None] + ring).reshape(-1, 3)
         labels = np.concatenate([cloud.labels, np.full(len(new), PLANT, np.uint8)])  # type: ignore[list-item]
         return replace(cloud, points=np.vstack([cloud.points, new]), labels=labels, normals=None, colors=None)
+
+    def is_followed(self, nodes: Array, parent: NDArray[np.int64]) -> bool:
+        """Return whether a tree of nodes (J, 3) [m] with parents (J,) leads up the stem, and not round through leaves.
+
+        Where a seen stem is thin, a tree may be open: it then gets to what is above by another way.
+        """
+        on, off = 0.012, 0.03  # m from the axis: of a stem as thick as they come, and of no stem
+        away = KDTree(self.axis).query(nodes)[0]
+        j = int(np.where(away < on, nodes[:, 2], -np.inf).argmax())
+        while j >= 0 and away[j] < off:
+            j = int(parent[j])
+        return j < 0
 
 
 def find_hanging_stem(cloud: Cloud, string: StringLine) -> HangingStem:

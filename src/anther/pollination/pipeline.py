@@ -12,14 +12,14 @@ from pathlib import Path
 import numpy as np
 
 from anther.core.choices import ActuatorName, Crop, MaskSource
-from anther.core.errors import FailureKind, InputError, StageFailure
+from anther.core.errors import FailureKind, InputError, StageFailure, bad_input
 from anther.core.geometry import Array, Box
 from anther.core.runs import Advance, Run
 from anther.perception import cloud, flowers, masks, skeleton, stem
 from anther.perception.capture import Capture, CaptureWriter, View
 from anther.perception.cloud import Cloud, likely_cause
 from anther.perception.flowers import Flowers
-from anther.perception.hanging import find_hanging_stem
+from anther.perception.hanging import HangingStem, find_hanging_stem
 from anther.perception.incoming import FirstLook, IncomingViews
 from anther.perception.masks import Masks, by_words, without_ground
 from anther.perception.skeleton import Plants, Skeleton
@@ -105,6 +105,10 @@ class Seen:
         """The plants in view, of which the asked one is that of the skeleton."""
         return skeleton.find_plants(self.cloud.points, self.skeleton.nodes[0])
 
+    def moved(self, T: Array) -> Seen:
+        """Return all of it moved by T (4, 4)."""
+        return Seen(self.masks, self.cloud.moved(T), self.skeleton.moved(T), self.stem, self.flowers.moved(T))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Done:
@@ -157,8 +161,8 @@ def perceive(
             ),
         )
         middle = None if workspace is None else (workspace.lower + workspace.upper) / 2
-        shown, named = _hung(fused, params)
-        tree = run.stage("skeleton", Skeleton.load, lambda _: skeleton.skeletonize(shown, named.skeleton, middle))
+        hung, named = _hung(fused, params)
+        tree = run.stage("skeleton", Skeleton.load, lambda _: _tree(fused, hung, named, middle))
         if params.stem.tip is None:
             named = _topped(tree, named)
         centres = flowers.flower_centres(fused)
@@ -171,18 +175,28 @@ def perceive(
     return Seen(labels, fused, tree, main, found)
 
 
-def _hung(fused: Cloud, params: Params) -> tuple[Cloud, Params]:
-    """Return cloud and parameters with which the stem on a string becomes a skeleton, if its hook is known.
+def _hung(fused: Cloud, params: Params) -> tuple[HangingStem | None, Params]:
+    """Return the stem on a string, and the parameters with which it becomes a skeleton, if its hook is known.
 
     Raises:
         StageFailure: no stem hangs there.
     """
     if params.plant.string is None or params.skeleton.root is not None or params.skeleton.plant is not None:
-        return fused, params
+        return None, params
     hung = find_hanging_stem(fused, params.plant.string.line)
     root, tip = (tuple(hung.axis[end].tolist()) for end in (0, -1))
     own = params.stem if params.stem.tip is not None else replace(params.stem, tip=tip)
-    return hung.completed(fused), replace(params, skeleton=replace(params.skeleton, root=root), stem=own)
+    return hung, replace(params, skeleton=replace(params.skeleton, root=root), stem=own)
+
+
+def _tree(fused: Cloud, hung: HangingStem | None, params: Params, middle: Array | None) -> Skeleton:
+    """Return the skeleton, of a stem on a string with the pieces that are hidden."""
+    if hung is None:
+        return skeleton.skeletonize(fused, params.skeleton, middle)
+    tree = skeleton.skeletonize(hung.completed(fused), params.skeleton, middle)
+    if hung.is_followed(tree.nodes, tree.parent):
+        return tree
+    return skeleton.skeletonize(hung.completed(fused, whole=True), params.skeleton, middle)
 
 
 def _topped(tree: Skeleton, params: Params) -> Params:
@@ -231,12 +245,15 @@ def rank_grasps(seen: Seen, reach: grasp.Reach | None, run: Run, params: Params)
     Raises:
         StageFailure: there is none.
     """
-    return run.stage(
-        "grasp",
-        grasp.load_grasps,
-        lambda _: grasp.plan_grasps(seen.stem, seen.skeleton, seen.cloud, params.grasp, reach=reach),
-        save=lambda ranked, path: grasp.save_grasps(path, ranked),
-    )
+    return run.stage("grasp", grasp.load_grasps, lambda _: _ranked(seen, reach, params), save=_save_grasps)
+
+
+def _ranked(seen: Seen, reach: grasp.Reach | None, params: Params) -> list[Grasp]:
+    return grasp.plan_grasps(seen.stem, seen.skeleton, seen.cloud, params.grasp, reach=reach)
+
+
+def _save_grasps(ranked: list[Grasp], path: Path) -> None:
+    grasp.save_grasps(path, ranked)
 
 
 def model_plant(seen: Seen, material: Material, params: Params) -> PlantModel:
@@ -275,8 +292,10 @@ def pollinate(
             save=lambda capture, _: writer.finish(capture),
         )
         seen = perceive(capture, cell.workspace, run, params, find_masks, incoming.first_look(capture.views))
-    planner = cell.plan_around(seen.cloud)
+    planner = run.timed("planner", lambda _: cell.plan_around(seen.cloud))
     grasps = rank_grasps(seen, planner.reach, run, params)
+    if cell.drive_up is not None:
+        seen, planner, grasps = _driven_up(cell, cell.drive_up, seen, planner, grasps, run, params)
     with ThreadPoolExecutor(1) as beside:  # the plant is modelled while the early reach is planned
         modelled = beside.submit(model_plant, seen, material, params)
         with early_reach(planner, grasps[0], cell.robot, cell.limits) as arrive:
@@ -292,6 +311,43 @@ def pollinate(
     observed = [ObservedShake.of(shake, answer, NOT_MEASURED if joints is None else measure_grip(trial, shake, joints))]
     learned = run.timed("learning", lambda _: refine(rods, observed, pads=params.shake.pads))
     return Done(shake, trial, answer, learned.material, rods.material, learned.pads, alone, planned)
+
+
+def _driven_up(
+    cell: Cell,
+    drive_up: Callable[[], None],
+    seen: Seen,
+    planner: MotionPlanner,
+    grasps: list[Grasp],
+    run: Run,
+    params: Params,
+) -> tuple[Seen, MotionPlanner, list[Grasp]]:
+    """Return what was seen on the way, a planner and the grasps in reach, as the side camera has them after the drive.
+
+    Raises:
+        InputError: there is no side camera.
+        StageFailure: "no_plant_found": the plant is not there; or there is no grasp any more.
+    """
+    camera, pose = cell.robot.side_camera, cell.robot.T_world_side_camera
+    if camera is None or pose is None:
+        do = "Name one, or take the views from where the cart stands."
+        raise bad_input("side camera", given="none, in a cell that looks ahead", allowed="a side camera", do=do)
+    drive_up()
+    frame = camera.read()
+    view = View(frame.depth, frame.rgb, camera.intrinsics, pose)
+
+    def found(_: Advance) -> tuple[Seen, MotionPlanner, list[Grasp]]:
+        T_now_then = cloud.moved_since(seen.cloud, view, cell.workspace)
+        here, around = seen.moved(T_now_then), planner.moved(T_now_then)
+        reached = grasp.still_reached([one.moved(T_now_then) for one in grasps], around.reach)
+        return here, around, reached or _ranked(here, around.reach, params)
+
+    here, around, reached = run.timed("place", found)
+    run.stage("cloud", Cloud.load, lambda _: here.cloud)
+    run.stage("skeleton", Skeleton.load, lambda _: here.skeleton)
+    run.stage("flowers", Flowers.load, lambda _: here.flowers)
+    run.stage("grasp", grasp.load_grasps, lambda _: reached, save=_save_grasps)
+    return here, around, reached
 
 
 def _as_carried(params: Params, odometry: float) -> Params:

@@ -16,6 +16,9 @@ from anther.plant.string import Ends, HeldString
 from anther.pollination.pipeline import Done, FindMasks, Params, pollinate
 from anther.robot.cell import Cell
 
+AHEAD = ("masks", "cloud", "skeleton", "stem", "flowers", "planner", "grasp")
+"""Stages of a visit that need no more than the views on the way."""
+
 
 def visit_row_stem(
     cell: Cell,
@@ -32,7 +35,9 @@ def visit_row_stem(
 ) -> Done:
     """See, grasp and shake the stem that hangs on a hook, and measure how its flowers answer.
 
-    Views that a cart's camera takes come in the order of its way, the last where it stands (`Cell.odometry`).
+    Views that a cart's camera takes come in the order of its way, the last next to where it stands (`Cell.odometry`).
+    Where they are taken before the cart drives up (`Cell.drive_up`), the stages of `AHEAD` are thought meanwhile: while
+    the stem before is worked on.
 
     Args:
         cell: the robot, its cart before the stem.

@@ -44,6 +44,10 @@ class TrajectoryPlanner(Protocol):
 class MotionPlanner(TrajectoryPlanner, Protocol):
     """What a trial asks of an arm's planner, beyond the motions that execution asks for."""
 
+    def moved(self, T: Array) -> MotionPlanner:
+        """Return a planner among what the cloud shows, moved by T (4, 4)."""
+        ...
+
     def reach(self, T_world_pregrasp: Array, T_world_grasp: Array) -> Array | None:
         """See `grasp.Reach`."""
         ...
@@ -73,6 +77,8 @@ class Cell:
         workspace: box the plant stands in, world [m].
         limits: what no command may exceed.
         odometry: of a cart that carries that camera, standard deviation per axis after a metre [m]; 0: an arm does.
+        drive_up: brings the robot from where the views were taken to where they say that it stands, as far as odometry
+            can say; the side camera then shows where it does. None: it stands there.
     """
 
     take_views: Callable[[Advance, Keep], Capture]
@@ -81,3 +87,4 @@ class Cell:
     workspace: Box
     limits: SafetyLimits
     odometry: float = 0.0
+    drive_up: Callable[[], None] | None = None

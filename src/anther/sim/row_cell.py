@@ -20,10 +20,10 @@ from anther.robot.arm.sawyer import SAWYER
 from anther.robot.arm.waiting import waiting_joints
 from anther.robot.devices import Tap, no_tap
 from anther.sim import cell as world
-from anther.sim.capture import Sight, camera_errors, capture_from_poses, in_poses
+from anther.sim.capture import Sight, camera_errors, capture_from_poses, in_poses, perturbed_hand_eye
 from anther.sim.render import Scene
 from anther.sim.row import Row, row_scene
-from anther.sim.row_drive import BETWEEN_VIEWS, drive_up
+from anther.sim.row_drive import BETWEEN_VIEWS, STEM_TO_STEM, look_ahead
 from anther.sim.row_plants import STRINGS, held_by_string
 from anther.sim.simulated_cell import Layout, SimulatedCell, around, usual_distance
 from anther.sim.sway import calm_time
@@ -158,9 +158,10 @@ def row_world(row: Row, truth: Truth = NOMINAL, arm: ArmModel = SAWYER, joints: 
 def build_row(
     row: Row, *, truth: Truth = NOMINAL, visit: int = 0, tap: Tap = no_tap, arm: ArmModel = SAWYER
 ) -> SimulatedCell:
-    """Build the cell of an arm on a cart that has driven up to the plant that is asked for.
+    """Build the cell of an arm on a cart that drives up to the plant that is asked for.
 
-    A camera on the cart has taken the views on the way (`row_drive.drive_up`). See `simulated_cell.build`.
+    A camera on the cart takes the views on the way (`row_drive.look_ahead`), before the cart drives up; the calibration
+    of the side camera errs as theirs does. See `simulated_cell.build`.
 
     Raises:
         StageFailure: "unreachable" when there is no place for the arm to wait.
@@ -172,11 +173,21 @@ def build_row(
     noise = int(np.random.default_rng([row.seed, 15 + 10 * visit]).integers(1 << 31))
 
     def take_views(advance: Advance, keep: Keep) -> Capture:
-        believed, true = drive_up(row, rng, truth)
+        believed, true = look_ahead(row, rng, truth)
         how: dict[str, Any] = {"rng": rng, "errors": camera_errors(truth), "progress": advance, "keep": keep}
         return capture_from_poses(_after_wind(mujoco, scene, len(true)), believed, T_world_cam_true=true, **how)[0]
 
-    return around(mujoco, scene, take_views, place, noise, tap, odometry=ODOMETRY)
+    def drive_up() -> None:
+        if truth.wind:
+            _blow(mujoco, STEM_TO_STEM)
+            mujoco.forget()
+
+    calibrated = place.T_world_side_camera
+    true = perturbed_hand_eye(calibrated, np.random.default_rng([row.seed, 21]), factor=truth.hand_eye_error)
+    cell = around(mujoco, scene, take_views, replace(place, T_world_side_camera=true), noise, tap)
+    robot = replace(cell.robot_side.robot, T_world_side_camera=calibrated)
+    given = replace(cell.robot_side, robot=robot, odometry=ODOMETRY, drive_up=drive_up)
+    return replace(cell, robot_side=given)
 
 
 def _waits(place: Layout, arm: ArmModel) -> Array:

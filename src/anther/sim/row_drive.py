@@ -131,17 +131,20 @@ VIEWS = 6
 WIDEST = 0.48
 """How far along the rails from the plant the first and the last view are, of the camera's distance from the plant's
 line: the camera then still has the plant in view (its half field of view across is 29 degrees)."""
+LEAD = 0.4
+"""By how much farther ahead of the arm than it sees the camera of the visits is [m]: about from stem to stem, so that a
+stem's views are all taken when the cart stands before the one that is visited earlier."""
 STEM_TO_STEM = 2.0
 """What a cart takes from one stem to the next [s]: 0.4 m at 0.3 m/s until it stands (a guess)."""
 BETWEEN_VIEWS = 0.5
 """While the cart drives [s]: as long as it takes for 0.15 m."""
 
 
-def drive_up(row: Row, rng: np.random.Generator, truth: Truth = NOMINAL) -> tuple[Array, Array]:
+def look_ahead(row: Row, rng: np.random.Generator, truth: Truth = NOMINAL) -> tuple[Array, Array]:
     """Return T_world_cam (V, 4, 4) of the views on the way to the plant asked for, as believed and as they truly are.
 
-    The camera of `side_camera` is ahead of the arm, so far that it still sees the plant when the cart stands: where the
-    cart was at the views before, odometry says, backwards from there. Rocking counts against the cart that stands.
+    The camera of `side_camera` is ahead of the arm: the last view is taken `LEAD` before the cart stands. Where the
+    cart was at each, odometry says, backwards from where it stands. Rocking counts against the cart that stands.
 
     Args:
         row: in the frame of the arm (`row_cell.before_arm`).
@@ -150,13 +153,12 @@ def drive_up(row: Row, rng: np.random.Generator, truth: Truth = NOMINAL) -> tupl
     """
     T_cart_cam = side_camera(row)
     ahead = WIDEST * (row.measures.near - T_cart_cam[0, 3])
-    before = np.linspace(-2 * ahead, 0, VIEWS)  # of where it stands in the end
-    read = _odometry(before, rng, truth)
+    before = np.linspace(-2 * ahead, 0, VIEWS) - LEAD  # of where it stands in the end
+    read = _odometry(np.append(before, 0.0), rng, truth)
     rocked = pose_errors(VIEWS, camera_errors(truth, ROCK), rng)
-    rocked[-1] = np.eye(4)
     calibrated = perturbed_hand_eye(T_cart_cam, rng, factor=truth.hand_eye_error)
-    stands = row.origin * [1, 0, 1] + [0, ahead, 0]
-    return _carts(stands, read - read[-1]) @ calibrated, _carts(stands, before) @ rocked @ T_cart_cam
+    stands = row.origin * [1, 0, 1] + [0, ahead + LEAD, 0]
+    return _carts(stands, read[:-1] - read[-1]) @ calibrated, _carts(stands, before) @ rocked @ T_cart_cam
 
 
 def _odometry(place: Array, rng: np.random.Generator, truth: Truth) -> Array:

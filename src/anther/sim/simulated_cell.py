@@ -196,7 +196,6 @@ def around(
     noise: int,
     tap: Tap,
     views: Views | None = None,
-    odometry: float = 0.0,
 ) -> SimulatedCell:
     """Return the cell of an arm and a plant: what takes views, plans motions and moves, and what that is judged by.
 
@@ -208,7 +207,6 @@ def around(
         noise: seed of the errors of machines and side camera.
         tap: listens to the bare machines.
         views: of the arm, if it takes them.
-        odometry: of the cart that does, see `robot.Cell`.
     """
     truth, arm = mujoco.truth, mujoco.arm
     seen_from, limits = place.T_world_side_camera, safety_limits(place, arm)
@@ -222,7 +220,7 @@ def around(
         return Planner(cloud.yielding, cloud.rigid, place.solids, space=place.arm_space, params=params, arm=arm)
 
     robot = guard(tap(robot, limits, arm.tool.T_flange_cam, lambda: mujoco.time), limits)
-    given = Cell(take_views, plan_around, robot, place.workspace, limits, odometry)
+    given = Cell(take_views, plan_around, robot, place.workspace, limits)
     return SimulatedCell(mujoco.plant, mujoco, given, views)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -31,6 +31,7 @@ from anther.perception.cloud._fusion import (
     occupied_cells,
     surface_pixels,
 )
+from anther.perception.cloud._seen_again import find_again
 from anther.perception.cloud._warnings import (
     find_disagreement,
     likely_cause,
@@ -44,7 +45,7 @@ from anther.perception.cloud.ply import read_ply, write_ply
 from anther.perception.coverage import describe_depth
 from anther.perception.masks import BACKGROUND, LEAST_PIXELS, Masks, observed
 
-__all__ = ["Cloud", "Params", "Support", "Surface", "fuse", "likely_cause", "surface"]
+__all__ = ["Cloud", "Params", "Support", "Surface", "fuse", "likely_cause", "moved_since", "surface"]
 
 Progress = Callable[[int, int], None]
 """Called with the number of steps done and of all."""
@@ -106,6 +107,10 @@ class Support(Record):
         """Return it so many times as large, about the world's origin."""
         return Support(self.kind, factor * self.axis, factor * self.radius, factor * self.points)
 
+    def moved(self, T: Array) -> Support:
+        """Return it moved by T (4, 4)."""
+        return Support(self.kind, transform_points(T, self.axis), self.radius, transform_points(T, self.points))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cloud(Stored):
@@ -159,6 +164,23 @@ class Cloud(Stored):
     def yielding(self) -> Array:
         """(N, 3) points of what gives way [m]: plants, what is loose, and strings."""
         return np.concatenate([self.points, self.loose, *(s.points for s in self.supports if s.soft)])
+
+    @property
+    def surface(self) -> Array:
+        """(N, 3) points of all that was seen well: plants, what is loose, and supports [m]."""
+        return np.concatenate([self.points, self.loose, *(s.points for s in self.supports)])
+
+    def moved(self, T: Array) -> Cloud:
+        """Return all of it moved by T (4, 4)."""
+        return replace(
+            self,
+            points=transform_points(T, self.points),
+            normals=None if self.normals is None else self.normals @ T[:3, :3].T,
+            obstacles=transform_points(T, self.obstacles),
+            T_world_cam=None if self.T_world_cam is None else T @ self.T_world_cam,
+            supports=tuple(support.moved(T) for support in self.supports),
+            loose=transform_points(T, self.loose),
+        )
 
     def save(self, path: Path | str) -> None:
         """Write all points as binary PLY (labels as a vertex property) and the rest as .npz of the same name."""
@@ -287,6 +309,23 @@ def surface(view: View, workspace: Box) -> Surface:
     near = np.zeros(view.depth.shape, dtype=bool)
     near.ravel()[observed(view._replace(rgb=None), _wide(workspace)).pixels] = True
     return _surface(view, near)
+
+
+def moved_since(cloud: Cloud, view: View, workspace: Box) -> Array:
+    """Return T_now_then (4, 4), which moves what was seen on a cart's way to where a view from where it stands has it.
+
+    Args:
+        cloud: of the views that were taken on the way.
+        view: taken where the cart stands, its pose known.
+        workspace: where the plant may be, world [m].
+
+    Raises:
+        StageFailure: "no_plant_found": the view does not show what was seen.
+    """
+    points = transform_points(view.T_world_cam, view.intrinsics.points(view.depth, surface(view, workspace).pixels))
+    assert cloud.T_world_cam is not None, "it was seen by a camera"
+    way = cloud.T_world_cam[-1, :3, 3] - cloud.T_world_cam[0, :3, 3]
+    return find_again(cloud.surface, way, points[workspace.contains(points)])
 
 
 def _surface(view: View, mask: NDArray[np.bool_]) -> Surface:

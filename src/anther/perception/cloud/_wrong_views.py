@@ -5,7 +5,7 @@ Dimensions: V views, N points, P pairs.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -66,7 +66,7 @@ class Sample:
             if len(fine) < NEIGHBOURS:
                 return np.zeros((0, 3)), np.zeros((0, 3))
             chosen = fine[order[order < len(fine)][:most]]
-            return chosen, _normals(chosen, fine)
+            return chosen, normals_at(chosen, fine)
 
         views = in_threads(thinned, range(len(points_cam)))
         p, n = (np.concatenate([np.zeros((0, 3)), *columns]) for columns in zip(*views, strict=True))
@@ -117,7 +117,7 @@ def plane_distances(sample: Sample, at: Estimate, pairs: NDArray[Any]) -> Array:
     return np.abs(np.einsum("pi,pi->p", mean, world[pairs[:, 0]] - world[pairs[:, 1]]))
 
 
-def _normals(points: Array, cloud: Array) -> Array:
+def normals_at(points: Array, cloud: Array) -> Array:
     """Return the unit normals (N, 3), towards the camera, of planes through the nearest points of `cloud` (M, 3)."""
     near, _ = small_gicp.KdTree(cloud).batch_knn_search(points, NEIGHBOURS)
     around = cloud[near.astype(np.int64)]
@@ -171,33 +171,43 @@ def agreement(sample: Sample, at: Estimate, views: Iterable[int]) -> Array:
     """
     sample = sample.only(np.arange(len(sample.view)) % 4 == 0)
     points, normals = sample.world(at)
-    return np.array(in_threads(lambda v: _agreement(points, normals, sample.view == v), views))
+    return np.array(in_threads(lambda v: share_on_surfaces(points, normals, sample.view == v), views))
 
 
 def relocate_view(sample: Sample, at: Estimate, view: int) -> tuple[float, Array]:
     """Return the pose (4, 4) near the view's present one that fits the other views best, and how well it agrees.
 
     All shifts up to `SEARCH` along each axis are scored by how close the points come to the other views'; the best
-    are refined by point-to-plane ICP, and the one that agrees best is returned. small_gicp's own tolerances, 0.1 deg
-    and 1 mm, stop too early (facts: perception).
+    are refined by point-to-plane ICP, and the one that agrees best is returned.
     """
-    step = _shift_step()
+    step = SEARCH / 4
     points, _ = sample.world(at)
     own = sample.view == view
     others = points[~own]
-    target, unbiased, tried = _with_normals(others), _with_normals(sample.unbiased(at.reach)[own]), []
+    target, unbiased, tried = with_normals(others), with_normals(sample.unbiased(at.reach)[own]), []
     tree = small_gicp.KdTree(target, num_threads=THREADS)
-    for shift in _best_shifts(points[own], tree, most=3):
+    for shift in best_shifts(points[own], tree, grid([SEARCH] * 3, step), step, most=3):
         poses = at.poses.copy()
         poses[view, :3, 3] += shift
-        for distance in (2 * step, step / 2):
-            poses[view] = np.asarray(small_gicp.align(
-                target, unbiased, tree, poses[view], registration_type="PLANE_ICP",
-                max_correspondence_distance=distance, num_threads=THREADS, max_iterations=60,
-                rotation_epsilon=1e-5, translation_epsilon=1e-6,
-            ).T_target_source)  # fmt: skip
+        poses[view] = refined(target, unbiased, tree, poses[view], step)
         tried.append((float(np.nan_to_num(agreement(sample, Estimate(poses, at.reach), [view])[0])), poses[view]))
     return max(tried, key=lambda found: found[0])
+
+
+def refined(
+    target: small_gicp.PointCloud, source: small_gicp.PointCloud, tree: small_gicp.KdTree, T: Array, step: float
+) -> Array:
+    """Return T_target_source (4, 4) by point-to-plane ICP from T, which may be half a `step` [m] off.
+
+    small_gicp's own tolerances, 0.1 deg and 1 mm, stop too early (facts: perception).
+    """
+    for distance in (2 * step, step / 2):
+        T = np.asarray(small_gicp.align(
+            target, source, tree, T, registration_type="PLANE_ICP",
+            max_correspondence_distance=distance, num_threads=THREADS, max_iterations=60,
+            rotation_epsilon=1e-5, translation_epsilon=1e-6,
+        ).T_target_source)  # fmt: skip
+    return T
 
 
 def follow_way(sample: Sample, given: Array) -> Array:
@@ -212,13 +222,14 @@ def follow_way(sample: Sample, given: Array) -> Array:
     return poses
 
 
-def _with_normals(points: Array) -> small_gicp.PointCloud:
+def with_normals(points: Array) -> small_gicp.PointCloud:
+    """Return points (N, 3) [m] with normals, as small_gicp wants them."""
     cloud = small_gicp.PointCloud(np.ascontiguousarray(points))
     small_gicp.estimate_normals_covariances(cloud, num_neighbors=NEIGHBOURS, num_threads=THREADS)
     return cloud
 
 
-def _agreement(points: Array, normals: Array, own: NDArray[np.bool_]) -> float:
+def share_on_surfaces(points: Array, normals: Array, own: NDArray[np.bool_]) -> float:
     """Return the share of `own` points (N,) on a surface of the others, of those with any of them within 20 mm.
 
     On a surface: within 2 mm, less than the arm's error, of a neighbour's plane whose normal differs by 40 degrees at
@@ -239,16 +250,15 @@ def _agreement(points: Array, normals: Array, own: NDArray[np.bool_]) -> float:
     return float(agrees[judged].mean())
 
 
-def _shift_step() -> float:
-    """Return the spacing of the places tried for a lost view [m]: ICP finds its way from half of that."""
-    return SEARCH / 4
+def grid(reach: Sequence[float], step: float) -> Array:
+    """Return shifts (K, 3) on a grid: up to `reach` (3,) along each axis, `step` apart [m]."""
+    axes = [np.arange(-most, most + step / 2, step) for most in reach]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def _best_shifts(source: Array, target: small_gicp.KdTree, most: int) -> Array:
-    """Return the shifts (most, 3) [m] that bring the source points closest to the target's."""
-    few, step = source[:: max(1, len(source) // 100)], _shift_step()
-    steps = np.arange(-SEARCH, SEARCH + step / 2, step)
-    shifts = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+def best_shifts(source: Array, target: small_gicp.KdTree, shifts: Array, step: float, most: int) -> Array:
+    """Return those of shifts (K, 3), `step` apart [m], that bring source points closest to the target's, best first."""
+    few = source[:: max(1, len(source) // 100)]
     _, squared = target.batch_knn_search((few + shifts[:, None]).reshape(-1, 3), 1, num_threads=THREADS)
     score = np.exp(-squared.reshape(len(shifts), -1) / (step / 2) ** 2).mean(axis=1)
     return shifts[np.argsort(-score)[:most]]

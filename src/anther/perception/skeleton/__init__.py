@@ -11,7 +11,7 @@ from small_gicp import voxelgrid_sampling
 
 from anther.core.checks import check_array, check_range
 from anther.core.errors import StageFailure, bad_input
-from anther.core.geometry import Array
+from anther.core.geometry import Array, transform_points
 from anther.core.records import Range, Record, Shape, Share, Stored
 from anther.perception.cloud import Cloud
 from anther.perception.masks import FLOWER
@@ -123,6 +123,10 @@ class Skeleton(Stored):
             )
         if np.any(self.radius <= 0):
             raise bad_input("skeleton radius", given="a radius <= 0", allowed="> 0 m", do="Check the radii.")
+
+    def moved(self, T: Array) -> Skeleton:
+        """Return it moved by T (4, 4)."""
+        return replace(self, nodes=transform_points(T, self.nodes))
 
     @property
     def edges(self) -> NDArray[Any]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from anther.core.errors import StageFailure, bad_input
-from anther.core.geometry import Array, pose7, transform
+from anther.core.geometry import Array, pose7, transform, transform_points
 from anther.core.records import Range, Record, Shape, Share, Stored
 from anther.perception.cloud import Cloud
 from anther.perception.masks import FLOWER
@@ -37,7 +37,7 @@ from anther.robot.arm.gripper_shape import GripperShape
 
 __all__ = [
     "STAND_OFF", "Grasp", "Params", "Reach", "load_grasps", "plan_grasps",
-    "save_grasps",
+    "save_grasps", "still_reached",
 ]  # fmt: skip
 
 STAND_OFF = 0.12
@@ -111,6 +111,12 @@ class Grasp(Record):
         """The flange pose as x, y, z [m], qx, qy, qz, qw."""
         return pose7(self.T_world_flange)
 
+    def moved(self, T: Array) -> Grasp:
+        """Return it moved by T (4, 4); no arm was asked there."""
+        turned = {name: T[:3, :3] @ getattr(self, name) for name in ("tangent", "approach")}
+        at = {"T_world_flange": T @ self.T_world_flange, "point": transform_points(T, self.point)}
+        return replace(self, joints=None, **at, **turned)
+
     def pregrasp(self, distance: float) -> Array:
         """Return T_world_flange `distance` [m] back along the approach."""
         return self.T_world_flange @ transform(np.eye(3), [0, 0, -distance])
@@ -154,6 +160,12 @@ def plan_grasps(
         cloud = replace(cloud, supports=supports, **lengths)
     ranking = _rank(stem, skeleton, cloud, params, toward_base=reach is not None)
     return [_enlarged(grasp, scale) for grasp in _first_reached(ranking, reach)]
+
+
+def still_reached(grasps: Sequence[Grasp], reach: Reach) -> list[Grasp]:
+    """Return those of grasps that the arm reaches, with its joints there."""
+    asked = ((one, reach(one.pregrasp(STAND_OFF), one.T_world_flange)) for one in grasps)
+    return [replace(one, joints=joints) for one, joints in asked if joints is not None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

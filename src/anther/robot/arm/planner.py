@@ -14,7 +14,7 @@ from roboplan.rrt import RRT, RRTOptions
 
 from anther.core.checks import check_array, check_transform
 from anther.core.errors import StageFailure
-from anther.core.geometry import Array, Box, ComplexArray, transform
+from anther.core.geometry import Array, Box, ComplexArray, transform, transform_points
 from anther.core.records import Range, Record
 from anther.robot.arm import _kinematics, compliance, motions, shaking
 from anther.robot.arm._collision import GROUP, VOXEL, CollisionWorld, cube_centres
@@ -84,11 +84,22 @@ class Planner:
         self.params, self.space, self.arm = params, space, arm
         home = arm.ready if params.home is None else params.home
         self.home = check_array("home joints", home, (arm.count,))
-        cubes = cube_centres(check_array("plant points", plant, (None, 3)))
+        points = check_array("plant points", plant, (None, 3)), check_array("obstacle points", obstacles, (None, 3))
+        self._around = (*points, boxes)
+        self._known = list[Array]()  # ways from home, found when it was asked what is in reach
+        cubes = cube_centres(points[0])
         # half of it reaches from a cube's centre to what the cube holds; the rest is room to move
         diagonal = np.sqrt(3) * VOXEL
         self.plant = cubes[~touches(arm, self.home, cubes, arm.margin + diagonal)]
-        self.world = CollisionWorld(arm, self.plant, check_array("obstacle points", obstacles, (None, 3)), boxes)
+        self.world = CollisionWorld(arm, self.plant, points[1], boxes)
+
+    def moved(self, T: Array) -> Planner:
+        """Return a planner among the same points moved by T (4, 4), which tries the ways that this one knows first."""
+        plant, obstacles, boxes = self._around
+        points = transform_points(T, plant), transform_points(T, obstacles)
+        other = Planner(*points, boxes, space=self.space, params=self.params, arm=self.arm)
+        other._known = list(self._known)
+        return other
 
     def reach(self, T_world_pregrasp: Array, T_world_grasp: Array) -> Array | None:
         """Return joints (J,) at the grasp if it, the pre-grasp and the straight way between are free, else None.
@@ -240,8 +251,24 @@ class Planner:
             goal = self._back_out(q)[0]
         except StageFailure:
             return False
-        few = 3  # where more seeds are needed the way is long
-        return next(self._inner_paths(self.home, goal, 0.2, self.search_step, few), None) is not None
+        way = self._known_way(self.home, goal)
+        if way is None:
+            few = 3  # where more seeds are needed the way is long
+            found = next(self._inner_paths(self.home, goal, 0.2, self.search_step, few), None)
+            if found is None:
+                return False
+            way = np.array(found[1].positions)
+        self._known.append(way)
+        return True
+
+    def _known_way(self, start: Array, goal: Array) -> Array | None:
+        """Return a way (N, J) between joints near the ends of one that is known, if it is free; else None."""
+        near_home, near_end = 0.02, 0.2  # rad: as an arm rests, and as a plant is elsewhere than it was seen
+        if np.abs(start - self.home).max() > near_home:
+            return None
+        near = (way for way in reversed(self._known) if np.abs(way[-1] - goal).max() < near_end)
+        ways = (np.concatenate([start[None], way[1:-1], goal[None]]) for way in near)
+        return next((way for way in ways if self._is_free(way, _dense(way), self.search_step)), None)
 
     def _join_places(self, start: Place, goal: Place) -> JointTrajectory:
         (begin, leave), (end, enter) = start, goal
@@ -319,10 +346,20 @@ class Planner:
 
     def _detours(self, start: Array, goal: Array, step: float) -> Iterator[tuple[Array, Array]]:
         """Yield waypoints (N, J) of what RRT-Connect finds, shortened and as found, of a few seeds."""
-        for seed, found in islice(self._inner_paths(start, goal, self._search_time, step, 24), 4):
-            cut = PathShortcuttingOptions(group_name=GROUP, max_step_size=step, max_iters=100, seed=seed)
-            shorter = PathShortcutter(self.world.scene, cut).shortcut(found)
-            yield np.array(shorter.positions), np.array(found.positions)
+        known = self._known_way(start, goal)
+        if known is not None:
+            yield self._shortcut(known, step, 0), known
+        few, wanted = (24, 4) if known is None else (3, 2)  # seeds, and ways of them
+        for seed, found in islice(self._inner_paths(start, goal, self._search_time, step, few), wanted):
+            way = np.array(found.positions)
+            yield self._shortcut(way, step, seed), way
+
+    def _shortcut(self, way: Array, step: float, seed: int) -> Array:
+        """Return waypoints (N, J) with shorter ways between some of them, free as far as steps [rad] tell."""
+        path = JointPath()
+        path.joint_names, path.positions = list(self.arm.joints), list(way)
+        cut = PathShortcuttingOptions(group_name=GROUP, max_step_size=step, max_iters=100, seed=seed)
+        return np.array(PathShortcutter(self.world.scene, cut).shortcut(path).positions)
 
     def _inner_paths(
         self, start: Array, goal: Array, seconds: float, step: float, seeds: int
