@@ -56,6 +56,23 @@ def test_stems_that_cross_go_straight_on() -> None:
     assert np.mean(plants.owner[apart] == truth[apart]) > 0.9
 
 
+@pytest.mark.parametrize("bearing", [0.2, 0.4, 0.6])
+def test_a_limb_that_crosses_another_plants_goes_straight_on_at_any_bearing(bearing: float) -> None:
+    rng = np.random.default_rng(0)
+    way = np.array([np.cos(bearing), np.sin(bearing), 0.2])
+    aside = np.array([-np.sin(bearing), np.cos(bearing), 0.0])
+    joint, up = np.array([0.0, 0.0, 0.25]), np.array([0.0, 0.0, 0.5])
+    crossed = joint + 0.2 * way  # 0.2 m along the limb, 0.05 m from the other stem
+    foot = (crossed + 0.05 * aside) * [1, 1, 0]
+    limb = tube(joint, joint + 0.35 * way, (0.003, 0.002), 0.0015, rng)
+    stems = [tube(at, at + up, (0.005, 0.004), 0.0015, rng) for at in (np.zeros(3), foot)]
+    other = tube(crossed + 0.05 * aside, crossed - 0.1 * aside, (0.003, 0.002), 0.0015, rng)
+    plants = find_plants(np.concatenate([*stems, other, limb]))
+    assert len(plants) == 2
+    own = int(np.argmin(np.linalg.norm(plants.roots, axis=1)))
+    assert np.mean(plants.owner[-len(limb) :] == own) > 0.9
+
+
 def test_the_order_of_the_points_does_not_matter(scene: tuple[Array, Array]) -> None:
     points, _ = scene
     order = np.random.default_rng(5).permutation(len(points))

@@ -244,31 +244,25 @@ def _owners(graph: _Graph, feet: NDArray[Any], points: Array) -> NDArray[np.int6
 def _grown_from(graph: _Graph, feet: NDArray[Any]) -> NDArray[np.int64]:
     """Return the number (V,) of the foot that each voxel is reached from at the least cost, turns included; -1: none.
 
-    What the next step costs depends on the one before, so ways go from step to step: S steps between neighbouring
-    cells, of 2 x 2 x 2 voxels, whose directions are finer than those between voxels.
+    What the next step costs depends on the one before, so ways go from step to step: S steps over two cells, of 2 x 2
+    x 2 voxels. Between neighbouring cells a straight way would zigzag, and pay for that as for turns.
     """
-    cell, steps = _steps(graph)
-    begins = [np.flatnonzero(steps.tail == foot) for foot in cell[feet]]
-    after = np.searchsorted(steps.tail, [steps.head, steps.head + 1])  # the steps are in order of their tails
-    count = after[1] - after[0]
-    one = np.repeat(np.arange(len(count)), count)
-    other = np.arange(len(one)) + np.repeat(after[0] - np.cumsum(count) + count, count)
-    onward = steps.head[other] != steps.tail[one]
-    one, other = one[onward], other[onward]
-    turn = 1 - np.sum(steps.along[one] * steps.along[other], axis=1)  # 1 for a right angle
-    right_angle = 3.0  # what it costs on the way, of the scene's height
-    cost = steps.cost[other] + right_angle * graph.height * np.maximum(turn, 0)
-    links = sparse.coo_matrix((cost, (one, other)), (len(count), len(count))).tocsr()
-    begin = np.concatenate(begins)
+    cell, near, far = _steps(graph)
+    foot = np.full(int(cell.max()) + 1, -1, dtype=np.int64)
+    foot[cell[feet]] = np.arange(len(feet))
+    begun = np.where(foot < 0, _neighbours(near, foot), foot)  # no step from a foot ends beside it
+    one, other, turn = _onward(far)
+    right_angle = 6.0  # what it costs on the way, of the scene's height
+    cost = far.cost[other] + right_angle * graph.height * np.maximum(turn, 0)
+    links = sparse.coo_matrix((cost, (one, other)), (len(far.tail), len(far.tail))).tocsr()
+    begin = np.flatnonzero(begun[far.tail] >= 0)
     cost, _, source = dijkstra(links, indices=begin, return_predecessors=True, min_only=True)
-    number = np.full(len(count), -1, dtype=np.int64)
-    number[begin] = np.repeat(np.arange(len(feet)), [len(some) for some in begins])
-    grown = np.full(int(cell.max()) + 1, -1, dtype=np.int64)
     reached = np.flatnonzero(np.isfinite(cost))
     reached = reached[np.argsort(-cost[reached], kind="stable")]
-    grown[steps.head[reached]] = number[source[reached]]  # the cheapest comes last, and stays
-    grown[cell[feet]] = np.arange(len(feet))
-    return grown[cell]
+    grown = np.full(len(foot), -1, dtype=np.int64)
+    grown[far.head[reached]] = begun[far.tail[source[reached]]]  # the cheapest comes last, and stays
+    grown = np.where(begun < 0, grown, begun)
+    return np.where(grown < 0, _neighbours(near, grown), grown)[cell]
 
 
 class _Steps(NamedTuple):
@@ -280,23 +274,59 @@ class _Steps(NamedTuple):
     along: Array
 
 
-def _steps(graph: _Graph) -> tuple[NDArray[Any], _Steps]:
-    """Return the cell of each voxel (V,), and the steps between cells some of whose voxels are linked."""
+def _neighbours(near: _Steps, number: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the number of a neighbour of each cell (its largest), -1 where none has one."""
+    found = np.full(len(number), -1, dtype=np.int64)
+    np.maximum.at(found, near.head, number[near.tail])
+    return found
+
+
+def _onward(steps: _Steps) -> tuple[NDArray[Any], NDArray[Any], Array]:
+    """Return pairs of steps of which one begins where the other ends, and how much the way turns there, 1 for a right
+    angle; those that turn by more are left out."""
+    after = np.searchsorted(steps.tail, [steps.head, steps.head + 1])
+    count = after[1] - after[0]
+    one = np.repeat(np.arange(len(count)), count)
+    other = np.arange(len(one)) + np.repeat(after[0] - np.cumsum(count) + count, count)
+    turn = 1 - np.sum(steps.along[one] * steps.along[other], axis=1)
+    kept = turn <= 1
+    return one[kept], other[kept], turn[kept]
+
+
+def _steps(graph: _Graph) -> tuple[NDArray[Any], _Steps, _Steps]:
+    """Return the cell of each voxel (V,), the steps between cells some of whose voxels are linked, and those over two
+    such steps that do not turn by more than 60 degrees, to cells that no single step leads to."""
     index = np.rint((graph.points - graph.points.min(axis=0)) / graph.voxel).astype(np.int64) // 2
     cell = np.unique(index, axis=0, return_inverse=True)[1]
     held = np.bincount(cell)
     centre = np.stack([np.bincount(cell, weights=column) / held for column in graph.points.T], axis=1)
-    ends = np.sort(cell[graph.links], axis=1)
-    apart = ends[:, 0] != ends[:, 1]
     length = np.linalg.norm(np.diff(graph.points[graph.links], axis=1)[:, 0], axis=1)
-    pair, of = np.unique(ends[apart] @ [len(held), 1], return_inverse=True)
-    factor = np.bincount(of, weights=(graph.cost / length)[apart]) / np.bincount(of)
+    ends = cell[graph.links]
+    apart = ends[:, 0] != ends[:, 1]
+    ends, factor = ends[apart], (graph.cost / length)[apart]
+    pair, of = np.unique(np.sort(ends, axis=1) @ [len(held), 1], return_inverse=True)
+    factor = np.bincount(of, weights=factor) / np.bincount(of)
     low, high = pair // len(held), pair % len(held)
-    tail, head, factor = np.append(low, high), np.append(high, low), np.tile(factor, 2)
+    near = _between(np.append(low, high), np.append(high, low), np.tile(factor, 2), centre)
+    one, other, turn = _onward(near)
+    one, other = one[turn <= 0.5], other[turn <= 0.5]
+    long = np.linalg.norm(centre[near.head] - centre[near.tail], axis=1)
+    factor = (near.cost[one] + near.cost[other]) / (long[one] + long[other])
+    pair = near.tail[one] * len(held) + near.head[other]
+    order = np.lexsort((factor, pair))
+    pair, first = np.unique(pair[order], return_index=True)
+    new = ~np.isin(pair, near.tail * len(held) + near.head)
+    pair, factor = pair[new], factor[order[first[new]]]
+    return cell, near, _between(pair // len(held), pair % len(held), factor, centre)
+
+
+def _between(tail: NDArray[Any], head: NDArray[Any], factor: Array, centre: Array) -> _Steps:
+    """Return the steps between cells (C, 3) [m], each of `factor` (S,) times its length."""
     order = np.argsort(tail, kind="stable")
-    tail, head, way = tail[order], head[order], (centre[head] - centre[tail])[order]
+    tail, head = tail[order], head[order]
+    way = centre[head] - centre[tail]
     long = np.linalg.norm(way, axis=1)
-    return cell, _Steps(tail, head, long * factor[order], way / long[:, None])
+    return _Steps(tail, head, long * factor[order], way / long[:, None])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
