@@ -13,7 +13,7 @@ from anther.perception.cloud.ply import read_ply
 from anther.perception.hanging import StringLine
 from anther.perception.skeleton import skeletonize
 from anther.perception.stem import find_stem
-from anther.perception.supports import Evidence, find_supports, log_odds, notes_beside
+from anther.perception.supports import Evidence, _orphans, _Rod, _Scene, find_supports, log_odds, notes_beside
 from tests.support.made_plants import blade, segment_distance, tube
 
 HEIGHT = 0.5
@@ -117,6 +117,16 @@ def test_two_supports_are_told_apart():
         cylinder([-0.04, 0, 0], [-0.04, 0, 0.6], 0.0015), cylinder([0.05, 0.1, 0], [0.05, 0.1, 0.5], 0.005)
     )
     assert sorted(s.kind for s in cloud.supports) == ["stake", "string"]
+
+
+def test_what_comes_loose_without_a_stem_does_not_depend_on_what_else_is_in_view():
+    plant = curved_plant(bow=0.0)
+    pipe = cylinder([0.5, 0, 0], [0.5, 0, 0.7], 0.0255)  # of more points than the plant
+    stem = _Rod(np.zeros(3), np.eye(3)[2], np.eye(3)[:2], 0.01, np.zeros((51, 2)), 0.005, np.ones(50, dtype=bool))
+    scenes = [_Scene.of(Cloud(points)) for points in (plant, np.concatenate([plant, pipe]))]
+    cell = scenes[0].cell
+    alone, beside = (_orphans(replace(scene, cell=cell), stem) for scene in scenes)
+    assert alone == beside == 4  # of five leaves one counts as the plant that stays
 
 
 def test_wound_string_stays_with_the_stem():

@@ -397,7 +397,10 @@ def _bow(t: Array, centre: Array) -> tuple[float, float]:
 
 
 def _orphans(scene: _Scene, rod: _Rod) -> int:
-    """Return how many pieces of the plant, of half a percent of its points or more, come loose without the rod."""
+    """Return how many pieces of the plant, of half a percent of its points or more, come loose without the rod.
+
+    The plant is what hangs together with the rod: others in view are no pieces of it, nor do they make its own small.
+    """
     t, off = rod.cylinder(scene.points)
     own = (off < 1.3 * rod.radius + 1.5 * scene.cell) & (t > 0) & (t < len(rod.alone))
     coarse = np.floor((scene.points - scene.points.min(axis=0)) / (2 * scene.cell)).astype(int)
@@ -407,14 +410,11 @@ def _orphans(scene: _Scene, rod: _Rod) -> int:
         held = np.zeros(shape, dtype=bool)
         held[tuple(coarse[keep].T)] = True
         labels: Any = ndimage.label(held, np.ones((3, 3, 3)))
-        return np.asarray(labels[0][tuple(coarse[~own].T)], dtype=np.int64)
+        return np.asarray(labels[0][tuple(coarse.T)], dtype=np.int64)
 
-    if own.all():
-        return 0
-    before, after = parts(np.ones(len(own), dtype=bool)), parts(~own)
-    home = np.bincount(after).argmax()  # the largest piece that is left
-    joined = before == before[after == home][0]
-    return int(np.count_nonzero(np.bincount(after[joined & (after != home)]) > 0.005 * len(after)))
+    before = parts(np.ones(len(own), dtype=bool))
+    pieces = np.bincount(parts(~own)[~own & np.isin(before, before[own])])
+    return max(int(np.count_nonzero(pieces > 0.005 * pieces.sum())) - 1, 0)  # the largest is the plant that stays
 
 
 def _beyond(scene: _Scene, rod: _Rod, own: NDArray[np.bool_]) -> bool:
