@@ -51,7 +51,7 @@ from evaluation.trials.grasping_trial import COMPUTE, PICTURE, notes, overlap, p
 from evaluation.trials.helios_row import grow_helios_row
 from evaluation.trials.shaking import Brief
 
-FIRST, DEVELOPMENT = 6169, 3
+FIRST, DEVELOPMENT = 6177, 3
 """Rows from the first seed on are in no other table; on those from the second on the visit was made."""
 PARTS = ("thought_s", "approach_s", "shake_s", "retreat_s")
 ACCELERATION = "true_flower_acceleration_median_ms2"

@@ -248,8 +248,8 @@ def rank_grasps(seen: Seen, reach: grasp.Reach | None, run: Run, params: Params)
     return run.stage("grasp", grasp.load_grasps, lambda _: _ranked(seen, reach, params), save=_save_grasps)
 
 
-def _ranked(seen: Seen, reach: grasp.Reach | None, params: Params) -> list[Grasp]:
-    return grasp.plan_grasps(seen.stem, seen.skeleton, seen.cloud, params.grasp, reach=reach)
+def _ranked(seen: Seen, reach: grasp.Reach | None, params: Params, wanted: int = 3) -> list[Grasp]:
+    return grasp.plan_grasps(seen.stem, seen.skeleton, seen.cloud, params.grasp, reach=reach, wanted=wanted)
 
 
 def _save_grasps(ranked: list[Grasp], path: Path) -> None:
@@ -340,7 +340,8 @@ def _driven_up(
         T_now_then = cloud.moved_since(seen.cloud, view, cell.workspace)
         here, around = seen.moved(T_now_then), planner.moved(T_now_then)
         reached = grasp.still_reached([one.moved(T_now_then) for one in grasps], around.reach)
-        return here, around, reached or _ranked(here, around.reach, params)
+        one = 1  # the arm waits for it
+        return here, around, reached or _ranked(here, around.reach, params, one)
 
     here, around, reached = run.timed("place", found)
     run.stage("cloud", Cloud.load, lambda _: here.cloud)

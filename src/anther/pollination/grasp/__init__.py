@@ -128,7 +128,7 @@ both, and the line between them, can be reached, else None."""
 
 
 def plan_grasps(
-    stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params = Params(), reach: Reach | None = None
+    stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params = Params(), reach: Reach | None = None, wanted: int = 3
 ) -> list[Grasp]:
     """Return grasps of the main stem, best first, at different heights.
 
@@ -139,7 +139,8 @@ def plan_grasps(
     Args:
         stem, skeleton, cloud: the plant and, in the cloud, pot and bench.
         params: see `Params`.
-        reach: the arm, asked down the ranking until three grasps are confirmed; None asks no arm.
+        reach: the arm, asked down the ranking until it confirms the grasps that are wanted; None asks no arm.
+        wanted: how many grasps the arm is to confirm.
 
     Raises:
         StageFailure: "no_grasp_found" (no candidate is clear of pot, bench and stem) or "unreachable" (the arm
@@ -159,7 +160,7 @@ def plan_grasps(
         lengths = {name: getattr(cloud, name) * smaller for name in ("points", "loose", "obstacles")}
         cloud = replace(cloud, supports=supports, **lengths)
     ranking = _rank(stem, skeleton, cloud, params, toward_base=reach is not None)
-    return [_enlarged(grasp, scale) for grasp in _first_reached(ranking, reach)]
+    return [_enlarged(grasp, scale) for grasp in _first_reached(ranking, reach, wanted)]
 
 
 def still_reached(grasps: Sequence[Grasp], reach: Reach) -> list[Grasp]:
@@ -307,13 +308,12 @@ def _costs(c: Candidates, met: Clearance, cloud: Cloud, params: Params, length: 
     }
 
 
-def _first_reached(ranking: _Ranking, reach: Reach | None) -> list[Grasp]:
+def _first_reached(ranking: _Ranking, reach: Reach | None, wanted: int) -> list[Grasp]:
     """Return the best candidates, 12 mm from each other, that the arm confirms, until enough are found."""
     found, asked, refused = list[Grasp](), 0, set[bytes]()
     along = ranking.candidates.arc_length
     least_apart = 0.012  # m along the stem, so that the next grasp differs when one fails
     apart, near_one = min(least_apart, float(along.max(initial=0)) / 20) - 1e-9, np.zeros(len(along), dtype=bool)
-    wanted = 3  # grasps that the arm must confirm
     patience = 4  # times as often is the arm asked while it has confirmed nothing
     for i in ranking.order:
         if reach is not None and (len(found) == wanted or asked >= ASKED * (1 if found else patience)):

@@ -254,7 +254,8 @@ class Planner:
         way = self._known_way(self.home, goal)
         if way is None:
             few = 3  # where more seeds are needed the way is long
-            found = next(self._inner_paths(self.home, goal, 0.2, self.search_step, few), None)
+            soon = 0.1  # s: nearly all that are found in 0.2 are found by then
+            found = next(self._inner_paths(self.home, goal, soon, self.search_step, few), None)
             if found is None:
                 return False
             way = np.array(found[1].positions)
