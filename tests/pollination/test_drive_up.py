@@ -20,15 +20,15 @@ from anther.perception.skeleton import Skeleton
 from anther.perception.stem import Stem
 from anther.pollination import pipeline
 from anther.pollination.pipeline import Params, Seen
-from anther.robot.devices import Frame
+from anther.robot.devices import DeviceError, Frame
 
 BY = small_transform([0.0, 0.0, 0.01], [0.01, -0.03, 0.002])
 GRASPS = [horizontal_grasp(np.array([0.72, 0.0, z]), np.zeros(7)) for z in (-0.08, -0.02)]
 
 
 def seen() -> Seen:
-    nodes = np.stack([0.7 + 0 * np.arange(5), np.zeros(5), 0.1 * np.arange(5)], axis=1)
-    stem = Stem(np.arange(5), 0.1 * np.arange(5), np.zeros(0, int), np.zeros(5, np.uint8))
+    nodes: Array = np.stack([np.full(5, 0.7), np.zeros(5), 0.1 * np.arange(5.0)], axis=1)
+    stem = Stem(np.arange(5), np.linspace(0.0, 0.4, 5), np.zeros(0, int), np.zeros(5, np.uint8))
     flowers = Flowers(nodes[-1:] + np.array([0.02, 0, 0]), np.array([4]))
     labels = Masks(np.ones((1, 4, 4), np.uint8), "colour")
     return Seen(labels, Cloud(nodes), Skeleton(nodes, np.arange(5) - 1, np.full(5, 0.004)), stem, flowers)
@@ -55,9 +55,9 @@ def cell(monkeypatch: pytest.MonkeyPatch) -> Any:
 
     def read() -> Frame:
         order.append("looked")
-        return Frame(0.0, np.zeros((4, 4, 3), np.uint8), np.ones((4, 4), np.float32))
+        return Frame(0.1 * len(order), np.full((4, 4, 3), len(order), np.uint8), np.ones((4, 4), np.float32))
 
-    monkeypatch.setattr(pipeline.cloud, "moved_since", lambda *_: BY)
+    monkeypatch.setattr("anther.perception.cloud.moved_since", lambda *_: BY)
     camera = SimpleNamespace(read=read, intrinsics=Intrinsics(4, 4, 4.0, 4.0, 1.5, 1.5))
     robot = SimpleNamespace(side_camera=camera, T_world_side_camera=np.eye(4))
     return SimpleNamespace(robot=robot, workspace=None, order=order, drive_up=lambda: order.append("drove"))
@@ -73,7 +73,7 @@ def driven(cell: Any, tmp_path: Any, planner: Any) -> Any:
 def test_all_that_was_seen_is_moved_to_where_the_side_camera_has_it(cell: Any, tmp_path: Any) -> None:
     joints = np.full(7, 0.1)
     here, around, grasps, skeleton, cloud = driven(cell, tmp_path, Around(joints))
-    assert cell.order == ["drove", "looked"]
+    assert cell.order == ["looked", "drove", "looked"]
     before = seen()
     for now, then in (
         (here.skeleton.nodes, before.skeleton.nodes),
@@ -94,7 +94,7 @@ def test_where_none_of_the_grasps_is_reached_any_more_they_are_ranked_anew(
     cell: Any, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     other = replace(GRASPS[0], joints=np.ones(7))
-    monkeypatch.setattr(pipeline.grasp, "plan_grasps", lambda *_, **__: [other])
+    monkeypatch.setattr("anther.pollination.grasp.plan_grasps", lambda *_, **__: [other])
     assert driven(cell, tmp_path, Around(None))[2] == [other]
 
 
@@ -103,3 +103,14 @@ def test_without_a_side_camera_nothing_drives_up(cell: Any, tmp_path: Any) -> No
     with pytest.raises(InputError, match="side camera: got none, in a cell that looks ahead"):
         driven(cell, tmp_path, Around(None))
     assert not cell.order
+
+
+@pytest.mark.parametrize("frozen", ["time", "picture"])
+def test_a_side_camera_that_still_shows_what_was_before_the_drive_is_a_fault(
+    cell: Any, tmp_path: Any, frozen: str
+) -> None:
+    first, live = cell.robot.side_camera.read(), cell.robot.side_camera.read
+    stuck = {"time": first.time} if frozen == "time" else {"rgb": first.rgb}
+    cell.robot.side_camera.read = lambda: replace(live(), **stuck)
+    with pytest.raises(DeviceError, match="before the cart drove up, again"):
+        driven(cell, tmp_path, Around(None))

@@ -37,6 +37,7 @@ from anther.pollination.response import Response, measure_response, stem_near
 from anther.pollination.response.thresholds import FEWEST_FRAMES
 from anther.pollination.shake import Pads, ShakePlan
 from anther.robot.cell import Cell, GripMotion, MotionPlanner
+from anther.robot.devices import DeviceError
 from anther.robot.safety import shake_amplitude
 
 TRY_THE_NEXT: tuple[FailureKind, ...] = (
@@ -326,14 +327,19 @@ def _driven_up(
 
     Raises:
         InputError: there is no side camera.
+        DeviceError: it shows what it showed before the drive.
         StageFailure: "no_plant_found": the plant is not there; or there is no grasp any more.
     """
     camera, pose = cell.robot.side_camera, cell.robot.T_world_side_camera
     if camera is None or pose is None:
         do = "Name one, or take the views from where the cart stands."
         raise bad_input("side camera", given="none, in a cell that looks ahead", allowed="a side camera", do=do)
+    before = camera.read()
     drive_up()
     frame = camera.read()
+    if frame.time <= before.time or np.array_equal(frame.rgb, before.rgb):
+        given = f"the picture of {before.time:.2f} s, before the cart drove up, again"
+        raise DeviceError(f"side camera: got {given}; allowed: one of now. Restart it.")
     view = View(frame.depth, frame.rgb, camera.intrinsics, pose)
 
     def found(_: Advance) -> tuple[Seen, MotionPlanner, list[Grasp]]:
