@@ -13,8 +13,9 @@ held_row         share of rows: the asked stem was held through the shake, nothi
 moved_row        share of these whose median flower felt 5 m/s2 or more
 neighbour_harm   share of rows: a neighbour, a string, a post, pipe or gutter was touched, or the stem's string let go
 cycle_s          median of the visits that shook [s], while the cart stands: the sum of its parts, thought_s,
-                 approach_s, shake_s, retreat_s; a visit is a process, whose thought begins with loading what was
-                 compiled before; from stem to stem it drives for another 2 s (`anther.sim.STEM_TO_STEM`, a guess)
+                 approach_s, shake_s, retreat_s, stow_s: the way back to where the arm waits, which is not simulated, is
+                 taken to last as long as the way there; a visit is a process, whose thought begins with loading what
+                 was compiled before; from stem to stem it drives for another 2 s (`anther.sim.STEM_TO_STEM`, a guess)
 ahead_s          median of what is thought of a stem before the cart stands before it [s]: while the one before is
                  worked on, so that it takes no time of its own while it is less than cycle_s
 
@@ -38,6 +39,7 @@ from anther.core import StageFailure
 from anther.plant import Crop
 from anther.plant.limits import MOVED
 from anther.pollination import visit_row_stem
+from anther.pollination.execution import EARLY
 from anther.pollination.row import AHEAD
 from anther.sim import build_row, grow_row, mapped_others, mapped_string
 from anther.sim.cell import BENCH, NEIGHBOUR, POT, CellLog
@@ -53,7 +55,7 @@ from evaluation.trials.shaking import Brief
 
 FIRST, DEVELOPMENT = 6177, 3
 """Rows from the first seed on are in no other table; on those from the second on the visit was made."""
-PARTS = ("thought_s", "approach_s", "shake_s", "retreat_s")
+PARTS = ("thought_s", "approach_s", "shake_s", "retreat_s", "stow_s")
 ACCELERATION = "true_flower_acceleration_median_ms2"
 
 
@@ -139,7 +141,15 @@ def moved(row: Row) -> bool:
 
 def cycle(row: Row) -> float:
     """Return how long a visit that shook took [s]; NaN of others."""
-    return float(sum(row.get(part) or np.nan for part in PARTS))
+    return float(sum(part_of(row, part) or np.nan for part in PARTS))
+
+
+def part_of(row: Row, part: str) -> float | None:
+    """Return how long a part of a visit took [s]; None where there was none."""
+    if part != "stow_s":
+        return row.get(part)
+    phases = row.get("phases_s") or {}
+    return max((phases[name] for name in (EARLY, "reach") if name in phases), default=None)
 
 
 def metrics(rows: Sequence[Row]) -> dict[str, float]:
@@ -163,7 +173,7 @@ def metrics(rows: Sequence[Row]) -> dict[str, float]:
     cycles = np.array([cycle(row) for row in shook])
     low, high = bootstrap(cycles)
     table |= {"cycle_s": median(cycles), "cycle_s_low": low, "cycle_s_high": high}
-    return table | {part: median(row[part] for row in shook) for part in (*PARTS, "ahead_s")}
+    return table | {part: median(part_of(row, part) for row in shook) for part in (*PARTS, "ahead_s")}
 
 
 def report(rows: Sequence[Row], found: dict[str, float]) -> list[RenderableType]:

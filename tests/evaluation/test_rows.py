@@ -10,10 +10,19 @@ from evaluation.tables import say
 from evaluation.trials.rows import ACCELERATION, harmful, held, metrics, report
 
 TIMES = {"thought_s": 5.0, "approach_s": 8.0, "shake_s": 4.0, "retreat_s": 3.0, "ahead_s": 9.0}
+PHASES = {"early reach": 2.0, "reach": 0.1, "approach": 6.0}
 
 
 def row(**values: Any) -> dict[str, Any]:
-    usual = {"species": "tomato", "seed": 1, "held": True, "true_held_beside": "", ACCELERATION: 9.0, **TIMES}
+    usual = {
+        "species": "tomato",
+        "seed": 1,
+        "held": True,
+        "true_held_beside": "",
+        ACCELERATION: 9.0,
+        **TIMES,
+        "phases_s": PHASES,
+    }
     return usual | {"neighbour_force": 0.0, "part_force": 0.0, "string_pull": 1.1} | values
 
 
@@ -44,7 +53,7 @@ def test_shares_and_times_are_of_the_rows_that_they_are_of() -> None:
     assert found["held_row_pepper"] == 0
     assert found["moved_row"] == pytest.approx(2 / 3)
     assert found["neighbour_harm"] == 0
-    assert found["cycle_s"] == pytest.approx(20.0), "one that crashed took no time, nor does what is thought ahead"
+    assert found["cycle_s"] == pytest.approx(22.0), "one that crashed took no time, nor does what is thought ahead"
     assert found["ahead_s"] == pytest.approx(9.0)
     assert found["thought_s"] == pytest.approx(5.0)
     say(report(rows, found))
