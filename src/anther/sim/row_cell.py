@@ -178,9 +178,8 @@ def build_row(
         return capture_from_poses(_after_wind(mujoco, scene, len(true)), believed, T_world_cam_true=true, **how)[0]
 
     def drive_up() -> None:
-        if truth.wind:
-            _blow(mujoco, STEM_TO_STEM)
-            mujoco.forget()
+        calm = 0.1  # s: nothing moves meanwhile
+        _blow(mujoco, STEM_TO_STEM if truth.wind else calm)
 
     calibrated = place.T_world_side_camera
     true = perturbed_hand_eye(calibrated, np.random.default_rng([row.seed, 21]), factor=truth.hand_eye_error)
