@@ -43,6 +43,8 @@ def test_another_plant_is_refused_and_so_is_one_that_is_too_far() -> None:
         with pytest.raises(StageFailure, match=r"not where it was seen on the way.*Drive by again") as failure:
             find_again(leaves(1), WAY, shown)
         assert failure.value.kind == "no_plant_found"
+    with pytest.raises(StageFailure, match="3 points of surface are seen from here, 100 are needed"):
+        find_again(leaves(1), WAY, leaves(1)[[0, 200, 400]])
 
 
 def test_a_view_from_where_the_cart_stands_moves_all_that_was_seen() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import small_gicp
+from scipy.spatial.transform import Rotation
 
 from anther.core.errors import StageFailure
 from anther.core.geometry import Array, inverse, transform_points
@@ -36,14 +37,13 @@ def find_again(points: Array, way: Array, shown: Array) -> Array:
     Raises:
         StageFailure: "no_plant_found": what is shown lies nowhere near on what was seen.
     """
-    voxel, most = 0.004, 2000  # m; more points move the result by less than the plant sways
+    voxel, most, few = 0.004, 2000, 100  # m; more points move the result by less than the plant sways
     target, source = voxel_means(points, voxel), voxel_means(shown, voxel)
+    if len(source) < few:
+        raise _not_there(f"{len(source)} points of surface are seen from here, {few} are needed")
     source = source[np.random.default_rng(0).permutation(len(source))[:most]]
-    along = way / np.linalg.norm(way)
-    across = np.cross(along, np.eye(3)[np.abs(along).argmin()])
-    across /= np.linalg.norm(across)
-    axes = np.stack([along, across, np.cross(along, across)])
-    shifts = grid([SEARCH_ALONG, SEARCH_ACROSS, SEARCH_ACROSS], STEP) @ axes
+    turn = Rotation.align_vectors(way[None], [[1.0, 0.0, 0.0]])[0]
+    shifts = turn.apply(grid([SEARCH_ALONG, SEARCH_ACROSS, SEARCH_ACROSS], STEP))
     surface, moving = with_normals(target), with_normals(source)
     tree = small_gicp.KdTree(surface, num_threads=THREADS)
     T_then_now = np.eye(4)
@@ -62,9 +62,12 @@ def _check(target: Array, source: Array, T_then_now: Array) -> None:
     agrees = float(np.nan_to_num(share_on_surfaces(np.concatenate([target, back]), normals, own)))
     away, least = float(np.linalg.norm(np.median(back - source, axis=0))), 0.5  # .61 to .84 in eight rows
     if agrees < least or away > SEARCH_ALONG + SEARCH_ACROSS:
-        raise StageFailure(
-            "no_plant_found",
-            f"the plant is not where it was seen on the way: {agrees:.0%} of what is seen from here lies on it, "
-            f"{1e3 * away:.0f} mm away; at least {least:.0%} within {1e3 * (SEARCH_ALONG + SEARCH_ACROSS):.0f} mm are "
-            "expected. Drive by again, or check the side camera's calibration.",
+        raise _not_there(
+            f"{agrees:.0%} of what is seen from here lies on it, {1e3 * away:.0f} mm away; at least {least:.0%} within "
+            f"{1e3 * (SEARCH_ALONG + SEARCH_ACROSS):.0f} mm are expected"
         )
+
+
+def _not_there(why: str) -> StageFailure:
+    advice = "Drive by again, or check the side camera and its calibration."
+    return StageFailure("no_plant_found", f"the plant is not where it was seen on the way: {why}. {advice}")
