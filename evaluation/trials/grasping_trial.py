@@ -91,6 +91,10 @@ class Memory(Run):
         self.results[name] = self.timed(name, compute)
         return self.results[name]
 
+    def keep(self, name: str, result: Any, save: Any = None) -> None:
+        """Keep a stage's result."""
+        self.results[name] = result
+
     def timed(self, name: str, compute: Callable[[Advance], Any]) -> Any:
         """Compute something and note wall and processor time [s]."""
         wall, cpu = time.perf_counter(), time.process_time()

@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -93,7 +93,9 @@ def one(row: Row, folder: Path) -> Row:
             len(cell.plant.flower_segment),
         )
     if "capture" in run.results:
-        portrait(run.results["capture"], done.shake.grasp if done else None, folder / PICTURE)
+        moved = run.results["cloud"].T_world_cam if "cloud" in run.results else None
+        views = run.results["capture"] if moved is None else replace(run.results["capture"], T_world_cam=moved)
+        portrait(views, done.shake.grasp if done else None, folder / PICTURE)
     return asdict(case) | found
 
 

@@ -36,8 +36,8 @@ def visit_stem(row: Row, order: Order, history: str, folder: Path, *, quiet: boo
     """Visit the plant of a row that is asked for, in its own run folder; its stages are shown, unless it is `quiet`.
 
     The robot knows what its cell holds, and the place of the stem's hook as a map has it.
-    The report's time is the simulator's for motions, and this computer's for what is computed once the cart stands: of
-    wall and processor time the lesser, as other programs share it.
+    The report's time is the simulator's for motions, and this computer's for what is computed while the cart stands: of
+    wall and processor time the lesser, as other programs share it. It learns while it goes on to the next stem.
     """
     belief = starting_material(order.species, order.plant, history)
     earlier = earlier_shake(order.species, order.plant, history)
@@ -71,9 +71,9 @@ def visit_stem(row: Row, order: Order, history: str, folder: Path, *, quiet: boo
     finish(run)
     stages = run.seconds.keys() - BY_THE_SIMULATOR
     took = {stage: min(run.seconds[stage], run.cpu_seconds[stage]) for stage in stages}
-    ahead = sum(took.pop(stage, 0.0) for stage in AHEAD)
+    beside = sum(took.pop(stage, 0.0) for stage in (*AHEAD, "learning"))
     moved = (visit.simulated_capture_seconds or 0.0) + (visit.simulated_execution_seconds or 0.0)
     entry = 120.0  # s to enter a row (a guess)
     travel = entry if order.enters else STEM_TO_STEM
-    waits = max(0.0, ahead - travel - moved)  # for what is thought during the visit before, taken to be as long
+    waits = max(0.0, beside - travel - moved)  # for what is thought during the visits before and after, as long as this
     return Report(visit, order.begin + timedelta(seconds=travel + waits + moved + sum(took.values())))

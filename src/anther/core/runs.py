@@ -116,10 +116,16 @@ class Run:
             self._note(name, failure.kind, str(failure))
             self.told("failure", f"{name}: {failure}")
             raise
-        self.told(name, result)
-        save(result, self.path(name))
+        self.keep(name, result, save)
         self._note(name, None, "done")
         return result
+
+    def keep(
+        self, name: str, result: Result, save: Callable[[Any, Path], None] = lambda result, path: result.save(path)
+    ) -> None:
+        """Keep a stage's result: also in place of one that was computed, where more is known since."""
+        self.told(name, result)
+        save(result, self.path(name))
 
     def timed(self, name: str, compute: Callable[[Advance], Result]) -> Result:
         """Compute something and note what it took: under a progress bar or, without a terminal, with a line."""

@@ -350,10 +350,10 @@ def _driven_up(
         return here, around, reached or _ranked(here, around.reach, params, one)
 
     here, around, reached = run.timed("place", found)
-    run.stage("cloud", Cloud.load, lambda _: here.cloud)
-    run.stage("skeleton", Skeleton.load, lambda _: here.skeleton)
-    run.stage("flowers", Flowers.load, lambda _: here.flowers)
-    run.stage("grasp", grasp.load_grasps, lambda _: reached, save=_save_grasps)
+    run.keep("cloud", here.cloud)
+    run.keep("skeleton", here.skeleton)
+    run.keep("flowers", here.flowers)
+    run.keep("grasp", reached, _save_grasps)
     return here, around, reached
 
 
