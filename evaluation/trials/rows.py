@@ -5,9 +5,8 @@
 Every row is drawn (`anther.sim.grow_row`), and its plants' truth is wide (`anther.sim.truth.WIDE`). The robot is told
 the hook, and of a pepper the foot, by the map alone, a few centimetres off. A camera on the cart takes the views a stem
 ahead; where the cart then stands, the side camera shows. The judge is `anther.sim.judge`; besides, the pull of the
-stem's string is followed. Every trial ends in
-one JSON in --out and is not run again; those of the campaign, which takes more than a day's hours, are in
-docs/results/long/done/rows.jsonl (--done). Keys of --json:
+stem's string is followed. Every trial ends in one JSON in --out and is not run again; those of the campaign, which
+takes more than a day's hours, are in docs/results/long/done/rows.jsonl (--done). Keys of --json:
 
 held_row         share of rows: the asked stem was held through the shake, nothing else was held, pushed or touched
 moved_row        share of these whose median flower felt 5 m/s2 or more
@@ -93,8 +92,9 @@ def one(row: Row, folder: Path) -> Row:
             len(cell.plant.flower_segment),
         )
     if "capture" in run.results:
-        moved = run.results["cloud"].T_world_cam if "cloud" in run.results else None
-        views = run.results["capture"] if moved is None else replace(run.results["capture"], T_world_cam=moved)
+        views = run.results["capture"]
+        if "cloud" in run.results:  # its poses are where the cart stands
+            views = replace(views, T_world_cam=run.results["cloud"].T_world_cam)
         portrait(views, done.shake.grasp if done else None, folder / PICTURE)
     return asdict(case) | found
 

@@ -71,9 +71,9 @@ def visit_stem(row: Row, order: Order, history: str, folder: Path, *, quiet: boo
     finish(run)
     stages = run.seconds.keys() - BY_THE_SIMULATOR
     took = {stage: min(run.seconds[stage], run.cpu_seconds[stage]) for stage in stages}
-    beside = sum(took.pop(stage, 0.0) for stage in (*AHEAD, "learning"))
+    meanwhile = sum(took.pop(stage, 0.0) for stage in (*AHEAD, "learning"))
     moved = (visit.simulated_capture_seconds or 0.0) + (visit.simulated_execution_seconds or 0.0)
     entry = 120.0  # s to enter a row (a guess)
     travel = entry if order.enters else STEM_TO_STEM
-    waits = max(0.0, beside - travel - moved)  # for what is thought during the visits before and after, as long as this
+    waits = max(0.0, meanwhile - travel - moved)  # where that takes longer than the visits before and after
     return Report(visit, order.begin + timedelta(seconds=travel + waits + moved + sum(took.values())))

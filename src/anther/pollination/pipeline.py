@@ -346,8 +346,7 @@ def _driven_up(
         T_now_then = cloud.moved_since(seen.cloud, view, cell.workspace)
         here, around = seen.moved(T_now_then), planner.moved(T_now_then)
         reached = grasp.still_reached([one.moved(T_now_then) for one in grasps], around.reach)
-        one = 1  # the arm waits for it
-        return here, around, reached or _ranked(here, around.reach, params, one)
+        return here, around, reached or _ranked(here, around.reach, params, wanted=1)  # the arm waits for it
 
     here, around, reached = run.timed("place", found)
     run.keep("cloud", here.cloud)

@@ -165,11 +165,6 @@ class Cloud(Stored):
         """(N, 3) points of what gives way [m]: plants, what is loose, and strings."""
         return np.concatenate([self.points, self.loose, *(s.points for s in self.supports if s.soft)])
 
-    @property
-    def surface(self) -> Array:
-        """(N, 3) points of all that was seen well: plants, what is loose, and supports [m]."""
-        return np.concatenate([self.points, self.loose, *(s.points for s in self.supports)])
-
     def moved(self, T: Array) -> Cloud:
         """Return all of it moved by T (4, 4)."""
         return replace(
@@ -325,7 +320,8 @@ def moved_since(cloud: Cloud, view: View, workspace: Box) -> Array:
     points = transform_points(view.T_world_cam, view.intrinsics.points(view.depth, surface(view, workspace).pixels))
     assert cloud.T_world_cam is not None, "it was seen by a camera"
     way = cloud.T_world_cam[-1, :3, 3] - cloud.T_world_cam[0, :3, 3]
-    return find_again(cloud.surface, way, points[workspace.contains(points)])
+    seen = np.concatenate([cloud.points, cloud.loose, *(support.points for support in cloud.supports)])
+    return find_again(seen, way, points[workspace.contains(points)])
 
 
 def _surface(view: View, mask: NDArray[np.bool_]) -> Surface:

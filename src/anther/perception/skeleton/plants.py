@@ -284,8 +284,7 @@ def _neighbours(near: _Steps, number: NDArray[np.int64]) -> NDArray[np.int64]:
 def _onward(steps: _Steps, most: float = 1.0) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
     """Return pairs of steps of which one begins where the other ends, and how much the way turns there, 1 for a right
     angle; those that turn by more than `most` are left out."""
-    first = np.searchsorted(steps.tail, np.arange(steps.tail[-1] + 2 if len(steps.tail) else 1))
-    begin, end = (first[np.minimum(steps.head + k, len(first) - 1)] for k in (0, 1))
+    begin, end = np.searchsorted(steps.tail, [steps.head, steps.head + 1])
     count = end - begin
     other = np.arange(count.sum()) + np.repeat(begin - np.cumsum(count) + count, count)
     along = np.ascontiguousarray(steps.along.T, dtype=np.float32)  # a column at a time, in half the time

@@ -113,9 +113,14 @@ class Grasp(Record):
 
     def moved(self, T: Array) -> Grasp:
         """Return it moved by T (4, 4); no arm was asked there."""
-        turned = {name: T[:3, :3] @ getattr(self, name) for name in ("tangent", "approach")}
-        at = {"T_world_flange": T @ self.T_world_flange, "point": transform_points(T, self.point)}
-        return replace(self, joints=None, **at, **turned)
+        return replace(
+            self,
+            T_world_flange=T @ self.T_world_flange,
+            point=transform_points(T, self.point),
+            tangent=T[:3, :3] @ self.tangent,
+            approach=T[:3, :3] @ self.approach,
+            joints=None,
+        )
 
     def pregrasp(self, distance: float) -> Array:
         """Return T_world_flange `distance` [m] back along the approach."""
