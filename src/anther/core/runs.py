@@ -121,7 +121,7 @@ class Run:
         return result
 
     def keep(
-        self, name: str, result: Result, save: Callable[[Any, Path], None] = lambda result, path: result.save(path)
+        self, name: str, result: Any, save: Callable[[Any, Path], None] = lambda result, path: result.save(path)
     ) -> None:
         """Keep a stage's result: also in place of one that was computed, where more is known since."""
         self.told(name, result)

@@ -288,7 +288,7 @@ def _onward(steps: _Steps, most: float = 1.0) -> tuple[NDArray[Any], NDArray[Any
     count = end - begin
     other = np.arange(count.sum()) + np.repeat(begin - np.cumsum(count) + count, count)
     along = np.ascontiguousarray(steps.along.T, dtype=np.float32)  # a column at a time, in half the time
-    turn = 1 - sum(np.repeat(column, count) * column[other] for column in along)
+    turn = np.asarray(1 - sum(np.repeat(column, count) * column[other] for column in along))
     kept = np.flatnonzero(turn <= most)
     return np.repeat(np.arange(len(count)), count)[kept], other[kept], turn[kept]
 
