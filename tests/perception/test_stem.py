@@ -50,6 +50,17 @@ def test_stem_of_a_made_plant_runs_up_the_axis() -> None:
     assert np.all(stem.organ[stem.node_ids] == STEM)
 
 
+def test_a_neighbours_leaf_beyond_a_limb_does_not_draw_the_stem_away() -> None:
+    """What lies beyond a stem's end does not speak for it, however long and thick it is: limbs do."""
+    stem = line([0, 0, 0], [0, 0, 0.6], 60)
+    limbs = [line(stem[k], [0.2, 0, 0.02 + stem[k][2]]) for k in (15, 25, 35, 45)]
+    beyond = line(limbs[0][-1], [1.0, 0.0, 0.2], 60)
+    found = drawn(stem, *limbs, beyond, radius=[0.005, *4 * [0.004], 0.008])
+    nodes = found.nodes[find_stem(found).node_ids]
+    assert np.abs(nodes[:, 0]).max() < 1e-9
+    assert nodes[-1, 2] > 0.5
+
+
 @pytest.mark.parametrize("lean", [0, 20, 30])
 def test_a_leaning_plants_stem_is_found_to_its_top_and_not_beyond(lean: int) -> None:
     turn = Rotation.from_euler("y", lean, degrees=True).as_matrix()

@@ -12,8 +12,8 @@ from anther.core.errors import StageFailure, bad_input
 from anther.core.geometry import Array
 from anther.core.records import Range, Record, Shape, Share, Stored
 from anther.perception.skeleton import LARGEST, SMALLEST, Skeleton, nearest_node
-from anther.perception.skeleton.raw_tree import chains, edge_lengths, longest_way
-from anther.perception.stem._main_axis import SHORTEST, fork_at, growth_end, path_score
+from anther.perception.skeleton.raw_tree import edge_lengths, longest_way
+from anther.perception.stem._main_axis import SHORTEST, fork_at, main_axis
 from anther.perception.stem._organs import (
     BRANCH,
     LEAF,
@@ -89,9 +89,10 @@ class Stem(Stored):
 
 
 def find_stem(skeleton: Skeleton, params: Params | None = None, *, flowers_at: Array | None = None) -> Stem:
-    """Return the main stem, the best root-to-tip path by score S up to where it leaves its growth axis, and all organs.
+    """Return the main stem, the root-to-tip path with the best score S up to its last limb, and all organs.
 
-    Where a plant forks (pepper), the better fork goes on as the main stem and the other is a branch.
+    It ends where it leaves its growth axis. Where a plant forks (pepper), the better fork goes on as the main stem and
+    the other is a branch.
 
     Args:
         skeleton: one rooted tree.
@@ -105,8 +106,7 @@ def find_stem(skeleton: Skeleton, params: Params | None = None, *, flowers_at: A
     params = params or Params()
     size = float(np.linalg.norm(np.ptp(skeleton.nodes, axis=0)))
     if params.tip is None:
-        path = chains(skeleton.parent, path_score(skeleton))[0]
-        node_ids = path[: growth_end(skeleton, path, size)]
+        node_ids, path = main_axis(skeleton, size)
     else:
         node_ids = path = skeleton.path_from_root(nearest_node("the main stem's tip", params.tip, skeleton.nodes))
     nodes = skeleton.nodes[node_ids]

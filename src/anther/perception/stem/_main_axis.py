@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 
 from anther.core.geometry import Array
 from anther.perception.skeleton import Skeleton
-from anther.perception.skeleton.raw_tree import edge_lengths, longest_way, path_gain
+from anther.perception.skeleton.raw_tree import edge_lengths, longest_way, path_gain, sum_above
 from anther.perception.stem._organs import BRANCH, PLANAR_BLADE, SPUR, stem_breadth
 
 SHORTEST = 0.05
@@ -64,14 +64,35 @@ def _highest_path(skeleton: Skeleton, start: int) -> NDArray[Any]:
     return whole[np.flatnonzero(whole == start)[0] :]
 
 
+def main_axis(skeleton: Skeleton, size: float) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return the nodes of the main stem, root first, and the path to a tip of which they are the first.
+
+    A stem bears limbs: of all paths to a tip it is the one with the largest score (P10) up to the last limb before it
+    stops being a stem (P11), of those alike the one with the largest in all. What lies beyond says little about it: it
+    may be a leaf, of a neighbour perhaps.
+    """
+    score = sum_above(skeleton.parent, path_score(skeleton))
+    tips = np.flatnonzero(skeleton.children_count == 0)
+    best, found = -np.inf, None
+    for tip in tips[np.argsort(-score[tips], kind="stable")]:
+        if score[tip] <= best:
+            break
+        path = skeleton.path_from_root(int(tip))
+        end, limb = growth_end(skeleton, path, size)
+        if score[path[limb]] > best:
+            best, found = score[path[limb]], (path[:end], path)
+    assert found is not None
+    return found
+
+
 def path_score(skeleton: Skeleton) -> Array:
     """Return what each edge adds to the path score (P10); less on a blade, by how much broader than thick it is."""
     gain = path_gain(skeleton.nodes, skeleton.parent, skeleton.radius)
     return gain * np.minimum(_ROUND * skeleton.radius / skeleton.breadth, 1)
 
 
-def growth_end(skeleton: Skeleton, path: NDArray[Any], size: float) -> int:
-    """Return how many nodes of the path belong to the stem (P11).
+def growth_end(skeleton: Skeleton, path: NDArray[Any], size: float) -> tuple[int, int]:
+    """Return how many nodes of the path belong to the stem (P11), and at which of them the last limb leaves it.
 
     A step is stem-like unless it turns from the growth axis (root to here), thins, or is a blade: planar, and broader
     than the stem below. The stem ends where the length that is stem-like, less twice the rest, is largest: a leaf that
@@ -93,7 +114,7 @@ def growth_end(skeleton: Skeleton, path: NDArray[Any], size: float) -> int:
     last, bare = int(limbs[-1]), arc[end - 1] - arc[limbs[-1]]
     reliable = last > 0 and arc[last] >= SHORTEST * size and bare <= longest and further < 2
     stem_like = (straight & slim)[last:].all() and bare <= 1.5 * np.diff(arc[limbs]).max(initial=0)
-    return last + 1 if reliable and not stem_like else end
+    return (last + 1 if reliable and not stem_like else end), last
 
 
 def _limbs(skeleton: Skeleton, path: NDArray[Any], end: int) -> tuple[NDArray[np.int64], int, float]:
