@@ -45,6 +45,19 @@ def test_every_stem_is_found_and_every_organ_goes_to_its_own(scene: tuple[Array,
     assert np.mean(plants.owner == truth) > 0.95
 
 
+def test_the_way_up_every_stem_is_told_and_is_in_the_way_of_who_takes_another(scene: tuple[Array, Array]) -> None:
+    points, _ = scene
+    ways = find_plants(points).stems
+    for way, foot, height in zip(ways, FEET, (0.5, 0.42, 0.55), strict=True):
+        assert np.mean(np.linalg.norm((way - foot)[:, :2], axis=1) < 0.02) > 0.8  # the top of one is a leaf's
+        assert np.ptp(way[:, 2]) > 0.9 * height
+    skeleton = skeletonize(Cloud(points), Params(plant=1))
+    assert np.allclose(skeleton.neighbours, np.concatenate([ways[0], ways[2]]))
+    T = np.eye(4)
+    T[:3, 3] = 0.1, 0.2, 0.3
+    assert np.allclose(skeleton.moved(T).neighbours - skeleton.neighbours, T[:3, 3])
+
+
 def test_stems_that_cross_go_straight_on() -> None:
     rng = np.random.default_rng(0)
     ends = [((-0.08, 0.0, 0.0), (0.12, 0.0, 0.5)), ((0.12, 0.008, 0.0), (-0.12, 0.008, 0.5))]  # they touch at 0.23 m

@@ -195,8 +195,20 @@ def test_a_pole_behind_the_stem_stays_outside_the_pads():
         assert g.approach[0] > 0.5, "towards the pole, which is beyond the tips"
 
 
+def test_gripper_strikes_no_neighbours_stem():
+    """Stems of other plants 40 mm to either side: there the fingers are when the pads close along that side."""
+    stem, skeleton, cloud = make_plant(branches=())
+    z = np.arange(-0.3, 0.4, 0.005)
+    ways = [np.column_stack([np.full(len(z), 0.72), np.full(len(z), side), z]) for side in (-0.04, 0.04)]
+    among = replace(skeleton, neighbours=np.concatenate(ways))
+    assert max(abs(g.approach[0]) for g in plan_grasps(stem, skeleton, cloud)) > 0.9
+    for g in plan_grasps(stem, among, cloud):
+        assert g.clearance >= SUPPORT_CLEARANCE
+        assert abs(g.approach[1]) < 0.9, "through a neighbour's stem"
+
+
 def test_where_a_pole_touches_all_along_no_grasp_is_free():
-    with pytest.raises(StageFailure, match="a support between the pads") as failure:
+    with pytest.raises(StageFailure, match="a support or another stem between the fingers") as failure:
         plan_grasps(*beside(make_plant(branches=()), 0.004, 0.0))
     assert failure.value.kind == "no_grasp_found"
 
@@ -664,7 +676,7 @@ def test_a_stem_needs_the_margin_between_the_open_pads(less, refused):
 
 def test_the_space_between_the_pads_is_as_large_as_they_are_and_the_margin():
     gripper = GripperShape()
-    lower, upper = gripper.closing(0.003).reshape(2, 3)
+    lower, upper = gripper.closing(0.003)[0].reshape(2, 3)
     np.testing.assert_allclose((lower + upper) / 2, [0, 0, gripper.depth], atol=1e-12)
     np.testing.assert_allclose(upper - lower, [gripper.pad[0] + 0.006, gripper.stroke, gripper.pad[1] + 0.006])
 

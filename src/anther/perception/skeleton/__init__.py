@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -99,9 +99,10 @@ class Skeleton(Stored):
         flatness: (J,) 0 where the plant is round or a line around the node, 1 where it is a plane: a blade; None if
             unknown.
         root_confidence: probability that node 0 is the stem's base; None if unknown.
+        neighbours: (M, 3) along the stems of other plants in view, coarsely [m].
     """
 
-    KIND, SCHEMA, CALLED = "skeleton", 3, "skeleton"
+    KIND, SCHEMA, CALLED = "skeleton", 4, "skeleton"
     nodes: Annotated[Array, Shape("J", 3), Range(unit="m")]
     parent: Annotated[NDArray[np.int64], Shape("J")]
     radius: Annotated[Array, Shape("J"), Range(unit="m")]
@@ -110,6 +111,7 @@ class Skeleton(Stored):
     confidence: Annotated[Array, Shape("J"), Range(0, 1)] | None = None
     flatness: Annotated[Array, Shape("J")] | None = None
     root_confidence: Share | None = None
+    neighbours: Annotated[Array, Shape("M", 3), Range(unit="m")] = field(default_factory=lambda: np.zeros((0, 3)))
 
     def _check(self) -> None:
         n, parent = len(self.nodes), self.parent
@@ -126,7 +128,7 @@ class Skeleton(Stored):
 
     def moved(self, T: Array) -> Skeleton:
         """Return it moved by T (4, 4)."""
-        return replace(self, nodes=transform_points(T, self.nodes))
+        return replace(self, nodes=transform_points(T, self.nodes), neighbours=transform_points(T, self.neighbours))
 
     @property
     def edges(self) -> NDArray[Any]:
@@ -200,7 +202,9 @@ def skeletonize(cloud: Cloud, params: Params | None = None, middle: ArrayLike | 
     confidence = node_confidence(curves.nodes, curves.parent, curves.radius, flatness, points)
     confidence = confidence * (1 - cloud.seen_through)  # it was fitted on views that agree
     notes, sure = plants.notes + notes + warnings, sure * plants.certain
-    return Skeleton(curves.nodes, curves.parent, curves.radius, notes, curves.width, confidence, flatness, sure)
+    neighbours = np.concatenate([np.zeros((0, 3)), *(way for k, way in enumerate(plants.stems) if k != plants.asked)])
+    tree = curves.nodes, curves.parent, curves.radius
+    return Skeleton(*tree, notes, curves.width, confidence, flatness, sure, neighbours)
 
 
 def nearest_node(name: str, place: ArrayLike, nodes: Array) -> int:

@@ -9,6 +9,7 @@ plants exclude each other, leaves that touch pass on little, and organs that cro
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -19,6 +20,7 @@ from scipy.sparse.csgraph import dijkstra, minimum_spanning_tree
 
 from anther.core.errors import bad_input
 from anther.core.geometry import Array
+from anther.perception.skeleton.raw_tree import BLADE
 from anther.perception.skeleton.support import probability
 from anther.perception.skeleton.voxel_solid import (
     bridges,
@@ -58,6 +60,7 @@ class Plants:
         root: (3,) where its tree begins [m].
         certain: probability that a stem stands there and is the one that is meant.
         notes: what the user should know.
+        stems: K times (M, 3), the way up each stem, coarsely [m]; blades are left out.
     """
 
     roots: Array
@@ -67,6 +70,7 @@ class Plants:
     root: Array
     certain: float = 1.0
     notes: tuple[str, ...] = ()
+    stems: tuple[Array, ...] = ()
 
     def __len__(self) -> int:
         return len(self.roots)
@@ -103,7 +107,8 @@ def find_plants(
         return Plants(foot, np.ones(1), np.zeros(len(points), dtype=np.int64), 0, foot[0])
     spread = np.ptp(graph.points[feet], axis=0)
     feet = feet[np.argsort(graph.points[feet, int(spread[1] > spread[0])], kind="stable")]
-    roots, owner = graph.points[feet], _owners(graph, feet, points)
+    grown = _grown_from(graph, feet)
+    roots, owner = graph.points[feet], _owners(graph, grown, points)
     _check_number(plant, roots)
     sure = np.array([chance[minima == foot][0] for foot in feet])
     if named is not None:
@@ -120,7 +125,8 @@ def find_plants(
     notes = _notes(roots, asked, owner)
     on_it = named is not None and np.linalg.norm(roots[asked.number] - root) > _NEAR * graph.height
     start = np.asarray(root, dtype=np.float64) if on_it else roots[asked.number]
-    return Plants(roots, sure, owner, asked.number, start, float(asked.certain), notes)
+    stems = tuple(_ways_up(graph, feet, grown))
+    return Plants(roots, sure, owner, asked.number, start, float(asked.certain), notes, stems)
 
 
 class _Asked(NamedTuple):
@@ -235,10 +241,27 @@ def _below(graph: _Graph, voxel: int) -> NDArray[np.bool_]:
     return label == label[voxel]
 
 
-def _owners(graph: _Graph, feet: NDArray[Any], points: Array) -> NDArray[np.int64]:
-    """Return the number (N,) of the foot that each point belongs to, -1: to none."""
+def _owners(graph: _Graph, grown: NDArray[np.int64], points: Array) -> NDArray[np.int64]:
+    """Return the number (N,) of the foot that each point belongs to, as its voxel (V,) does, -1: to none."""
     away, voxel = nearest(points, graph.points)
-    return np.where(away <= _BRIDGE * graph.height, _grown_from(graph, feet)[voxel], -1)
+    return np.where(away <= _BRIDGE * graph.height, grown[voxel], -1)
+
+
+def _ways_up(graph: _Graph, feet: NDArray[Any], grown: NDArray[np.int64]) -> Iterator[Array]:
+    """Yield (M, 3) the cheapest way from each foot to the top of what grows from it [m], without what is planar."""
+    before, number = graph.ways(feet)
+    for k, foot in enumerate(feet):
+        own = np.flatnonzero((number == k) & (grown == k))
+        way = _way_to(before, own[graph.points[own, 2].argmax()] if len(own) else foot)
+        yield graph.points[[voxel for voxel in way if graph.flatness[voxel] < BLADE]]
+
+
+def _way_to(before: NDArray[Any], voxel: int) -> list[int]:
+    """Return the voxels on the way to one, which goes first, from the foot that is before itself."""
+    way = [voxel]
+    while before[way[-1]] != way[-1]:
+        way.append(before[way[-1]])
+    return way
 
 
 def _grown_from(graph: _Graph, feet: NDArray[Any]) -> NDArray[np.int64]:
@@ -436,10 +459,7 @@ def _evidence(graph: _Graph, feet: NDArray[Any]) -> Array:
             rows.append(np.zeros(4))  # cheaper reached from another
             continue
         top = own[z[own].argmax()]
-        way = [top]
-        while way[-1] != foot:
-            way.append(before[way[-1]])
-        start = [v for v in way if within[v]]
+        start = [v for v in _way_to(before, top) if within[v]]
         rise, low = (z[top] - z[foot]) / graph.height, 1 - (z[foot] - z.min()) / graph.height
         rows.append([rising[own].mean(), 1 - graph.flatness[start].mean(), rise, low])
     return np.clip(np.array(rows).reshape(-1, 4), 0, 1)

@@ -160,7 +160,8 @@ def plan_grasps(
     if scale > 1:
         smaller = 1 / scale
         stem = replace(stem, arc_length=stem.arc_length * smaller)
-        skeleton = replace(skeleton, nodes=skeleton.nodes * smaller, radius=skeleton.radius * smaller)
+        lengths = {name: getattr(skeleton, name) * smaller for name in ("nodes", "radius", "neighbours")}
+        skeleton = replace(skeleton, **lengths)
         supports = tuple(s.scaled(smaller) for s in cloud.supports)
         lengths = {name: getattr(cloud, name) * smaller for name in ("points", "loose", "obstacles")}
         cloud = replace(cloud, supports=supports, **lengths)
@@ -250,7 +251,7 @@ def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, towar
         costs["comes from behind the plant"] = 0.25 * (1 - candidates.outward())
     refused = np.any(list(refusals.values()), axis=0)
     if not params.fit_gripper:
-        # a place with a support between the pads comes last, whatever else speaks for it
+        # a place with such a thing between the pads comes last, whatever else speaks for it
         costs |= {name: (30.0 if name == BETWEEN else 3.0) * yes for name, yes in refusals.items()}
         refused[:] = False
     total = np.sum(list(costs.values()), axis=0)
@@ -263,7 +264,7 @@ STEM_CLEARANCE, OBSTACLE_CLEARANCE = 0.003, 0.015
 """Least distance of the open fingers from the stem's surface, and of the gripper from pot, soil and bench [m]."""
 SUPPORT_CLEARANCE = OFF_BY + DOUBT
 """Of the gripper from a string, stake or pole [m]: these are seen as well as the stem is."""
-DOUBTED, BETWEEN = "probably not the main stem", "a support between the pads"
+DOUBTED, BETWEEN = "probably not the main stem", "a support or another stem between the fingers"
 
 
 def _refusals(
@@ -277,7 +278,7 @@ def _refusals(
         DOUBTED: doubtful,
         "thicker than the stroke": held > params.gripper.stroke - margin,
         BETWEEN: met.enclosed[:, RIGID] > 0,
-        "would hit a support": met.distance[:, [RIGID, STRING]].min(axis=1) < SUPPORT_CLEARANCE,
+        "would hit a support or another stem": met.distance[:, [RIGID, STRING]].min(axis=1) < SUPPORT_CLEARANCE,
         "would hit pot or bench": met.distance[:, OBSTACLE] < OBSTACLE_CLEARANCE,
         "would hit the stem": met.distance[:, STEM] < STEM_CLEARANCE,
     }

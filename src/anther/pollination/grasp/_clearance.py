@@ -31,7 +31,7 @@ class Surroundings:
         radius: (M,) [m]; 0 for a surface point.
         kind: (M,) LEAF (any plant surface off the stem), FLOWER_POINT (of flowers, and of trusses, which carry flowers
             or fruit), BRANCH (the piece of it near the stem), STEM, OBSTACLE (pot, soil, bench), RIGID (a stake, pole
-            or wire) or STRING.
+            or wire, or another plant's stem) or STRING.
         stiffness: (M,) force that pushing it aside by a metre takes, over Young's modulus [m]; 0 but of branches.
     """
 
@@ -48,7 +48,7 @@ class Clearance:
     Attributes:
         distance: (P, 7) to the nearest ball of each kind [m], negative inside, at most `FAR`.
         touched: (P, 7) how many balls of each kind the way in touches.
-        enclosed: (P, 7) how many balls of each kind lie between the open pads.
+        enclosed: (P, 7) how many balls of each kind lie between the open pads, of RIGID ones between the fingers.
         spread: (P, 7) how far the outermost of these reaches from the plane on which the pads meet [m]; 0 without any.
         push: (P,) force with which the branch that is pushed aside most pushes back, over Young's modulus [m2].
     """
@@ -91,6 +91,8 @@ def surroundings_of(stem: Stem, skeleton: Skeleton, cloud: Cloud) -> Surrounding
     supports = {
         kind: _support_balls([s for s in cloud.supports if s.soft == (kind == STRING)]) for kind in (RIGID, STRING)
     }
+    others = np.full(len(skeleton.neighbours), np.median(skeleton.radius[stem.node_ids]))  # stems as thick as this one
+    supports[RIGID] = np.concatenate([supports[RIGID], np.column_stack([skeleton.neighbours, others])])
     fuzz = 0.004  # m: points this near the stem's surface are its own
     piece = 0.006  # m: leaves and trusses are counted as pieces of this size
     hanging = _balls_along(skeleton, np.flatnonzero((stem.organ == TRUSS) & (outward >= stiff_length)), piece, outward)
@@ -171,7 +173,8 @@ def clearance(poses: Array, surroundings: Surroundings, boxes: Array, closing: A
         poses: (P, 4, 4) T_world_flange.
         surroundings: the balls.
         boxes: (G, 6) lower and upper corners in the flange frame [m]; swept boxes make it the whole way in.
-        closing: (6,) lower and upper corner of the space between the open pads.
+        closing: (2, 6) lower and upper corners of the space between the open pads, and between the fingers: what is
+            rigid must not be there either.
     """
     shape = (len(poses), 7)  # kinds of ball
     distance = np.full(shape, FAR)
@@ -238,7 +241,7 @@ def _meet(
                 distance[i, k] = _less(distance[i, k], gap)
                 touched[i, k] += gap < touch
                 push[i] = _more(push[i], (touch - gap) * stiffness[m])
-                if _box_distance(local, closing, radius[m]) < radius[m]:
+                if _box_distance(local, closing[1 if k == RIGID else 0], radius[m]) < radius[m]:
                     enclosed[i, k] += 1
                     spread[i, k] = _more(spread[i, k], abs(local[1]) + radius[m])
 
