@@ -91,9 +91,13 @@ class Scene:
         return np.array([plant.stem[0] for plant in self.plants])
 
     def only(self, plant: int) -> Scene:
-        """Return the scene of one plant alone."""
-        kept = self.owner == plant
-        return Scene(self.points[kept], np.zeros(kept.sum(), int), self.organ[kept], [self.plants[plant]])
+        """Return the scene of one plant alone, with the support that was dealt out to it."""
+        count = len(self.plants)
+        own = [plant, *(count + k for k in range(len(self.supports)) if k % count == plant)]
+        kept = np.isin(self.owner, own)
+        names = [self.supports[k - count] for k in own[1:]]
+        owner = np.searchsorted(own, self.owner[kept])
+        return Scene(self.points[kept], owner, self.organ[kept], [self.plants[plant]], names)
 
     def cloud(self) -> Cloud:
         """Return what perception gets."""

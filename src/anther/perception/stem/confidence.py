@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from anther.core.geometry import Array
 from anther.perception.skeleton import Skeleton
+from anther.perception.skeleton.raw_tree import BLADE
 from anther.perception.skeleton.support import logit, probability
 
 DOUBTFUL = 0.75
@@ -70,12 +71,13 @@ def find_second_stem(skeleton: Skeleton, node_ids: NDArray[Any]) -> tuple[str, .
     """Return a warning when the tree comes down to the soil a second time: two plants have grown into each other.
 
     What comes down stands a tenth of the plant's size aside. Its last piece is upright within 35 degrees, at least half
-    as thick as the stem's foot, and does not taper downwards: drooping leaves are thinner, or do.
+    as thick as the stem's foot, no blade, and does not taper downwards: drooping leaves are thinner, or do.
     """
     nodes, root = skeleton.nodes, skeleton.nodes[0]
     size = float(np.linalg.norm(np.ptp(nodes, axis=0)))
     piece = 0.06 * size
-    thick = float(np.median(skeleton.radius[node_ids[: max(len(node_ids) // 4, 3)]]))
+    from_root = np.linalg.norm(nodes[node_ids] - root, axis=1)
+    thick = float(np.median(skeleton.radius[node_ids[from_root <= 2 * piece]]))
     low = nodes[:, 2] <= root[2] + piece
     aside = np.linalg.norm(nodes[:, :2] - root[:2], axis=1) >= 0.1 * size
     for tip in np.flatnonzero((skeleton.children_count == 0) & low & aside):
@@ -85,7 +87,8 @@ def find_second_stem(skeleton: Skeleton, node_ids: NDArray[Any]) -> tuple[str, .
         rise = nodes[down[0]] - nodes[tip]
         upright = rise[2] >= np.cos(np.radians(35)) * max(0.8 * piece, np.linalg.norm(rise))
         foot, higher = (np.median(skeleton.radius[part]) if len(part) else 0.0 for part in (down, above))
-        if upright and foot >= 0.55 * thick and foot >= 0.85 * higher:
+        blade = skeleton.flatness is not None and np.median(skeleton.flatness[down]) >= BLADE
+        if upright and not blade and foot >= 0.55 * thick and foot >= 0.85 * higher:
             x, y = nodes[tip, :2]
             return (f"main stem: a second stem seems to stand at x, y = {x:.2f}, {y:.2f} m: two plants in one?",)
     return ()
