@@ -10,7 +10,7 @@ Keys of the --json file: asked_named, asked_unnamed (share of scenes in which mo
 plant; unnamed any plant will do whose foot is at most 1.25 times as far from the middle as the nearest), traced_share
 (share of the asked stem's height along which the named main stem runs within two stem radii, mean, 0 where another stem
 was found), organs_own (share of the named tree's nodes on the asked plant, mean, supports left out), support_as_stem
-(questions whose main stem is a support over more than a twentieth of its nodes), support_in_pads (share of the grasps
+(questions whose main stem is a support, and within no stem, over more than a twentieth of its nodes), support_in_pads (share of the grasps
 that close on a support, of scenes with supports; a string wound round a stem counts as the stem), two_stems_48 (of 48
 pairs of own plants with their feet 0.04-0.12 m apart, those whose grasp is on the asked stem; clouds, not whole
 trials), flagged_wrong (share of the wrong answers, another plant's stem or a grasp off the asked one's, that are
@@ -145,6 +145,8 @@ class Judge:
             return row | {"found": None, "right": False, "grasp_right": False, "traced": 0.0}
         count, nodes = len(self.scene.plants), answer.skeleton.nodes
         on = self.owner(nodes[answer.stem.node_ids])
+        for k, plant in enumerate(self.scene.plants):  # within a true stem, whatever leans on it there
+            on[self._within_stem(plant, nodes[answer.stem.node_ids])] = k
         share = np.bincount(on, minlength=len(self.scene.supports) + count) / len(on)
         found = int(share.argmax())
         right = bool(found in asked and share[found] > 0.5)
@@ -188,6 +190,12 @@ class Judge:
         own = (self.scene.owner == plant) & (self.scene.organ == STEM)
         stem = np.vstack([self.scene.plants[plant].stem, self.scene.points[own]])
         return np.asarray(KDTree(stem).query(places)[0]) <= 2 * self.scene.plants[plant].radius + 0.002
+
+    @staticmethod
+    def _within_stem(plant: Points, places: Array) -> NDArray[np.bool_]:
+        """Return which places (M, 3) [m] are within a radius of the middle of a plant's stem."""
+        line = np.concatenate([np.linspace(a, b, 20) for a, b in zip(plant.stem, plant.stem[1:], strict=False)])
+        return np.asarray(KDTree(line).query(places)[0]) <= plant.radius
 
     def _support_in_pads(self, grasp: Grasp) -> bool:
         """Return whether a point of a support lies where the pads close."""

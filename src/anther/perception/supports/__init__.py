@@ -14,7 +14,6 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import small_gicp
 from numpy.typing import NDArray
-from scipy import ndimage
 from scipy.spatial import KDTree
 
 from anther.core.geometry import Array, interpolate
@@ -22,6 +21,7 @@ from anther.perception.cloud import Cloud, Support
 from anther.perception.cloud._fusion import voxel_means
 from anther.perception.hanging import StringLine
 from anther.perception.skeleton import Skeleton
+from anther.perception.skeleton.voxel_solid import components, neighbour_edges
 from anther.perception.stem import Stem
 from anther.perception.supports._evidence import Evidence, log_odds
 from anther.perception.supports._lines import straight_lines
@@ -403,17 +403,16 @@ def _orphans(scene: _Scene, rod: _Rod) -> int:
     """
     t, off = rod.cylinder(scene.points)
     own = (off < 1.3 * rod.radius + 1.5 * scene.cell) & (t > 0) & (t < len(rod.alone))
-    coarse = np.floor((scene.points - scene.points.min(axis=0)) / (2 * scene.cell)).astype(int)
+    coarse = np.floor((scene.points - scene.points.min(axis=0)) / (2 * scene.cell)).astype(np.int64)
     shape = coarse.max(axis=0) + 1
-
-    def parts(keep: NDArray[np.bool_]) -> NDArray[np.int64]:
-        held = np.zeros(shape, dtype=bool)
-        held[tuple(coarse[keep].T)] = True
-        labels: Any = ndimage.label(held, np.ones((3, 3, 3)))
-        return np.asarray(labels[0][tuple(coarse.T)], dtype=np.int64)
-
-    before = parts(np.ones(len(own), dtype=bool))
-    pieces = np.bincount(parts(~own)[~own & np.isin(before, before[own])])
+    number = np.ravel_multi_index(tuple(coarse.T), shape)
+    held, cell = np.unique(number, return_inverse=True)
+    edges = neighbour_edges(np.stack(np.unravel_index(held, shape), axis=1))
+    of_rod = np.bincount(cell, weights=own) == np.bincount(cell)
+    before = components(len(held), edges)
+    after = components(len(held), edges[~of_rod[edges].any(axis=1)])
+    hung = np.isin(before, before[cell[own]]) & ~of_rod
+    pieces = np.bincount(after[cell[hung[cell]]])
     return max(int(np.count_nonzero(pieces > 0.005 * pieces.sum())) - 1, 0)  # the largest is the plant that stays
 
 
