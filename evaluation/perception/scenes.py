@@ -10,18 +10,19 @@ Keys of the --json file: asked_named, asked_unnamed (share of scenes in which mo
 plant; unnamed any plant will do whose foot is at most 1.25 times as far from the middle as the nearest), traced_share
 (share of the asked stem's height along which the named main stem runs within two stem radii, mean, 0 where another stem
 was found), organs_own (share of the named tree's nodes on the asked plant, mean, supports left out), support_as_stem
-(questions whose main stem is a support, and within no stem, over more than a twentieth of its nodes), support_in_pads (share of the grasps
-that close on a support, of scenes with supports; a string wound round a stem counts as the stem), two_stems_48 (of 48
-pairs of own plants with their feet 0.04-0.12 m apart, those whose grasp is on the asked stem; clouds, not whole
-trials), flagged_wrong (share of the wrong answers, another plant's stem or a grasp off the asked one's, that are
-refused, or have a confidence of the root or the grasp below 0.75, a note of a second stem or of a low one, or a gripper
-that does not fit), false_flags (share of right answers that have, where one plant alone was meant), alike_flagged
-(share of questions that have where several would do), any_flagged_wrong, any_false_flags (the same where the main
-stem's confidence counts as well: that is about its whole course, not about what is held), course_wrong (share of the
-right answers whose main stem leaves the true one over more than a twentieth of its length below its first fork, or is
-cut short by a tenth), course_flagged_wrong, course_false_flags (share of these and of the other right answers with a
-main stem's confidence below 0.75), scene_over_one (processor time of a scene of five over that of one of them, compiled
-code being loaded, median; of all scenes where there are none of five), scenes; and own_, helios_, real_ for parts.
+(questions whose main stem is a support, and within no stem, over more than a twentieth of its nodes), support_in_pads
+(share of the grasps that close on a support, of scenes with supports; a string wound round a stem counts as the stem),
+two_stems_48 (of 48 pairs of own plants with their feet 0.04-0.12 m apart, those whose grasp is on the asked stem;
+clouds, not whole trials), flagged_wrong (share of the wrong answers, another plant's stem or a grasp off the asked
+one's, that are refused, or have a confidence of the root or the grasp below 0.75, a note of a second stem or of a low
+one, or a gripper that does not fit), false_flags (share of right answers that have, where one plant alone was meant),
+alike_flagged (share of questions that have where several would do), any_flagged_wrong, any_false_flags (the same where
+the main stem's confidence counts as well: that is about its whole course, not about what is held), course_wrong (share
+of the right answers whose main stem leaves the true one over more than a twentieth of its length below its first fork,
+or is cut short by a tenth), course_flagged_wrong, course_false_flags (share of these and of the other right answers
+with a main stem's confidence below 0.75), scene_over_one (processor time of a scene of five over that of one of them,
+compiled code being loaded, median; of all scenes where there are none of five), scenes; and own_, helios_, real_ for
+parts.
 """
 
 from __future__ import annotations
