@@ -17,22 +17,29 @@ def clearest_ring(xy, rings, pixel):
     best = (0.0, 0.0, 0.0, pixel)
     for j in range(1, rings + 1):
         radius = j * pixel
+        on_low, on_high = _squares(radius, pixel)
+        low, high = _squares(radius, 3 * pixel)
         for share in (0.0, 0.5, 1.0):
             turns = np.int64(np.pi * share * j)
             turns = turns if turns > 1 else 1
             for k in range(turns):
                 x, y = share * radius * np.cos(2 * np.pi * k / turns), share * radius * np.sin(2 * np.pi * k / turns)
-                votes = 0.0
+                on = within = 0
                 for p in range(len(xy)):
-                    off = abs(np.sqrt((xy[p, 0] - x) ** 2 + (xy[p, 1] - y) ** 2) - radius)
-                    if off < pixel:
-                        votes += 1.0
-                    elif off < 3 * pixel:
-                        votes -= 0.5
-                score = votes / np.sqrt(radius + pixel)
+                    square = (xy[p, 0] - x) ** 2 + (xy[p, 1] - y) ** 2
+                    on += (square > on_low) & (square < on_high)
+                    within += (square > low) & (square < high)
+                score = (1.5 * on - 0.5 * within) / np.sqrt(radius + pixel)
                 if score > best[0]:
                     best = (score, x, y, radius)
     return best
+
+
+@inlined
+def _squares(radius, off):
+    """Return between which squares of a distance it differs by less than `off` from a radius."""
+    low = radius - off
+    return low * abs(low), (radius + off) ** 2
 
 
 @compiled
