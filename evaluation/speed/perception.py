@@ -1,10 +1,10 @@
 """From 30 views to a grasp-ready skeleton and a planned shake: wall time a stage, and memory.
 
 A simulated plant in 30 views, 1280 x 720, as `anther trial` takes them: reading of their folder, masks (colour and
-geometry, no networks), cloud (registration and fusion), skeleton, stem, flowers, ranked grasps without the arm. All in
-one new process on at most two threads, after one run that loads the compiled code; the best of the repeats counts. Peak
-memory is the greatest resident set of that process while it works, views and libraries included (read from /proc, so on
-Linux). Afterwards a shake is planned and predicted as in a trial.
+geometry, no networks), cloud (registration and fusion), supports, skeleton, stem, flowers, ranked grasps without the
+arm. All in one new process on at most two threads, after one run that loads the compiled code; the best of the repeats
+counts. Peak memory is the greatest resident set of that process while it works, views and libraries included (read from
+/proc, so on Linux). Afterwards a shake is planned and predicted as in a trial.
 
 Keys of the --json file, of the slower plant: views_to_grasp_s, all of it; total_s, without the reading;
 after_last_view_s, of a live visit, whose views are written and looked at as they come: what is left after the last;
@@ -31,7 +31,7 @@ import numpy as np
 from rich.table import Table
 
 from anther.core import Array, Box, transform_points
-from anther.perception import Capture, cloud, flowers, masks, skeleton, stem
+from anther.perception import Capture, cloud, find_supports, flowers, masks, skeleton, stem
 from anther.perception.capture import CaptureWriter
 from anther.perception.incoming import FirstLook, IncomingViews
 from anther.plant import PEPPER, TOMATO, Crop, Material
@@ -45,7 +45,7 @@ from evaluation.tables import by_number
 
 VIEWS = 30
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "2"}
-STAGES = ("reading", "masks", "cloud", "skeleton", "stem", "flowers", "grasps")
+STAGES = ("reading", "masks", "cloud", "supports", "skeleton", "stem", "flowers", "grasps")
 MATERIALS = {"tomato": TOMATO, "pepper": PEPPER}
 
 
@@ -110,7 +110,8 @@ def perceive(capture: Capture, box: Box, look: FirstLook | None = None) -> tuple
         return result
 
     labels = timed("masks", lambda: masks.segment(capture, box, observations=look.observations))
-    points = timed("cloud", lambda: cloud.fuse(capture, labels, box, surfaces=look.surfaces))
+    fused = timed("cloud", lambda: cloud.fuse(capture, labels, box, surfaces=look.surfaces))
+    points = timed("supports", lambda: find_supports(fused))
     tree = timed("skeleton", lambda: skeleton.skeletonize(points))
     centres = timed("flowers", lambda: flowers.flower_centres(points))
     main_stem = timed("stem", lambda: stem.find_stem(tree, flowers_at=centres))
