@@ -146,6 +146,21 @@ def test_the_pads_close_in_steps_and_press_no_more_than_the_plan_asks_for(width:
     assert 0.95 * press <= trial.gripper[0, 1] < press + 6e3 * STEP
 
 
+@pytest.mark.parametrize(("width", "held"), [(0.0038, True), (0.0028, False)])
+def test_a_stem_half_as_thick_as_measured_is_held_though_it_gives_way(width: float, held: bool) -> None:
+    """Measured 8 mm thick, it is met at half of that, and presses with 6 N only 1 mm further on."""
+
+    class GivesWay(SoftStem):
+        def move(self, opening: float) -> GripperState:
+            super().move(opening)
+            self.opening = opening
+            return self.state()
+
+    trial = execute(PLANNER, Plan(press=5.0), fake_robot(FakeArm(), GivesWay(width)), LIMITS)
+    assert trial.finished == held
+    assert trial.failure == (None if held else "nothing_grasped")
+
+
 def test_a_gripper_that_cannot_press_as_the_shake_needs_does_not_shake() -> None:
     trial = execute(PLANNER, Plan(press=9.0), fake_robot(FakeArm(), FakeGripper(0.008)), LIMITS)
     assert trial.failure == "limits_exceeded"

@@ -17,8 +17,8 @@ def close(gripper: Gripper, grasp: Grasp, press: float) -> GripperState:
     """Close to the measured diameter and on in steps until the pads press with a force [N]; verify the grip.
 
     Depth sensors see thin stems too thick (facts: perception), but none by more than 4.5 mm, or by half where that is
-    more: nearer the pads do not come, and what they hold there is nothing. A stem that was measured too thin is pressed
-    hard at once: the pads let go a little and close again from where they met it.
+    more: what they have not met by then is nothing. A stem that was measured too thin is pressed hard at once: the pads
+    let go a little and close again from where they met it.
 
     Raises:
         StageFailure: nothing_grasped; branch_or_leaf_grasped when it is much too thick; limits_exceeded when the pads
@@ -33,7 +33,7 @@ def close(gripper: Gripper, grasp: Grasp, press: float) -> GripperState:
     thickest = 0.012  # m: what is wider than the measured diameter by this is not the stem
     if expected + STEP < state.opening < expected + thickest:
         state = _press(gripper, state.opening + STEP, press, thinnest)
-    if state.is_gripping and thinnest - STEP < state.opening <= grasp.stem_diameter + thickest:
+    if state.is_gripping and state.opening <= grasp.stem_diameter + thickest:
         if _is_enough(state.force, press):
             return state
         given = f"the pads press with {state.force:.1f} N; the plan asks for {press:.1f} N"
@@ -59,7 +59,7 @@ def _is_enough(force: float, press: float) -> bool:
 
 
 def _press(gripper: Gripper, width: float, press: float, thinnest: float) -> GripperState:
-    """Close to a width [m], and on in steps until the pads press, while they are further apart than `thinnest` [m].
+    """Close to a width [m], and on in steps until the pads press, if they meet anything thicker than `thinnest` [m].
 
     Pads that press hard but stand where they were sent, held off by nothing, or pressed as hard a step before, have the
     gripper's word for it alone: they let go by a step, and the force must fall.
@@ -69,7 +69,7 @@ def _press(gripper: Gripper, width: float, press: float, thinnest: float) -> Gri
         return state.is_gripping and _is_enough(state.force, press)
 
     before, state = 0.0, gripper.move(width)
-    while not enough(state) and width - STEP > THINNEST - 1e-9 and state.opening > thinnest:
+    while not enough(state) and width - STEP > THINNEST - 1e-9 and (state.opening > thinnest or state.is_gripping):
         width -= STEP
         before, state = state.force, gripper.move(width)
     held_off = 0.00015  # m short of where the pads were sent: less than half a count of a Robotiq
