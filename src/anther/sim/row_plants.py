@@ -506,7 +506,7 @@ def held_by_string(plant: SimPlant, cut: Params | None = None) -> SimPlant:
     rigid = replace(plant, youngs=np.where(trunk, 1e15, plant.youngs), foot=np.inf)  # strings hold the stems
     factor = max(SELF_SUPPORT / buckling_factor(rigid), 1.0)
     plant = replace(plant, youngs=np.where(trunk | pedicel, plant.youngs, factor * plant.youngs))
-    for _ in range(12):  # 1.25^12 is 15
+    for _ in range(24):  # 1.25^24 is 212
         try:
             for pieces in {Params(), cut or Params()}:
                 alone(plant, pieces)
