@@ -33,7 +33,7 @@ def close(gripper: Gripper, grasp: Grasp, press: float) -> GripperState:
     thickest = 0.012  # m: what is wider than the measured diameter by this is not the stem
     if expected + STEP < state.opening < expected + thickest:
         state = _press(gripper, state.opening + STEP, press, thinnest)
-    if state.is_gripping and state.opening <= grasp.stem_diameter + thickest:
+    if state.is_gripping and THINNEST - STEP < state.opening <= grasp.stem_diameter + thickest:
         if _is_enough(state.force, press):
             return state
         given = f"the pads press with {state.force:.1f} N; the plan asks for {press:.1f} N"
