@@ -252,7 +252,7 @@ def _ways_up(graph: _Graph, feet: NDArray[Any], grown: NDArray[np.int64]) -> Ite
     before, number = graph.ways(feet)
     for k, foot in enumerate(feet):
         own = np.flatnonzero((number == k) & (grown == k))
-        way = _way_to(before, own[graph.points[own, 2].argmax()] if len(own) else foot)
+        way = _way_to(before, int(own[graph.points[own, 2].argmax()] if len(own) else foot))
         yield graph.points[[voxel for voxel in way if graph.flatness[voxel] < BLADE]]
 
 
