@@ -311,7 +311,8 @@ def _balances(points, depth, k, T, balance, left):
         for j in range(v - 1, v + 2):
             for i in range(u - 1, u + 2):
                 seen = np.float64(depth[j, i])
-                nearest, least = min(nearest, abs(seen - z)), min(least, seen)
+                off = abs(seen - z)
+                nearest, least = off if off < nearest else nearest, seen if seen < least else least
         balance[n] += 1 if nearest < SEEN_THROUGH / 2 else (-1 if least > z + SEEN_THROUGH else 0)
 
 
@@ -361,7 +362,10 @@ def _join(points, start, pairs, gap2, joined):
             if touching:
                 break
         if touching:
-            joined[max(one, two)] = min(one, two)
+            if one < two:
+                joined[two] = one
+            else:
+                joined[one] = two
     for c in range(len(joined)):
         joined[c] = joined[joined[c]]
 
