@@ -246,7 +246,8 @@ def one_scene(row: Row, _: Path) -> Row:
     """Return what perception says to the questions of one scene."""
     scene = scene_of(row)
     judge, alone = Judge(scene), scene.only(0)
-    ask(alone)  # loads what is compiled: processor time is of what is warm
+    if not row["pot"]:
+        ask(alone)  # loads what is compiled: processor time is of what is warm
     named = judge.of(ask(scene, root=scene.feet[0]), [0])
     found = {"plants": len(scene.plants), "names": [p.name for p in scene.plants], "of": list(scene.supports)}
     if row["pot"]:

@@ -72,13 +72,14 @@ def main_axis(skeleton: Skeleton, size: float) -> tuple[NDArray[Any], NDArray[An
     may be a leaf, of a neighbour perhaps.
     """
     score = sum_above(skeleton.parent, path_score(skeleton))
+    way = longest_way(skeleton.parent, edge_lengths(skeleton.nodes, skeleton.parent))
     tips = np.flatnonzero(skeleton.children_count == 0)
     best, found = -np.inf, None
     for tip in tips[np.argsort(-score[tips], kind="stable")]:
         if score[tip] <= best:
             break
         path = skeleton.path_from_root(int(tip))
-        end, limb = growth_end(skeleton, path, size)
+        end, limb = growth_end(skeleton, path, size, way)
         if score[path[limb]] > best:
             best, found = score[path[limb]], (path[:end], path)
     assert found is not None
@@ -91,8 +92,10 @@ def path_score(skeleton: Skeleton) -> Array:
     return gain * np.minimum(_ROUND * skeleton.radius / skeleton.breadth, 1)
 
 
-def growth_end(skeleton: Skeleton, path: NDArray[Any], size: float) -> tuple[int, int]:
-    """Return how many nodes of the path belong to the stem (P11), and at which of them the last limb leaves it.
+def growth_end(skeleton: Skeleton, path: NDArray[Any], size: float, way: Array) -> tuple[int, int]:
+    """Return how many nodes of the path belong to the stem (P11), and at which the last limb leaves it; 0: at none.
+
+    `way` (J,) is the longest way out through each node of the tree [m], from its parent.
 
     A step is stem-like unless it turns from the growth axis (root to here), thins, or is a blade: planar, and broader
     than the stem below. The stem ends where the length that is stem-like, less twice the rest, is largest: a leaf that
@@ -110,22 +113,22 @@ def growth_end(skeleton: Skeleton, path: NDArray[Any], size: float) -> tuple[int
     straight, slim, solid = _stem_like(skeleton, path, arc, window * size)
     gain = np.cumsum(length * np.where(straight & (slim | solid), 1.0, -2.0))
     end = int(np.argmax(gain)) + 2
-    limbs, further, longest = _limbs(skeleton, path, end)
+    limbs, further, longest = _limbs(skeleton, path, end, way)
     last, bare = int(limbs[-1]), arc[end - 1] - arc[limbs[-1]]
     reliable = last > 0 and arc[last] >= SHORTEST * size and bare <= longest and further < 2
     stem_like = (straight & slim)[last:].all() and bare <= 1.5 * np.diff(arc[limbs]).max(initial=0)
     return (last + 1 if reliable and not stem_like else end), last
 
 
-def _limbs(skeleton: Skeleton, path: NDArray[Any], end: int) -> tuple[NDArray[np.int64], int, float]:
+def _limbs(skeleton: Skeleton, path: NDArray[Any], end: int, way: Array) -> tuple[NDArray[np.int64], int, float]:
     """Return 0 and which of the first `end` positions of the path a limb leaves; how many leave it further on; and the
     longest limb of those first ones [m].
 
     Leaflets are no limbs: the way up the youngest compound leaf bears them too.
     """
-    way = longest_way(skeleton.parent, edge_lengths(skeleton.nodes, skeleton.parent))
-    way[path] = 0
-    side = np.isin(skeleton.parent, path[1:]) & (way > SPUR * stem_breadth(skeleton, path[:end]))
+    side = np.isin(skeleton.parent, path[1:])
+    side[path] = False
+    side &= way > SPUR * stem_breadth(skeleton, path[:end])
     at, way = np.searchsorted(path, skeleton.parent[side]), way[side]  # a child's number is larger than its parent's
     longest = float(way[at < end].max(initial=0))
     leaflet = 0.2  # of the longest limb: larger shares shorten simulated stems

@@ -251,7 +251,7 @@ def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, towar
         costs["comes from behind the plant"] = 0.25 * (1 - candidates.outward())
     refused = np.any(list(refusals.values()), axis=0)
     if not params.fit_gripper:
-        # a place with such a thing between the pads comes last, whatever else speaks for it
+        # a place with a support or a stem between the fingers comes last, whatever else speaks for it
         costs |= {name: (30.0 if name == BETWEEN else 3.0) * yes for name, yes in refusals.items()}
         refused[:] = False
     total = np.sum(list(costs.values()), axis=0)
@@ -263,7 +263,7 @@ def _rank(stem: Stem, skeleton: Skeleton, cloud: Cloud, params: Params, *, towar
 STEM_CLEARANCE, OBSTACLE_CLEARANCE = 0.003, 0.015
 """Least distance of the open fingers from the stem's surface, and of the gripper from pot, soil and bench [m]."""
 SUPPORT_CLEARANCE = OFF_BY + DOUBT
-"""Of the gripper from a string, stake or pole [m]: these are seen as well as the stem is."""
+"""Of the gripper from a string, stake, pole or another stem [m]: these are seen as well as the stem is."""
 DOUBTED, BETWEEN = "probably not the main stem", "a support or another stem between the fingers"
 
 

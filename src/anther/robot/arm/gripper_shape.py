@@ -69,7 +69,7 @@ class GripperShape:
     def closing(self, margin: float = 0.0, opening: float | None = None) -> Array:
         """Return (2, 6) corners of the space between the open pads, and of that between the open fingers.
 
-        Both are longer and broader than pads by `margin` [m].
+        Both are broader than the pads by `margin` [m], and end as far beyond the tips.
         """
         x, y, z = self.pad[0] / 2 + margin, (self.stroke if opening is None else opening) / 2, self.pad[1] / 2 + margin
         return np.array([[-x, -y, low, x, y, self.depth + z] for low in (self.depth - z, self.finger[1])])
