@@ -13,8 +13,8 @@ moved_row        share of these whose median flower felt 5 m/s2 or more
 neighbour_harm   share of rows: a neighbour, a string, a post, pipe or gutter was touched, or the stem's string let go
 cycle_s          median of the visits that shook [s], while the cart stands: the sum of its parts, thought_s,
                  approach_s, shake_s, retreat_s, stow_s: the way back to where the arm waits, which is not simulated, is
-                 taken to last as long as the way there; a visit is a process, whose thought begins with loading what
-                 was compiled before; from stem to stem it drives for another 2 s (`anther.sim.STEM_TO_STEM`, a guess)
+                 taken to last as long as the way there; the first visit of a process, which loads what was compiled,
+                 does not count; from stem to stem it drives for another 2 s (`anther.sim.STEM_TO_STEM`, a guess)
 ahead_s          median of what is thought of a stem before the cart stands before it [s]: while the one before is
                  worked on, so that it takes no time of its own while it is less than cycle_s
 
@@ -48,7 +48,7 @@ from evaluation.numbers import metrics_of
 from evaluation.statistics import bootstrap, interval, median
 from evaluation.tables import by_number, by_part, markdown
 from evaluation.trials.grasping_pictures import portrait
-from evaluation.trials.grasping_trial import COMPUTE, PICTURE, notes, overlap, performed, timed, truth_of
+from evaluation.trials.grasping_trial import COMPUTE, PICTURE, is_first, notes, overlap, performed, timed, truth_of
 from evaluation.trials.helios_row import grow_helios_row
 from evaluation.trials.shaking import Brief
 
@@ -70,7 +70,7 @@ class Case:
 
 def one(row: Row, folder: Path) -> Row:
     """Return what became of a case, for a sweep; what the camera saw, with the grasp, is drawn into the folder."""
-    case = Case(**row)
+    case, first = Case(**row), is_first()
     grown = grow_helios_row(case.seed) if case.generator == "helios" else grow_row(case.species, case.seed)
     run = Brief(folder)
     try:
@@ -83,10 +83,10 @@ def one(row: Row, folder: Path) -> Row:
     )
     log = cell.world.log()
     found |= touched(log) | {"string_pull": string_pull(cell.world, log), "plants": len(grown.plants)}
-    found |= {"notes": notes(run)}
+    found |= {"notes": notes(run), "first": first}
     if done is not None:
         found |= {"thought_s": thought(found, run), "approach_s": approach(found.get("phases_s", {}))}
-        found["ahead_s"] = sum(took(run, name) for name in AHEAD)
+        found["ahead_s"] = sum(map(run.took, AHEAD))
         found["flowers_seen"], found["flowers_there"] = (
             len(run.results["flowers"].positions),
             len(cell.plant.flower_segment),
@@ -101,13 +101,8 @@ def one(row: Row, folder: Path) -> Row:
 
 def thought(row: Row, run: Brief) -> float:
     """Return what thought took while arm and cart waited [s]. What is thought on the arm's way counts as approach."""
-    seconds = sum(took(run, name) for name in COMPUTE if name not in AHEAD)
+    seconds = sum(run.took(name) for name in COMPUTE if name not in AHEAD)
     return max(seconds - overlap(row.get("phases_s", {}), run), 0.0)
-
-
-def took(run: Brief, name: str) -> float:
-    """Return what a stage took [s]: of wall and processor time the lesser, as other programs share the machine."""
-    return min(run.total.get(name, 0.0), run.cpu.get(name, 0.0))
 
 
 def approach(phases: dict[str, float]) -> float:
@@ -171,7 +166,7 @@ def metrics(rows: Sequence[Row]) -> dict[str, float]:
             low, high = interval(good, count) if count else (float("nan"), float("nan"))
             share = good / count if count else float("nan")
             table |= {f"{name}{end}": share, f"{name}{end}_low": low, f"{name}{end}_high": high}
-    shook = [row for row in rows if np.isfinite(cycle(row))]
+    shook = [row for row in rows if np.isfinite(cycle(row)) and not row.get("first")]
     cycles = np.array([cycle(row) for row in shook])
     low, high = bootstrap(cycles)
     table |= {"cycle_s": median(cycles), "cycle_s_low": low, "cycle_s_high": high}

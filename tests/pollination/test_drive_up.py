@@ -63,16 +63,16 @@ def cell(monkeypatch: pytest.MonkeyPatch) -> Any:
     return SimpleNamespace(robot=robot, workspace=None, order=order, drive_up=lambda: order.append("drove"))
 
 
-def driven(cell: Any, tmp_path: Any, planner: Any) -> Any:
+def driven(cell: Any, tmp_path: Any, planner: Any, ahead: Any = None) -> Any:
     with Run(tmp_path, quiet=True) as run:
-        found = pipeline._driven_up(cell, cell.drive_up, seen(), planner, GRASPS, run, Params())
+        found = pipeline._driven_up(cell, cell.drive_up, seen(), planner, GRASPS, ahead, run, Params())
         kept = Skeleton.load(run.path("skeleton")), Cloud.load(run.path("cloud"))
     return *found, *kept
 
 
 def test_all_that_was_seen_is_moved_to_where_the_side_camera_has_it(cell: Any, tmp_path: Any) -> None:
     joints = np.full(7, 0.1)
-    here, around, grasps, skeleton, cloud = driven(cell, tmp_path, Around(joints))
+    here, around, grasps, _, skeleton, cloud = driven(cell, tmp_path, Around(joints))
     assert cell.order == ["looked", "drove", "looked"]
     before = seen()
     for now, then in (
@@ -96,6 +96,23 @@ def test_where_none_of_the_grasps_is_reached_any_more_they_are_ranked_anew(
     other = replace(GRASPS[0], joints=np.ones(7))
     monkeypatch.setattr("anther.pollination.grasp.plan_grasps", lambda *_, **__: [other])
     assert driven(cell, tmp_path, Around(None))[2] == [other]
+
+
+@pytest.mark.parametrize("reached", [np.full(7, 0.1), None])
+def test_the_plan_is_moved_to_the_grasps_that_are_reached_and_left_without_them(
+    cell: Any, tmp_path: Any, monkeypatch: pytest.MonkeyPatch, reached: Array | None
+) -> None:
+    def moved(plan: Any, T: Array, grasps: list[Any], actuator: Any) -> Any:
+        asked.append((plan, T, [one.point.tolist() for one in grasps], actuator.name))
+        return "moved" if grasps else None
+
+    asked = list[Any]()
+    monkeypatch.setattr("anther.pollination.shake.moved_plan", moved)
+    monkeypatch.setattr("anther.pollination.grasp.plan_grasps", lambda *_, **__: GRASPS)
+    plan = driven(cell, tmp_path, Around(reached), "made ahead")[3]
+    points = [] if reached is None else [transform_points(BY, one.point).tolist() for one in GRASPS]
+    assert asked == [("made ahead", BY, points, "arm")]
+    assert plan == ("moved" if points else None)
 
 
 def test_without_a_side_camera_nothing_drives_up(cell: Any, tmp_path: Any) -> None:

@@ -20,7 +20,16 @@ from anther.plant.belief import EarlierShake
 from anther.plant.limits import PEAKS
 from anther.plant.model import TOMATO, Material, PlantModel, build_plant
 from anther.pollination.grasp import Grasp
-from anther.pollination.shake import SAWYER, VIBRATING_GRIPPER, Params, ShakePlan, arm_shaker, plan_shake, sawyer_limit
+from anther.pollination.shake import (
+    SAWYER,
+    VIBRATING_GRIPPER,
+    Params,
+    ShakePlan,
+    arm_shaker,
+    moved_plan,
+    plan_shake,
+    sawyer_limit,
+)
 from anther.pollination.shake.choice import DIRECTIONS
 from anther.pollination.shake.observables import observables, semi_major
 from anther.pollination.shake.params import MOST_DURATION
@@ -142,6 +151,46 @@ def test_turning_plant_and_grasps_turns_the_plan(plan: ShakePlan) -> None:
     assert other.amplitude == pytest.approx(plan.amplitude, rel=1e-6)
     assert other.predicted_amplitude == pytest.approx(plan.predicted_amplitude, rel=1e-6)
     assert abs(other.direction @ [-plan.direction[1], plan.direction[0], 0]) == pytest.approx(1, abs=1e-6)
+
+
+def test_a_plan_made_before_its_plant_was_moved_is_the_one_made_there(plan: ShakePlan) -> None:
+    skeleton, stem, flowers = branched()
+    T, root = np.eye(4), skeleton.nodes[0]
+    T[:3, :3] = Rotation.from_euler("z", np.pi / 2).as_matrix()
+    T[:3, 3] = root - T[:3, :3] @ root
+    there, blooms = turned(skeleton, flowers, np.pi / 2)
+    grasps = grasps_on(there, stem, [8, 14, 20], np.pi / 2)
+    anew = plan_shake(build_plant(there, stem, blooms, None, TOMATO), grasps, params=QUICK)
+    moved = moved_plan(plan, T, grasps, SAWYER)
+    assert moved is not None
+    assert (moved.grasp, moved.grasp_index, moved.frequency) == (
+        grasps[plan.grasp_index],
+        anew.grasp_index,
+        anew.frequency,
+    )
+    assert moved.amplitude == pytest.approx(anew.amplitude, rel=1e-6)
+    assert abs(moved.direction @ anew.direction) == pytest.approx(1, abs=1e-6)
+    assert moved.tones.reach == pytest.approx(anew.tones.reach, rel=1e-6)
+    assert moved.predicted_acceleration == pytest.approx(anew.predicted_acceleration, rel=1e-6)
+    without = [one for i, one in enumerate(grasps) if i != plan.grasp_index]
+    assert moved_plan(plan, T, without, SAWYER) is None, "its grasp is out of reach"
+    last = moved_plan(plan, T, grasps[plan.grasp_index :], SAWYER)
+    assert last is not None
+    assert last.grasp_index == 0, "into the grasps that are reached"
+
+
+@pytest.mark.parametrize(("share", "kept"), [(0.9, True), (0.5, False)])
+def test_a_moved_plan_is_what_the_arm_manages_there_or_made_anew(
+    plan: ShakePlan, grasps: list[Grasp], share: float, kept: bool
+) -> None:
+    weaker = arm_shaker(lambda _, __, hertz: np.full(len(hertz), share * plan.amplitude))
+    moved = moved_plan(plan, np.eye(4), grasps, weaker)
+    assert (moved is not None) == kept
+    if moved is not None:
+        assert moved.amplitude == pytest.approx(share * plan.amplitude)
+        assert moved.tones.reach.max() <= share * plan.amplitude * (1 + 1e-9)
+        assert np.all(moved.tones.amplitudes <= moved.tones.reach)
+        assert moved.predicted_amplitude == pytest.approx(share * plan.predicted_amplitude)
 
 
 def test_a_stronger_arm_never_does_worse_and_a_dearer_flower_never_better(

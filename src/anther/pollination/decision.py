@@ -15,7 +15,6 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import ndtr
 
 from anther.core.choices import Preset
 from anther.core.geometry import Array
@@ -220,6 +219,14 @@ def worth(
     return Worth(gain, freed, lost, bent, others, (1 - bent["grip_force"]) * gain - price * (lost + others))
 
 
+def _normal_share(deviates: Array) -> Array:
+    """Return the standard normal distribution function at deviates (...), within 2e-4.
+
+    Page (1977), Applied Statistics 26: 75; a tenth of the time of the exact one, of which a plan asks 10^7.
+    """
+    return 0.5 + 0.5 * np.tanh(np.sqrt(2 / np.pi) * deviates * (1 + 0.044715 * np.square(deviates)))
+
+
 def _dose_curve(hertz: Array, power: int) -> Curve:
     """Return the curve of the share of pollen freed by a measure of motion, see `DOSE_MEASURES`."""
 
@@ -228,14 +235,14 @@ def _dose_curve(hertz: Array, power: int) -> Curve:
         probit = 1.702  # a logistic curve is so much steeper than the nearest normal distribution (Camilli 1994)
         width = np.sqrt((probit / exponent) ** 2 + HALF_DOSE.spread**2 + spread**2)
         same = 10.0  # Hz where all measures free as much, in the middle of what arms and motors do: a judgement
-        return ndtr((logs + power * np.log(hertz / same) - np.log(HALF_DOSE.median)) / width)
+        return _normal_share((logs + power * np.log(hertz / same) - np.log(HALF_DOSE.median)) / width)
 
     return freed
 
 
 def _failure_curve(tolerance: Believed) -> Curve:
     """Return the curve of the probability that a load passes what is borne."""
-    return lambda logs, spread: ndtr((logs - np.log(tolerance.median)) / np.hypot(tolerance.spread, spread))
+    return lambda logs, spread: _normal_share((logs - np.log(tolerance.median)) / np.hypot(tolerance.spread, spread))
 
 
 def _lost_curve(hertz: Array) -> Curve:

@@ -295,14 +295,18 @@ def pollinate(
         seen = perceive(capture, cell.workspace, run, params, find_masks, incoming.first_look(capture.views))
     planner = run.timed("planner", lambda _: cell.plan_around(seen.cloud))
     grasps = rank_grasps(seen, planner.reach, run, params)
+    ahead = None
     if cell.drive_up is not None:
-        seen, planner, grasps = _driven_up(cell, cell.drive_up, seen, planner, grasps, run, params)
+        ahead = run.timed(
+            "plan ahead", lambda _: _planned_ahead(cell, planner, seen, grasps, material, params, earlier)
+        )
+        seen, planner, grasps, ahead = _driven_up(cell, cell.drive_up, seen, planner, grasps, ahead, run, params)
     with ThreadPoolExecutor(1) as beside:  # the plant is modelled while the early reach is planned
         modelled = beside.submit(model_plant, seen, material, params)
-        with early_reach(planner, grasps[0], cell.robot, cell.limits) as arrive:
+        with early_reach(planner, ahead.grasp if ahead else grasps[0], cell.robot, cell.limits) as arrive:
             rods = run.stage("plant model", PlantModel.load, lambda _: modelled.result())
             shake, trial, alone, planned, joints = _shaken(
-                cell, planner, rods, grasps, seen, run, arrive, params, earlier
+                cell, planner, rods, grasps, seen, run, arrive, params, earlier, ahead
             )
     answer = _watched(cell, trial, shake, seen, run)
     if answer is None:
@@ -314,16 +318,36 @@ def pollinate(
     return Done(shake, trial, answer, learned.material, rods.material, learned.pads, alone, planned)
 
 
+def _planned_ahead(
+    cell: Cell,
+    planner: MotionPlanner,
+    seen: Seen,
+    grasps: list[Grasp],
+    material: Material,
+    params: Params,
+    earlier: EarlierShake | None,
+) -> ShakePlan | None:
+    """Return the shake as it would be where the cart is to stand; None: there is none, which is met again there."""
+    try:
+        rods = model_plant(seen, material, params)
+        actuator = _actuator(cell, planner, params)
+        return shake.plan_shake(rods, _offered(grasps), actuator, params.shake, cell.limits.pressing, earlier)
+    except StageFailure:
+        return None
+
+
 def _driven_up(
     cell: Cell,
     drive_up: Callable[[], None],
     seen: Seen,
     planner: MotionPlanner,
     grasps: list[Grasp],
+    ahead: ShakePlan | None,
     run: Run,
     params: Params,
-) -> tuple[Seen, MotionPlanner, list[Grasp]]:
-    """Return what was seen on the way, a planner and the grasps in reach, as the side camera has them after the drive.
+) -> tuple[Seen, MotionPlanner, list[Grasp], ShakePlan | None]:
+    """Return what was seen on the way, a planner, the grasps in reach and the plan, as the side camera has them after
+    the drive; of the plan None where the arm cannot do it from there.
 
     Raises:
         InputError: there is no side camera.
@@ -342,18 +366,19 @@ def _driven_up(
         raise DeviceError(f"side camera: got {given}; allowed: one of now. Restart it.")
     view = View(frame.depth, frame.rgb, camera.intrinsics, pose)
 
-    def found(_: Advance) -> tuple[Seen, MotionPlanner, list[Grasp]]:
+    def found(_: Advance) -> tuple[Seen, MotionPlanner, list[Grasp], ShakePlan | None]:
         T_now_then = cloud.moved_since(seen.cloud, view, cell.workspace)
         here, around = seen.moved(T_now_then), planner.moved(T_now_then)
         reached = grasp.still_reached([one.moved(T_now_then) for one in grasps], around.reach)
-        return here, around, reached or _ranked(here, around.reach, params, wanted=1)  # the arm waits for it
+        plan = ahead and shake.moved_plan(ahead, T_now_then, reached, _actuator(cell, around, params))
+        return here, around, reached or _ranked(here, around.reach, params, wanted=1), plan  # the arm waits for it
 
-    here, around, reached = run.timed("place", found)
+    here, around, reached, plan = run.timed("place", found)
     run.keep("cloud", here.cloud)
     run.keep("skeleton", here.skeleton)
     run.keep("flowers", here.flowers)
     run.keep("grasp", reached, _save_grasps)
-    return here, around, reached
+    return here, around, reached, plan
 
 
 def _as_carried(params: Params, odometry: float) -> Params:
@@ -396,6 +421,23 @@ SLACK = 0.6
 """A grasp whose score is lower than the best's by more is tried when the better ones failed; a judgement."""
 
 
+def _offered(grasps: list[Grasp]) -> list[Grasp]:
+    """Return the grasps about as good as the best, which comes first."""
+    return [g for g in grasps if g.score >= grasps[0].score - SLACK]
+
+
+def _actuator(cell: Cell, planner: MotionPlanner, params: Params) -> shake.Actuator:
+    """Return what is to shake the grip: the arm, at the joints of a grasp, or a motor in the gripper."""
+
+    def arm_limit(at: Grasp, direction: Array, hertz: Array) -> Array:
+        return np.minimum(planner.shake_limit(_joints(at), direction, hertz), shake_amplitude(hertz, cell.limits))
+
+    def arm_delivers(at: Grasp, directions: Array, hertz: Array) -> tuple[Array, Array]:
+        return planner.delivered(_joints(at), directions, hertz)
+
+    return shake.arm_shaker(arm_limit, arm_delivers) if params.actuator == "arm" else shake.VIBRATING_GRIPPER
+
+
 def _shaken(
     cell: Cell,
     planner: MotionPlanner,
@@ -406,30 +448,27 @@ def _shaken(
     arrive: Arrive | None,
     params: Params,
     earlier: EarlierShake | None,
+    ahead: ShakePlan | None,
 ) -> tuple[ShakePlan, Trial, str | None, ShakePlan, JointBelief | None]:
     """Shake at one of the best grasps; where that fails and leaves the plant unharmed, at one of the others.
 
-    `arrive` waits for the arm that has gone before the best. Return the shake as carried out, its record, why the
-    plan alone was to be carried out, the shake as planned, and what it told of the arm's joints.
+    `arrive` waits for the arm that has gone before the best, or before that of the plan made `ahead`. Return the shake
+    as carried out, its record, why the plan alone was to be carried out, the shake as planned, and what it told of the
+    arm's joints.
     """
-
-    def arm_limit(at: Grasp, direction: Array, hertz: Array) -> Array:
-        return np.minimum(planner.shake_limit(_joints(at), direction, hertz), shake_amplitude(hertz, cell.limits))
-
-    def arm_delivers(at: Grasp, directions: Array, hertz: Array) -> tuple[Array, Array]:
-        return planner.delivered(_joints(at), directions, hertz)
-
     by_arm = params.actuator == "arm"
-    actuator = shake.arm_shaker(arm_limit, arm_delivers) if by_arm else shake.VIBRATING_GRIPPER
     robot, pressing = replace(cell.robot, motor=None) if by_arm else cell.robot, cell.limits.pressing
+    actuator = _actuator(cell, planner, params)
 
     while True:
-        offered = [g for g in grasps if g.score >= grasps[0].score - SLACK]
+        offered = _offered(grasps)
         try:
             plan = run.stage(
                 "shake plan",
                 ShakePlan.load,
-                lambda _, offered=offered: shake.plan_shake(rods, offered, actuator, params.shake, pressing, earlier),
+                lambda _, offered=offered, ahead=ahead: (
+                    ahead or shake.plan_shake(rods, offered, actuator, params.shake, pressing, earlier)
+                ),
             )
         except StageFailure as failure:
             if failure.kind not in TRY_THE_NEXT or len(offered) == len(grasps):
@@ -437,7 +476,7 @@ def _shaken(
             run.note_attempt(f"{len(offered)} grasps left: {failure}")
             grasps = grasps[len(offered) :]
             continue
-        way = _watching(cell, planner, rods, plan, seen, params)
+        way = run.timed("prediction", lambda _, plan=plan: _watching(cell, planner, rods, plan, seen, params))
         watched, alone = (None, way) if isinstance(way, str) else (way, None)
         if watched is None and not by_arm:
             why = "a motor shakes only what a side camera watches, and flowers it knows."
@@ -451,7 +490,7 @@ def _shaken(
                 planner, plan, robot, cell.limits, progress=_progress(run, advance), arrive=arrive, watched=watched
             ),
         )
-        arrive, planned = None, plan
+        arrive, ahead, planned = None, None, plan
         if watched is not None:
             plan = watched.executed_plan(trial.steps)
         grasps = [g for i, g in enumerate(grasps) if i != planned.grasp_index]

@@ -16,7 +16,7 @@ from anther.plant.string import Ends, HeldString
 from anther.pollination.pipeline import Done, FindMasks, Params, pollinate
 from anther.robot.cell import Cell
 
-AHEAD = ("masks", "cloud", "skeleton", "stem", "flowers", "planner", "grasp")
+AHEAD = ("masks", "cloud", "skeleton", "stem", "flowers", "planner", "grasp", "plan ahead")
 """Stages of a visit that need no more than the views on the way."""
 
 

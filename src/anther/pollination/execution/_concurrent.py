@@ -24,7 +24,7 @@ from anther.robot.devices import ArmRecord, ArmSample, DeviceError, Frame, Robot
 from anther.robot.safety import guard
 from anther.robot.swing import Swing
 
-APPROACH_SPEED = 0.12
+APPROACH_SPEED = 0.2
 """Of the flange on the straight way in and out [m/s]."""
 
 

@@ -37,7 +37,7 @@ from anther.robot.pressing import PRESSING, Pressing
 
 __all__ = [
     "PADS", "VIBRATING_GRIPPER", "Actuator", "Pads", "Params", "ResponseMap", "RunnerUp", "ShakePlan", "any_arm",
-    "arm_shaker", "plan_shake", "sawyer_limit", "with_preset",
+    "arm_shaker", "moved_plan", "plan_shake", "sawyer_limit", "with_preset",
 ]  # fmt: skip
 
 
@@ -120,6 +120,40 @@ def plan_shake(
         notes=notes,
     )
     return replace(plan, reason=_reason(plan, kept=params.keeps_limits))
+
+
+def moved_plan(plan: ShakePlan, T: Array, grasps: Sequence[Grasp], actuator: Actuator) -> ShakePlan | None:
+    """Return a plan made before its plant was moved by T (4, 4), at the same grasp; None: plan anew.
+
+    A plant answers alike wherever it stands; what the actuator can do there is asked again.
+
+    Args:
+        plan: for the plant where it was.
+        T: a turn about a vertical axis, or one too small for gravity to matter, and any shift.
+        grasps: ranked, where the plant is; that of the plan is known by its height.
+        actuator: what shakes the grip.
+    """
+    index = next((i for i, one in enumerate(grasps) if one.arc_length == plan.grasp.arc_length), None)
+    if index is None:
+        return None
+    grasp, lines, tones = grasps[index], plan.tones.directions @ T[:3, :3].T, plan.tones
+    able = np.stack([actuator.amplitude(grasp, line, tones.frequencies) for line in lines], axis=1)
+    reach = np.minimum(tones.reach, able)
+    amplitude, enough = min(plan.amplitude, float(reach[0, 0])), 0.8  # of what was planned: with less another is better
+    if amplitude < enough * plan.amplitude:
+        return None
+    moved = {name: amplitude / plan.amplitude * getattr(plan, name) for name in _PREDICTED}
+    tones = replace(tones, directions=lines, amplitudes=np.minimum(tones.amplitudes, reach), reach=reach)
+    changed = {"grasp_index": index, "grasp": grasp, "direction": lines[0], "amplitude": amplitude, "tones": tones}
+    return replace(plan, **changed, **moved)
+
+
+_PREDICTED = (
+    "predicted_amplitude",
+    "predicted_amplitude_interval",
+    "predicted_acceleration",
+    "predicted_acceleration_interval",
+)
 
 
 def _frequencies(actuator: Actuator, params: Params) -> Array:
