@@ -53,6 +53,15 @@ def test_a_trial_runs_its_phases_in_order_and_ends_clear_of_the_plant() -> None:
     assert len(trial.frames) == len(trial.frame_times) > 8
 
 
+def test_time_before_the_first_motion_is_none_of_the_trial() -> None:
+    arm = FakeArm()
+    arm.clock = 7.0
+    trial = execute(PLANNER, Plan(), fake_robot(arm), LIMITS)
+    assert trial.finished
+    assert trial.phase_times[0] == pytest.approx(7.0, abs=0.02)
+    assert np.ptp(trial.phase_times[PHASES.index("open")]) == 0.0
+
+
 @pytest.mark.parametrize("joint", [0, 3, 6])
 def test_an_arm_with_one_joint_elsewhere_reaches_before_it_approaches(joint: int) -> None:
     assert GRASP.joints is not None

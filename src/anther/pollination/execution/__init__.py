@@ -148,9 +148,14 @@ class _Work:
         return self.note(self.robot.arm.follow(trajectory, watch, more))
 
     def note(self, record: ArmRecord) -> ArmRecord:
-        """Record and return a motion; the time since the last motion belongs to the previous phase."""
+        """Record and return a motion; the time since the last motion belongs to the previous phase.
+
+        What was before the first motion is none of the trial's time.
+        """
         begin = float(record.times[0])
-        if len(self.marks) > 1:
+        if not self.clock:
+            self.marks = [(name, begin, begin) for name, _, _ in self.marks]
+        elif len(self.marks) > 1:
             self.marks[-2] = (*self.marks[-2][:2], begin)
         self.marks[-1] = (self.marks[-1][0], begin, begin)
         self.clock = float(record.times[-1])
