@@ -443,3 +443,29 @@ def test_a_planner_among_what_has_moved_goes_the_ways_that_were_known(planner, m
     blocked = Planner(*elsewhere._around[:2], [Box(np.array([0.3, -0.4, -0.4]), np.array([0.6, 0.4, 0.4]))])
     blocked._known = list(known._known)
     assert blocked.reach(by @ PREGRASP, by @ GRASP) is None, "a known way is gone only where it is free"
+
+
+def test_a_way_that_was_prepared_is_gone_among_what_has_moved_without_another_search(planner, monkeypatch):
+    before = planner.line(planner.reach(PREGRASP, GRASP), PREGRASP).positions[-1]
+    halfway = SAWYER.forward((planner.home + before) / 2)[:3, 3]
+    first = Planner(*planner._around[:2], [Box(halfway - 0.03, halfway + 0.03)])  # on the straight way
+    joints = first.reach(PREGRASP, GRASP)
+    first.prepare(joints, PREGRASP)
+    prepared = first.move(first.home, first.line(joints, PREGRASP).positions[-1])
+    by = transform(np.eye(3), [0.004, -0.006, 0.003])
+    elsewhere = first.moved(by)
+    near = elsewhere.reach(by @ PREGRASP, by @ GRASP)
+    monkeypatch.setattr(Planner, "_ways", lambda *_: pytest.fail("it was found before"))
+    before = elsewhere.line(near, by @ PREGRASP).positions[-1]
+    motion = elsewhere.move(SAWYER.ready, before)
+    assert not elsewhere.world.path_free(np.linspace(SAWYER.ready, before, 100)), "there is no straight way"
+    np.testing.assert_allclose(motion.positions[-1], before, atol=1e-6)
+    assert elsewhere.world.path_free(motion.positions)
+    assert motion.duration < 1.3 * prepared.duration
+
+
+def test_nothing_is_prepared_for_what_is_out_of_reach(planner):
+    first = planner.moved(np.eye(4))
+    first._quickest.clear()
+    first.prepare(SAWYER.neutral, transform(np.eye(3), [3.0, 0.0, 0.0]))
+    assert not first._quickest

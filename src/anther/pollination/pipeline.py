@@ -331,9 +331,11 @@ def _planned_ahead(
     try:
         rods = model_plant(seen, material, params)
         actuator = _actuator(cell, planner, params)
-        return shake.plan_shake(rods, _offered(grasps), actuator, params.shake, cell.limits.pressing, earlier)
+        plan = shake.plan_shake(rods, _offered(grasps), actuator, params.shake, cell.limits.pressing, earlier)
     except StageFailure:
         return None
+    planner.prepare(_joints(plan.grasp), plan.grasp.pregrasp(grasp.STAND_OFF))
+    return plan
 
 
 def _driven_up(

@@ -52,6 +52,10 @@ class MotionPlanner(TrajectoryPlanner, Protocol):
         """See `grasp.Reach`."""
         ...
 
+    def prepare(self, q_grasp: Array, T_world_pregrasp: Array) -> None:
+        """Seek the way from where the arm waits to before a grasp at joints (J,) [rad], which `move` then takes."""
+        ...
+
     def shake_limit(self, q: Array, direction: Array, frequencies: Array) -> Array:
         """Return the largest amplitude (Q,) [m] the arm manages about joints (J,) [rad]."""
         ...

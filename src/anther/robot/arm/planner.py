@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from typing import Annotated
@@ -87,6 +88,7 @@ class Planner:
         points = check_array("plant points", plant, (None, 3)), check_array("obstacle points", obstacles, (None, 3))
         self._around = (*points, boxes)
         self._known = list[Array]()  # ways from home, found when it was asked what is in reach
+        self._quickest = list[Array]()  # of them those that `move` made as quick as it can
         cubes = cube_centres(points[0])
         # half of it reaches from a cube's centre to what the cube holds; the rest is room to move
         diagonal = np.sqrt(3) * VOXEL
@@ -98,7 +100,7 @@ class Planner:
         plant, obstacles, boxes = self._around
         points = transform_points(T, plant), transform_points(T, obstacles)
         other = Planner(*points, boxes, space=self.space, params=self.params, arm=self.arm)
-        other._known = list(self._known)
+        other._known, other._quickest = list(self._known), list(self._quickest)
         return other
 
     def reach(self, T_world_pregrasp: Array, T_world_grasp: Array) -> Array | None:
@@ -139,6 +141,14 @@ class Planner:
             if failure.kind != "unreachable" or all(map(self.world.free, ends)):
                 raise
             return self._join_places(*(self._back_out(q, far=True) for q in ends))
+
+    def prepare(self, q_grasp: ArrayLike, T_world_pregrasp: ArrayLike) -> None:
+        """Seek the quickest way from home to before a grasp at joints (J,): `move` takes it, also where it is `moved`.
+
+        Where there is none nothing is raised: `move` says it.
+        """
+        with suppress(StageFailure):
+            self.move(self.home, self.line(q_grasp, T_world_pregrasp).positions[-1])
 
     def line(self, q_from: ArrayLike, T_world_to: ArrayLike, speed: float | None = None) -> JointTrajectory:
         """Return a slow straight motion of the flange to a pose; gripper and camera may touch the plant.
@@ -251,7 +261,7 @@ class Planner:
             goal = self._back_out(q)[0]
         except StageFailure:
             return False
-        way = self._known_way(self.home, goal)
+        way = self._known_way(self.home, goal, self._known)
         if way is None:
             few = 3  # where more seeds are needed the way is long
             soon = 0.1  # s: nearly all that are found in 0.2 are found by then
@@ -262,12 +272,12 @@ class Planner:
         self._known.append(way)
         return True
 
-    def _known_way(self, start: Array, goal: Array) -> Array | None:
+    def _known_way(self, start: Array, goal: Array, known: Sequence[Array]) -> Array | None:
         """Return a way (N, J) between joints near the ends of one that is known, if it is free; else None."""
         near_home, near_end = 0.02, 0.2  # rad: as an arm rests, and as a plant is elsewhere than it was seen
         if np.abs(start - self.home).max() > near_home:
             return None
-        near = (way for way in reversed(self._known) if np.abs(way[-1] - goal).max() < near_end)
+        near = (way for way in reversed(known) if np.abs(way[-1] - goal).max() < near_end)
         ways = (np.concatenate([start[None], way[1:-1], goal[None]]) for way in near)
         return next((way for way in ways if self._is_free(way, _dense(way), self.search_step)), None)
 
@@ -291,11 +301,17 @@ class Planner:
     def _find_detour(self, start: Array, goal: Array) -> JointTrajectory:
         """Return the quickest of several ways found by RRT-Connect that is free, its waypoints shifted to save time.
 
-        Where none is found, or a finer check finds none of them free, it is asked again in smaller steps.
+        Where none is found, or a finer check finds none of them free, it is asked again in smaller steps. One that was
+        found before is taken as it is.
         """
+        known = self._known_way(start, goal, self._quickest)
+        timed = None if known is None else self._time_path(known, self.search_step)
+        if timed and self.world.path_free(timed[0].positions[::4]):
+            return timed[0]
         for step in self.search_step * np.array([1, 1 / 2, 1 / 4]):
-            for motion, _ in sorted(self._ways(start, goal, step), key=lambda way: way[0].duration):
+            for motion, path in sorted(self._ways(start, goal, step), key=lambda way: way[0].duration):
                 if self.world.path_free(motion.positions[::4]):
+                    self._quickest.append(path)
                     return motion
         given = f"no free path found to joints {goal.round(2)}, in 3 searches"
         raise StageFailure("unreachable", f"{given}. Move the plant, or take another grasp or view.")
@@ -347,7 +363,7 @@ class Planner:
 
     def _detours(self, start: Array, goal: Array, step: float) -> Iterator[tuple[Array, Array]]:
         """Yield waypoints (N, J) of what RRT-Connect finds, shortened and as found, of a few seeds."""
-        known = self._known_way(start, goal)
+        known = self._known_way(start, goal, self._known)
         if known is not None:
             yield self._shortcut(known, step, 0), known
         few, wanted = (24, 4) if known is None else (3, 2)  # seeds, and ways of them
