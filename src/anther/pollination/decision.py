@@ -222,7 +222,7 @@ def worth(
 def _normal_share(deviates: Array) -> Array:
     """Return the standard normal distribution function at deviates (...), within 2e-4.
 
-    Page (1977), Applied Statistics 26: 75; a tenth of the time of the exact one, of which a plan asks 10^7.
+    Page (1977), Applied Statistics 26: 75; a fifth of the time of the exact one, of which a plan asks 10^7.
     """
     return 0.5 + 0.5 * np.tanh(np.sqrt(2 / np.pi) * deviates * (1 + 0.044715 * np.square(deviates)))
 
