@@ -658,6 +658,23 @@ def test_a_probe_that_proves_nothing_teaches_nothing(shaken: Shaken, monkeypatch
             )
 
 
+@pytest.mark.parametrize(
+    ("proven", "more", "left"), [(False, 1.2, False), (False, 1.3, True), (True, 1.2, True), (True, 0.9, False)]
+)
+def test_where_no_probe_shows_the_plant_the_plan_is_left_for_much_more_alone(
+    shaken: Shaken, monkeypatch: pytest.MonkeyPatch, proven: bool, more: float, left: bool
+) -> None:
+    foresight = made_foresight(0)
+    watched = shaken(World(foresight, foresight.vectors[0]))
+    last = len(watched._frequencies) - 1
+    monkeypatch.setattr(
+        watched, "_make_option", lambda n, _: SimpleNamespace(predicted_worth={0: 1.0, last: more}.get(n, 0.5))
+    )
+    monkeypatch.setattr(watched, "_switch_to", lambda shake: shake)
+    watched._proofs = [proven, False]
+    assert watched._after_probe(0.5) == (last if left else 0)
+
+
 def test_motion_as_large_as_that_of_the_plant_but_not_its_own_harms_nothing(
     shaken: Shaken, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -329,7 +329,8 @@ class Escalation:
         return predict(self._foresight, float(self._frequencies[shake]), answer, self._camera_delay)
 
     def _after_probe(self, largest_load: float) -> NextPiece:
-        """Return the piece after a probe: the next probe, or the shake of largest predicted worth.
+        """Return the piece after a probe: the next probe, or the shake of largest predicted worth. Where no probe can
+        only show the plant, that must be `BETTER` than the plan's own.
 
         `largest_load`: the largest of the probe's loads, over what may be borne. The next probe is as much gentler.
         """
@@ -341,7 +342,11 @@ class Escalation:
         if len(self._probe_answers) < len(tones.probed):
             return self._probe_along(tones.probed[len(self._probe_answers)], gentler=max(largest_load, 1.0))
         self._options = [self._make_option(n, self._probed(i)) for n, i in enumerate(self._frequency_index.tolist())]
-        return self._decide(0) if len(self._frequencies) == 1 else self._switch_to(self._best())
+        if len(self._frequencies) == 1:
+            return self._decide(0)
+        best = self._best()
+        sure = any(self._proofs) or self._options[best].predicted_worth > BETTER * self._options[0].predicted_worth
+        return self._switch_to(best if sure else 0)
 
     def _probed(self, tone: int) -> list[Answer]:
         """Return the responses along the probed directions at a frequency index."""
