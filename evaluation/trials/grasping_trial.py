@@ -6,6 +6,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -138,13 +139,12 @@ def crashed(reason: str) -> dict[str, Any]:
     return {"ours": failed(reason), "paper": None, "first": True}
 
 
-_begun: list[object] = []
+_begun = count()
 
 
 def is_first() -> bool:
     """Return whether this process has run no case yet: what the first one compiles or loads is not counted."""
-    _begun.append(object())
-    return len(_begun) == 1
+    return next(_begun) == 0
 
 
 def both(case: Case, picture: Path, rule: bool) -> dict[str, Any]:

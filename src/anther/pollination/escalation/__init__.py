@@ -345,8 +345,7 @@ class Escalation:
         if len(self._frequencies) == 1:
             return self._decide(0)
         best = self._best()
-        sure = any(self._proofs) or self._options[best].predicted_worth > BETTER * self._options[0].predicted_worth
-        return self._switch_to(best if sure else 0)
+        return self._switch_to(best if any(self._proofs) or self._is_better(best, than=0) else 0)
 
     def _probed(self, tone: int) -> list[Answer]:
         """Return the responses along the probed directions at a frequency index."""
@@ -392,6 +391,10 @@ class Escalation:
         """Return the index of the shake of largest predicted worth."""
         return max(range(len(self._options)), key=lambda n: self._options[n].predicted_worth)
 
+    def _is_better(self, shake: int, than: int) -> bool:
+        """Return whether a shake is so much better than another by what is predicted that it justifies a change."""
+        return self._options[shake].predicted_worth > BETTER * self._options[than].predicted_worth
+
     def _decide(self, now: int) -> NextPiece:
         """Return the piece after an observed shake: another shake, or this one at another amplitude."""
         amplitude, option = float(self._piece.amplitudes[now]), self._options[now]
@@ -401,7 +404,7 @@ class Escalation:
             self._proven_amplitude = amplitude
             option.raised_to = max(option.raised_to, amplitude)
             best = self._best()
-            if self._options[best].predicted_worth > BETTER * option.predicted_worth and self._has_time(best):
+            if self._is_better(best, than=now) and self._has_time(best):
                 return self._switch_to(best)
         return self._raise(now, amplitude, why)
 

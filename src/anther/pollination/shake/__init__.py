@@ -122,10 +122,19 @@ def plan_shake(
     return replace(plan, reason=_reason(plan, kept=params.keeps_limits))
 
 
+_PREDICTED = (
+    "predicted_amplitude",
+    "predicted_amplitude_interval",
+    "predicted_acceleration",
+    "predicted_acceleration_interval",
+)
+
+
 def moved_plan(plan: ShakePlan, T: Array, grasps: Sequence[Grasp], actuator: Actuator) -> ShakePlan | None:
     """Return a plan made before its plant was moved by T (4, 4), at the same grasp; None: plan anew.
 
-    A plant answers alike wherever it stands; what the actuator can do there is asked again.
+    A plant answers alike wherever it stands; what the actuator can do there is asked again. Reason, score and limits
+    stay those of the plan as it was made.
 
     Args:
         plan: for the plant where it was.
@@ -146,14 +155,6 @@ def moved_plan(plan: ShakePlan, T: Array, grasps: Sequence[Grasp], actuator: Act
     tones = replace(tones, directions=lines, amplitudes=np.minimum(tones.amplitudes, reach), reach=reach)
     changed = {"grasp_index": index, "grasp": grasp, "direction": lines[0], "amplitude": amplitude, "tones": tones}
     return replace(plan, **changed, **moved)
-
-
-_PREDICTED = (
-    "predicted_amplitude",
-    "predicted_amplitude_interval",
-    "predicted_acceleration",
-    "predicted_acceleration_interval",
-)
 
 
 def _frequencies(actuator: Actuator, params: Params) -> Array:

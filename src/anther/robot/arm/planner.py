@@ -88,7 +88,7 @@ class Planner:
         points = check_array("plant points", plant, (None, 3)), check_array("obstacle points", obstacles, (None, 3))
         self._around = (*points, boxes)
         self._known = list[Array]()  # ways from home, found when it was asked what is in reach
-        self._quickest = list[Array]()  # of them those that `move` made as quick as it can
+        self._quickest = list[Array]()  # ways that `move` has made as quick as it can
         cubes = cube_centres(points[0])
         # half of it reaches from a cube's centre to what the cube holds; the rest is room to move
         diagonal = np.sqrt(3) * VOXEL
@@ -274,11 +274,12 @@ class Planner:
 
     def _known_way(self, start: Array, goal: Array, known: Sequence[Array]) -> Array | None:
         """Return a way (N, J) between joints near the ends of one that is known, if it is free; else None."""
-        near_home, near_end = 0.02, 0.2  # rad: as an arm rests, and as a plant is elsewhere than it was seen
-        if np.abs(start - self.home).max() > near_home:
-            return None
-        near = (way for way in reversed(known) if np.abs(way[-1] - goal).max() < near_end)
-        ways = (np.concatenate([start[None], way[1:-1], goal[None]]) for way in near)
+        near_start, near_end = 0.02, 0.2  # rad: as an arm rests, and as a plant is elsewhere than it was seen
+
+        def joins(way: Array) -> bool:
+            return bool(np.abs(way[0] - start).max() <= near_start and np.abs(way[-1] - goal).max() < near_end)
+
+        ways = (np.concatenate([start[None], way[1:-1], goal[None]]) for way in reversed(known) if joins(way))
         return next((way for way in ways if self._is_free(way, _dense(way), self.search_step)), None)
 
     def _join_places(self, start: Place, goal: Place) -> JointTrajectory:
