@@ -31,6 +31,7 @@ from anther.pollination.escalation._option import WORDS, limits_of
 from anther.pollination.response.points import Swings, likeness
 from anther.pollination.shake import Params as Limits
 from anther.pollination.shake.observables import semi_major
+from anther.robot.devices import ImuReadings
 
 HEEDLESS = Limits(price=0.01)
 """As if it hardly mattered what is lost."""
@@ -856,3 +857,70 @@ def test_other_directions_learn_from_the_newest_observation_that_shows_the_plant
     shakes = [tuple(seen.direction) + tuple(seen.frequency_indices) for seen in used]
     for along, shake in zip(taught, shakes, strict=True):
         assert all(id(answer) in probes for answer in along) or shake != shakes[0]
+
+
+def moved_by_sensor(watched: Escalation) -> list[bool]:
+    """Return of each look whether a sensor on the hand told what the gripper did."""
+    return [look.measured for look in watched._observations]
+
+
+@pytest.mark.parametrize("springs", [-2.0, 1.5])
+@pytest.mark.parametrize("late", [0.0, 0.02])
+def test_a_sensor_on_the_hand_tells_what_the_gripper_does_where_no_look_proves_anything(
+    shaken: Shaken, springs: float, late: float
+) -> None:
+    """Joints that are hardly known, a camera that sees nothing move: what is predicted is of the grip's true motion."""
+    foresight = made_foresight(1, unsure=0.2)
+
+    def delayed(told: ImuReadings) -> ImuReadings:
+        return replace(told, times=told.times + late)
+
+    world = World(foresight, foresight.vectors[0], soft=0.5, springs=springs, imu=delayed)
+    still = replace(world, truth=0 * foresight.vectors[0], imu=delayed)
+    blind, told = shaken(replace(still, imu=None)), shaken(still)
+    assert all(moved_by_sensor(told))
+    assert not any(told._proofs)
+    assert told.joints is not None
+    assert told.joints.stiffness[0] == pytest.approx(springs, abs=0.35)
+    known = shaken(World(foresight, 0 * foresight.vectors[0], arm=np.exp(-world.soft * springs) * np.eye(3)))
+    for kind, load in told.steps[0].loads.items():
+        assert load == pytest.approx(known.steps[0].loads[kind], rel=0.05), kind
+        assert abs(np.log(blind.steps[0].loads[kind] / known.steps[0].loads[kind])) > 0.1, kind
+
+
+UNBELIEVABLE: dict[str, Callable[[ImuReadings], ImuReadings]] = {
+    "silent": lambda told: ImuReadings(told.times[:0], told.acceleration[:0], told.rate[:0]),
+    "on another machine": lambda told: replace(
+        told, acceleration=told.acceleration.mean(axis=0) + 1e-3 * (told.acceleration - told.acceleration.mean(axis=0))
+    ),
+    "turned about the vertical": lambda told: replace(
+        told, acceleration=told.acceleration @ np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
+    ),
+    "upside down": lambda told: replace(told, acceleration=-told.acceleration),
+}
+
+
+@pytest.mark.parametrize("fault", UNBELIEVABLE)
+def test_a_sensor_that_cannot_be_right_changes_nothing_and_is_named_once(shaken: Shaken, fault: str) -> None:
+    foresight = made_foresight(1, unsure=0.2)
+    plain = World(foresight, foresight.vectors[0], soft=0.3, springs=0.5)
+    without, faulty = shaken(plain), shaken(replace(plain, imu=UNBELIEVABLE[fault], pieces=[]))
+    assert not any(moved_by_sensor(faulty))
+    assert [step.amplitudes for step in faulty.steps] == [step.amplitudes for step in without.steps]
+    assert [step.loads for step in faulty.steps] == [step.loads for step in without.steps]
+    said = [step.decided for step in faulty.steps if "inertial sensor" in step.decided]
+    assert len(said) == 1
+    assert "believed, not measured" in said[0]
+
+
+def test_a_sensor_that_falls_silent_is_believed_until_then(shaken: Shaken) -> None:
+    foresight, looks = made_foresight(1, unsure=0.2), [0]
+
+    def cut(told: ImuReadings) -> ImuReadings:
+        looks[0] += 1
+        return told if looks[0] < 2 else UNBELIEVABLE["silent"](told)
+
+    watched = shaken(World(foresight, foresight.vectors[0], soft=0.3, springs=-1.5, imu=cut))
+    assert moved_by_sensor(watched)[:2] == [True, False]
+    assert watched.joints is not None
+    assert watched.joints.stiffness[0] == pytest.approx(-1.5, abs=0.4)

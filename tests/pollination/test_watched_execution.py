@@ -17,7 +17,7 @@ from anther.pollination.execution import PHASES, ShakeDirection, Step, Trial, ex
 from anther.pollination.execution._concurrent import DecisionThread
 from anther.pollination.grasp import STAND_OFF
 from anther.robot.arm.sawyer import SAWYER
-from anther.robot.devices import LEAD, ArmSample, DeviceError, Frame, Robot
+from anther.robot.devices import LEAD, ArmSample, DeviceError, Frame, ImuReadings, Robot
 from anther.robot.swing import Swing
 from evaluation.robustness.faulty_machines import Fault, with_faults
 
@@ -51,7 +51,13 @@ class Scripted:
     def steady_from(self, piece: Swing) -> float:
         return piece.begin + 0.5
 
-    def next_piece(self, piece: Swing, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
+    def next_piece(
+        self,
+        piece: Swing,
+        frames: Sequence[Frame],
+        samples: Sequence[ArmSample],
+        readings: ImuReadings | None = None,
+    ) -> Swing:
         count = len(self.pieces)
         self.fault(count)
         self.looks.append((list(frames), list(samples)))
@@ -351,8 +357,14 @@ def test_a_shake_that_goes_on_for_too_long_is_ended() -> None:
 
 def test_one_who_never_stops_the_pads_is_not_left_so() -> None:
     class Endless(Scripted):
-        def next_piece(self, piece: Swing, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
-            new = super().next_piece(piece, frames, samples)
+        def next_piece(
+        self,
+        piece: Swing,
+        frames: Sequence[Frame],
+        samples: Sequence[ArmSample],
+        readings: ImuReadings | None = None,
+    ) -> Swing:
+            new = super().next_piece(piece, frames, samples, readings)
             return replace(new, amplitudes=np.zeros(2), ramp=new.seconds) if len(self.pieces) > 2 else new
 
     arm, gripper = FakeArm(), FakeGripper()

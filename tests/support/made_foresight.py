@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,7 +11,7 @@ from fake_robot import horizontal_grasp
 from numpy.typing import NDArray
 
 from anther.core.geometry import Array, ComplexArray, Intrinsics, look_at
-from anther.plant.limits import PEAKS, stalk_strain
+from anther.plant.limits import GRAVITY, PEAKS, stalk_strain
 from anther.pollination.escalation import Escalation, Params
 from anther.pollination.escalation._foresight import Foresight
 from anther.pollination.response.points import Swings
@@ -19,7 +19,7 @@ from anther.pollination.shake import Params as Limits
 from anther.pollination.shake import ResponseMap, ShakePlan
 from anther.pollination.shake._plan import CandidateShakes
 from anther.pollination.shake.observables import semi_major
-from anther.robot.devices import LEAD, ArmSample, Frame
+from anther.robot.devices import LEAD, ArmSample, Frame, ImuReadings
 from anther.robot.swing import Swing
 
 TONES = np.array([2.5, 4.0, 6.3])
@@ -110,6 +110,7 @@ class World:
         soft: how much more an arm does whose joints are a standard deviation softer, ln of that.
         springs: how stiff its joints are, in standard deviations off what is believed (`grip`).
         depth: whether the camera reads how far away things are.
+        imu: what an inertial sensor on the hand makes of what it reads; None: there is none.
         plan, params, limits: of the shake.
         pieces: that were asked for.
     """
@@ -123,6 +124,7 @@ class World:
     soft: float = 0.0
     springs: float = 0.0
     depth: bool = False
+    imu: Callable[[ImuReadings], ImuReadings] | None = None
     plan: ShakePlan = field(default_factory=made_plan)
     params: Params = field(default_factory=Params)
     limits: Limits = field(default_factory=lambda: Limits(price=3.0))
@@ -157,6 +159,7 @@ class World:
             np.zeros((POINTS, 3)),
             camera=(Intrinsics(8, 6, 10.0, 10.0, 3.5, 2.5), T_WORLD_CAM),
             grip=self.grip,
+            T_world_imu=None if self.imu is None else np.eye(4),
             limits=self.limits,
             params=self.params,
         )
@@ -182,9 +185,20 @@ class World:
                 samples.append(ArmSample(self.begin + piece.begin + t, q, q, 0.0))
             told = [s for s in samples if s.time <= self.begin + piece.begin + piece.seconds - LEAD]
             assert samples[0].time + watched.steady_from(piece) <= told[-1].time, "there is something to look at"
-            self.pieces.append(watched.next_piece(piece, [frame], told))
+            self.pieces.append(watched.next_piece(piece, [frame], told, self.readings(piece, told[-1].time)))
             assert len(self.pieces) < 40, "it ends"
         return watched
+
+    def readings(self, piece: Swing, until: float) -> ImuReadings | None:
+        """Return what the hand's sensor reads of a piece up to a time [s], without any turn."""
+        if self.imu is None:
+            return None
+        step, begin = 1e-3, self.begin + piece.begin
+        times = np.arange(begin + step, until, 0.004)
+        before, now, after = (np.array([self.place(piece, t - begin + k * step) for t in times]) for k in (-1, 0, 1))
+        moved = np.exp(-self.soft * self.springs) * (before - 2 * now + after) / step**2
+        noise = 0.01 * self._rng.normal(size=(2, len(times), 3))
+        return self.imu(ImuReadings(times, moved + [0.0, 0.0, GRAVITY] + noise[0], noise[1]))
 
     def place(self, piece: Swing, time: float) -> Array:
         """Return (3,) where the pads are, some time after a piece began [m]."""

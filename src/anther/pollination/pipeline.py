@@ -536,6 +536,7 @@ def _watching(
         rods.rods.nodes[points],
         camera=(camera.intrinsics, pose),
         grip=_grip_motion(planner, plan.grasp) if params.actuator == "arm" else None,
+        T_world_imu=None if cell.robot.T_flange_imu is None else plan.grasp.T_world_flange @ cell.robot.T_flange_imu,
         limits=params.shake,
         params=replace(params.escalation, most_seconds=seconds),
     )

@@ -225,6 +225,47 @@ class Camera(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ImuReadings(Record):
+    """What an inertial sensor read: N readings in its own frame.
+
+    Attributes:
+        times: (N,) [s], on the robot's clock, rising.
+        acceleration: (N, 3) what the accelerometer reads [m/s2]: at rest 9.81 upwards.
+        rate: (N, 3) what the gyroscope reads [rad/s].
+    """
+
+    CALLED = "inertial readings"
+    times: Annotated[Array, Shape("N"), Range(unit="s")]
+    acceleration: Annotated[Array, Shape("N", 3), Range(unit="m/s2")]
+    rate: Annotated[Array, Shape("N", 3), Range(unit="rad/s")]
+
+
+class Imu(Protocol):
+    """An inertial sensor that rides with the gripper: an accelerometer and a gyroscope, as many wrist cameras have."""
+
+    @property
+    def T_cam_imu(self) -> Array | None:
+        """(4, 4) where it is in the frame of the wrist camera [m]; None: it is no part of that."""
+        ...
+
+    def start(self) -> None:
+        """Begin to record."""
+        ...
+
+    def recorded(self, since: float) -> ImuReadings:
+        """Return what was read from `since` on [s]; nothing (N = 0) if nothing was.
+
+        Raises:
+            DeviceError: the sensor was lost.
+        """
+        ...
+
+    def stop(self) -> None:
+        """End the recording."""
+        ...
+
+
 class Motor(Protocol):
     """A motor in the gripper that moves the closed pads to and fro, while the arm stands still."""
 
@@ -329,6 +370,8 @@ class Robot:
         side_camera: stands still at `T_world_side_camera`; watches the flowers during the shake. None if there is none.
         motor: in the gripper; None if there is none.
         cart: carries the arm; None if it stands on the floor.
+        imu: rides on the flange, at `T_flange_imu`; tells what the joints of the arm let the gripper
+            do. None if there is none.
     """
 
     arm: Arm
@@ -338,6 +381,8 @@ class Robot:
     T_world_side_camera: Array | None = None
     motor: Motor | None = None
     cart: Cart | None = None
+    imu: Imu | None = None
+    T_flange_imu: Array | None = None
 
 
 class Proxy:

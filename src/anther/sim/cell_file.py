@@ -124,6 +124,7 @@ def simulate(
         scene=scene,
         wrist_lens=wrist_lens(file),
         side_lens=None if file.side_camera is None else side_lens(file),
+        has_imu=file.imu is not None,
     )
 
     def take_views(advance: Advance, keep: Keep) -> Capture:

@@ -10,10 +10,12 @@ from itertools import repeat
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
+from scipy.spatial.transform import Rotation
 
 from anther.core.checks import check_range
-from anther.core.geometry import Array, Intrinsics, inverse, look_at, transform_points
+from anther.core.geometry import Array, Intrinsics, inverse, look_at, transform, transform_points
 from anther.core.opencv import cv2
+from anther.plant.limits import GRAVITY
 from anther.robot.devices import (
     LEAD,
     ArmRecord,
@@ -21,6 +23,7 @@ from anther.robot.devices import (
     DeviceError,
     Frame,
     GripperState,
+    ImuReadings,
     JointTrajectory,
     More,
     Robot,
@@ -275,6 +278,59 @@ class SimCamera:
         return sensed(replace(image, rgb=rgb), time + self._late, eye, rng, self.errors)
 
 
+class SimImu:
+    """An accelerometer and a gyroscope in the wrist camera, as the truth has them.
+
+    Its clock is as late as the side camera's: both are read by one computer.
+
+    Args:
+        cell: whose hand it rides on.
+        seed: of its noise, and of the way in which it is turned.
+    """
+
+    rate = 250.0
+    """Of the accelerometer of a D435i or D455, the fastest [1/s] (librealsense: doc/d435i.md)."""
+
+    def __init__(self, cell: Cell, seed: int = 0) -> None:
+        self.cell, self._rng = cell, np.random.default_rng(seed)
+        self.T_cam_imu = transform(np.eye(3), [-0.0055, 0.0051, 0.0117])  # of a D435i (librealsense: doc/d435i.md)
+        way = self._rng.normal(size=3)
+        turned = Rotation.from_rotvec(cell.truth.imu_tilt * way / np.linalg.norm(way)).as_matrix()
+        self._T_flange_imu = cell.arm.tool.T_flange_cam @ self.T_cam_imu @ transform(turned, np.zeros(3))
+        self._since: float | None = None
+
+    def start(self) -> None:
+        """Begin to record."""
+        self._since = self.cell.time
+
+    def recorded(self, since: float) -> ImuReadings:
+        """Return what was read from `since` on [s].
+
+        Raises:
+            DeviceError: nothing is recorded.
+        """
+        if self._since is None:
+            raise DeviceError("the inertial sensor records nothing: start it first.")
+        log, late = self.cell.log(), self.cell.truth.clock_offset
+        begin = max(since - late, self._since)
+        wanted = np.arange(begin, min(self.cell.time - late, log.times[-2]), 1 / self.rate)
+        rows = np.unique(np.clip(np.searchsorted(log.times, wanted), 1, len(log.times) - 2))
+        if not len(rows):
+            return ImuReadings(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)))
+        poses = self.cell.flange_pose(log.qpos[rows[:, None] + [-1, 0, 1]]) @ self._T_flange_imu
+        step = np.diff(log.times[rows[:, None] + [-1, 0, 1]]).mean(axis=1)[:, None]
+        place, R = poses[..., :3, 3], poses[..., :3, :3]
+        force = (place[:, 0] - 2 * place[:, 1] + place[:, 2]) / step**2 + [0.0, 0.0, GRAVITY]
+        force = np.einsum("nij,ni->nj", R[:, 1], force)
+        turned = Rotation.from_matrix(np.swapaxes(R[:, 0], 1, 2) @ R[:, 2]).as_rotvec() / (2 * step)
+        noise, scale = self.cell.truth.imu_noise * self._rng.normal(size=(2, *force.shape)), self.cell.truth.imu_scale
+        return ImuReadings(log.times[rows] + late, scale * force + noise[0], scale * turned + 0.01 * noise[1])
+
+    def stop(self) -> None:
+        """End the recording."""
+        self._since = None
+
+
 def side_pose(cell: Cell, distance: float = 0.55) -> Array:
     """Return T_world_cam of the side camera: level with the flowers, at their side, square to the arm's approach.
 
@@ -297,8 +353,10 @@ def robot_of(
     scene: Scene | None = None,
     wrist_lens: Intrinsics | None = None,
     side_lens: Intrinsics | None = SIDE,
+    has_imu: bool = True,
 ) -> Robot:
-    """Return the devices of a cell: arm, gripper, both cameras, and the motor if there is one.
+    """Return the devices of a cell: arm, gripper, both cameras, the wrist camera's inertial sensor, and the motor if
+    there is one.
 
     Args:
         cell: the world.
@@ -308,14 +366,17 @@ def robot_of(
         scene: of the plant at rest, if it has been built already.
         wrist_lens: None is a D455's 1280 x 720.
         side_lens: None: there is no side camera.
+        has_imu: whether the wrist camera has an inertial sensor.
     """
     scene = scene or Scene.of_plant(cell.plant)
     T_side = side_pose(cell) if T_world_side_camera is None else T_world_side_camera
     lens, hand_eye = wrist_lens or d455(), cell.arm.tool.T_flange_cam
     wrist = SimCamera(cell, scene, lens, lambda: cell.flange_pose() @ hand_eye, errors, seed=seed)
     motor = SimMotor(cell) if cell.params.coil_force else None
+    imu = SimImu(cell, seed + 2) if has_imu else None
+    T_flange_imu = None if imu is None else hand_eye @ imu.T_cam_imu
     if side_lens is None:
-        return Robot(SimArm(cell), SimGripper(cell), wrist, motor=motor)
+        return Robot(SimArm(cell), SimGripper(cell), wrist, motor=motor, imu=imu, T_flange_imu=T_flange_imu)
     side = SimCamera(
         cell,
         scene,
@@ -326,4 +387,4 @@ def robot_of(
         late=cell.truth.clock_offset,
         exposure=cell.truth.exposure_time,
     )
-    return Robot(SimArm(cell), SimGripper(cell), wrist, side, T_side, motor)
+    return Robot(SimArm(cell), SimGripper(cell), wrist, side, T_side, motor, imu=imu, T_flange_imu=T_flange_imu)

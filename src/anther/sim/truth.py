@@ -98,6 +98,9 @@ class Truth:
         clock_offset: by which the side camera's clock is late on the arm's [s].
         exposure_time: in which an image is blurred by motion [s].
         exposure_spread: standard deviation of the gain from image to image [-].
+        imu_scale: what the hand's accelerometer and gyroscope read over what is [-].
+        imu_tilt: by which they are turned against where they are thought to be [rad].
+        imu_noise: standard deviation of a reading: [m/s2], and a hundredth of it [rad/s].
     """
 
     self_support: float | None = None
@@ -130,6 +133,9 @@ class Truth:
     clock_offset: float = 0.0
     exposure_time: float = 0.0
     exposure_spread: float = 0.05
+    imu_scale: float = 1.0
+    imu_tilt: float = 0.0
+    imu_noise: float = 0.03
 
 
 NOMINAL = Truth()
@@ -190,6 +196,13 @@ WIDE: dict[str, dict[str, Spread]] = {
         "clock_offset": Spread(0.0, 0.03, log=False),
         "exposure_time": Spread(0.002, 0.012),
         "exposure_spread": Spread(0.03, 0.2),
+    },
+    # A BMI055 as it comes, without its calibration, in a housing that was screwed on by hand; it has 150 ug/sqrt(Hz).
+    # Guess.
+    "inertial sensor": {
+        "imu_scale": Spread(0.95, 1.05, log=False),
+        "imu_tilt": Spread(0.0, 0.06, log=False),
+        "imu_noise": Spread(0.01, 0.1),
     },
 }
 """The groups of assumptions, and what is drawn in each."""

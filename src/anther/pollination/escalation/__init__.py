@@ -32,6 +32,7 @@ from anther.pollination.escalation._knowledge import (
     sum_answers,
     update_answer,
     update_directions,
+    with_errors,
 )
 from anther.pollination.escalation._option import SHORTEST, WORDS, Option, Params, limits_of
 from anther.pollination.execution import ShakeDirection, Step
@@ -40,7 +41,8 @@ from anther.pollination.response.thresholds import overtones
 from anther.pollination.shake import Params as Limits
 from anther.pollination.shake import ShakePlan
 from anther.robot.cell import GripMotion
-from anther.robot.devices import LEAD, ArmSample, Frame
+from anther.robot.devices import LEAD, ArmSample, DeviceError, Frame, ImuReadings
+from anther.robot.imu import measure_motion
 from anther.robot.swing import Swing
 
 __all__ = [
@@ -97,6 +99,7 @@ class Escalation:
         points: (P, 3) other plant points at rest, those of `foresee`, world [m].
         camera: intrinsics and T_world_cam (4, 4) of the side camera.
         grip: what the arm's motors do to the grip; None: a motor moves the pads exactly as commanded.
+        T_world_imu: (4, 4) of the hand's inertial sensor at the grasp; None: there is none.
         limits: parameters of the shake plan.
         params: see `Params`.
     """
@@ -112,13 +115,14 @@ class Escalation:
         *,
         camera: tuple[Intrinsics, Array],
         grip: GripMotion | None,
+        T_world_imu: Array | None = None,
         limits: Limits,
         params: Params = DEFAULTS,
     ) -> None:
         self.plan, self.params = plan, params
         self.steps: tuple[Step, ...] = ()
         self._foresight, self._rest_points, self._camera = foresight, (flowers, points), camera
-        self._joints = None if grip is None else JointBelief(grip)
+        self._joints, self._T_world_imu, self._no_hand = None if grip is None else JointBelief(grip), T_world_imu, ""
         tones = plan.tones
         self._frequency_index, self._direction_index = (part.ravel() for part in np.indices(tones.reach.shape))
         self._frequencies = tones.frequencies[self._frequency_index]
@@ -127,7 +131,7 @@ class Escalation:
         self._probe_answers: list[list[Answer]] = []
         self._options: list[Option] = []
         self._watched: dict[int, tuple[Observation, Prediction] | None] = {}  # see `_update_other_directions`
-        self._camera_delay, self._visible_count, self._holding = 0.0, 0, False
+        self._camera_delay, self._visible_count, self._holding, self._hand_lost = 0.0, 0, False, False
         self._same_since = 0.0  # of the present amplitudes, on the clock of the shake [s]
         self._proofs: list[bool] = []  # by step, whether the observation can only show the plant
         self._observations: list[Observation] = []  # by step
@@ -145,8 +149,9 @@ class Escalation:
 
     @property
     def joints(self) -> JointBelief | None:
-        """What the looks told of the arm's joints; None if they told nothing, and of a motor."""
-        return self._joints if any(self._proofs) else None
+        """What was observed of the arm's joints; None if nothing was, and of a motor."""
+        told = any(self._proofs) or any(one.measured for one in self._observations)
+        return self._joints if told else None
 
     def frame_rate(self, rates: Sequence[float]) -> float:
         """Return the slowest camera rate [1/s] that separates the frequencies about as well as the fastest one."""
@@ -173,13 +178,19 @@ class Escalation:
         steady = self._probe_seconds if self._probing else self._watch_seconds(int(piece.amplitudes.argmax()))
         return piece.begin + max(piece.ramp if piece.changes else 0.0, piece.seconds - LEAD - steady)
 
-    def next_piece(self, piece: Swing, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
+    def next_piece(
+        self,
+        piece: Swing,
+        frames: Sequence[Frame],
+        samples: Sequence[ArmSample],
+        readings: ImuReadings | None = None,
+    ) -> Swing:
         """Return the next piece, chosen from the observation of the current one; the last piece ends at rest."""
         started, steady = perf_counter(), [s for s in samples if s.time >= samples[0].time + self.steady_from(piece)]
         self._piece = piece
         if piece.changes:
             self._same_since = piece.begin + piece.ramp
-        observation = self._observe(frames, steady, samples[0].time)
+        observation = self._observe(frames, steady, samples[0].time, readings)
         fitted, joints = observation, self._joints
         if not self.steps:
             self._visible_count = observation.followed
@@ -190,14 +201,7 @@ class Escalation:
             observation, self._joints = fitted, joints
         self._observations.append(observation)
         active = np.flatnonzero(piece.amplitudes).tolist()
-        before = [self._options[n].prediction for n in active] if self._options else [None] * len(active)
-        if self._probing and not self._proofs[-1]:
-            answers = [prior_answer(self._foresight, observation, i) for i in range(len(active))]
-        else:
-            answers = [
-                update_answer(self._foresight, observation, i, self._camera_delay, last)
-                for i, last in enumerate(before)
-            ]
+        answers = self._answers(observation, active)
         predictions = [self._predict(n, one) for n, one in zip(active, answers, strict=True)]
         shaken = list(zip(piece.amplitudes[active].tolist(), active, predictions, strict=True))
         shares = {k: sum(a * one.loads[k] / self._limits[n][k] for a, n, one in shaken) for k in WORDS}
@@ -224,13 +228,26 @@ class Escalation:
             tuple(observation.direction.tolist()),
             tuple(np.where(predictions[0].seen, acceleration, np.nan).tolist()),
             {WORDS[kind]: share for kind, share in shares.items()},
-            follows.words,
+            f"{follows.words}{self._remark()}",
             perf_counter() - started,
         )
         self.steps = (*self.steps, step)
         ramp = self._ramp_seconds(np.flatnonzero(piece.amplitudes + follows.amplitudes))
         moving = follows.seconds + LEAD if follows.amplitudes.any() else 0.0
         return piece.then(follows.amplitudes, ramp + moving, ramp)
+
+    def _answers(self, observation: Observation, active: Sequence[int]) -> list[Answer]:
+        """Return the plant's responses at the frequencies of an observation, of which a probe that proves nothing tells
+        the gripper's motion alone.
+
+        `active`: numbers of the shakes.
+        """
+        if self._probing and not self._proofs[-1]:
+            return [prior_answer(self._foresight, observation, i) for i in range(len(active))]
+        before = [self._options[n].prediction for n in active] if self._options else [None] * len(active)
+        return [
+            update_answer(self._foresight, observation, i, self._camera_delay, last) for i, last in enumerate(before)
+        ]
 
     def executed_plan(self, steps: Sequence[Step]) -> ShakePlan:
         """Return the plan as executed: its last step, with the prior prediction for how the grip moved in it."""
@@ -283,28 +300,52 @@ class Escalation:
         amplitudes = np.where(self._direction_index == line, size[self._frequency_index], 0.0)
         return NextPiece(amplitudes, self._probe_seconds, "Probed across that line as well.")
 
-    def _observe(self, frames: Sequence[Frame], steady: Sequence[ArmSample], begin: float) -> Observation:
+    def _observe(
+        self, frames: Sequence[Frame], steady: Sequence[ArmSample], begin: float, readings: ImuReadings | None
+    ) -> Observation:
         piece, active = self._piece, np.flatnonzero(self._piece.amplitudes)
         direction, tones = self.plan.tones.directions[self._direction_index[active[0]]], piece.frequencies[active]
         commanded = np.asarray(piece.amplitudes[active] * np.exp(-2j * np.pi * tones * begin), dtype=np.complex128)
         gripper, motors = np.asarray(commanded[None, :, None] * direction, dtype=np.complex128), None
+        measured = False
         if self._joints is not None:
             motors = fit_motors(steady, tones)
-            gripper = self._joints.sample(motors, tones, len(self._foresight.vectors))
+            moved = self._measure_hand(readings, (steady[0].time, steady[-1].time), motors, tones)
+            measured, count = moved is not None, len(self._foresight.vectors)
+            if moved is not None:
+                self._joints = self._joints.update(moved, motors, tones)
+                gripper = with_errors(moved, count)
+            else:
+                gripper = self._joints.sample(motors, tones, count)
         expected = None
         if self._options:
             expected = np.stack([c * self._options[n].prediction.phasors for c, n in zip(commanded, active)], axis=1)  # noqa: B905
         seen = extrapolate_growth(swings(self._sight, frames, tones, expected), float(tones[0]))
-        return Observation(self._frequency_index[active], direction, commanded, gripper, seen, len(self.steps), motors)
+        number = len(self.steps)
+        return Observation(self._frequency_index[active], direction, commanded, gripper, seen, number, motors, measured)
+
+    def _measure_hand(
+        self, readings: ImuReadings | None, span: tuple[float, float], motors: ComplexArray, tones: Array
+    ) -> ComplexArray | None:
+        """Return (K, 3) what the gripper did by the hand's inertial sensor [m]; None, and why, where none tells it."""
+        if self._joints is None or self._T_world_imu is None or readings is None:
+            return None
+        try:
+            moved = measure_motion(readings, span, self._T_world_imu, self.plan.grasp.point, tones)
+            self._joints.check(moved, motors, tones)
+        except DeviceError as error:
+            self._no_hand = str(error)
+            return None
+        return moved
 
     def _fit_clock_and_joints(self, observation: Observation) -> tuple[Observation, JointBelief | None]:
         """Fit the camera's delay, if nothing has shown the plant yet, and the arm's joints to an observation."""
         delays = np.array([self._camera_delay]) if any(self._proofs) else DELAYS
         grips, motors = self._possible_grips(observation), observation.motors
         found = log_likelihood(self._foresight, observation, grips, delays)
-        if self._joints is None or motors is None:
+        if self._joints is None or motors is None or observation.measured:
             self._camera_delay = float(delays[found[0].argmax()])
-            return observation, None
+            return observation, self._joints
         found += self._joints.log_posterior[:, None]
         best = int(np.logaddexp.reduce(found, axis=0).argmax())
         self._camera_delay, joints = float(delays[best]), self._joints._replace(log_posterior=found[:, best])
@@ -315,15 +356,25 @@ class Escalation:
         """Return (A, K, 3) what the gripper did, for each stiffness that the arm's joints may have [m]."""
         if self._joints is None or observation.motors is None:
             return observation.gripper
+        if observation.measured:
+            return np.asarray(observation.gripper.mean(axis=0, keepdims=True))
         tones = self._foresight.frequencies[observation.frequency_indices]
         return self._joints.grip(observation.motors, tones, STIFFNESS_DEVIATES)
 
     def _shows_plant(self, observation: Observation) -> bool:
         """Return whether an observation can only show the plant, by what was believed of the arm's joints before."""
-        log_prior = np.zeros(1) if self._joints is None else np.log(self._joints.probabilities)
         grips = self._possible_grips(observation)
+        log_prior = np.zeros(1) if self._joints is None or len(grips) == 1 else np.log(self._joints.probabilities)
         before = [one for one, proven in zip(self._observations, self._proofs, strict=True) if proven]
         return shows_plant(self._foresight, observation, grips, log_prior, self._camera_delay, before)
+
+    def _remark(self) -> str:
+        """Return, the first time, why the gripper's motion is not measured."""
+        why, self._no_hand = self._no_hand, ""
+        if not why or self._hand_lost:
+            return ""
+        self._hand_lost = True
+        return f" What the gripper does is believed, not measured: {why}"
 
     def _predict(self, shake: int, answer: Answer) -> Prediction:
         return predict(self._foresight, float(self._frequencies[shake]), answer, self._camera_delay)

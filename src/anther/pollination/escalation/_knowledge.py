@@ -29,7 +29,8 @@ from anther.pollination.escalation._foresight import (
 from anther.pollination.response.points import Swings
 from anther.pollination.shake.observables import semi_major
 from anther.robot.cell import JOINT_SCATTER, GripMotion
-from anther.robot.devices import ArmSample
+from anther.robot.devices import ArmSample, DeviceError
+from anther.robot.imu import ERROR
 
 DEPTH_BAND = 14.0
 """Up to here depth tells swings as they are [Hz]: a faster one moves less than depth errs, which feigns it."""
@@ -73,6 +74,7 @@ class Observation(NamedTuple):
         swings: of flowers and points.
         number: of the observation within the shake.
         motors: (K, J) phasors of what the arm's motors did, as they read [rad]; None of a motor in the gripper.
+        measured: whether a sensor on the hand told what the gripper did.
     """
 
     frequency_indices: NDArray[np.int64]
@@ -82,6 +84,7 @@ class Observation(NamedTuple):
     swings: Swings
     number: int = 0
     motors: ComplexArray | None = None
+    measured: bool = False
 
     @property
     def followed(self) -> int:
@@ -436,6 +439,46 @@ class JointBelief(NamedTuple):
         common, rng = np.interp((np.arange(count) + 0.5) / count, below, edges), np.random.default_rng(0)
         own = JOINT_SCATTER * rng.normal(size=(count, motors.shape[1]))
         return self.grip(motors, frequencies, rng.permutation(common)[:, None] + own)
+
+    def update(self, moved: ComplexArray, motors: ComplexArray, frequencies: Array) -> JointBelief:
+        """Return what is believed after a sensor on the hand told what the grip did (K, 3) [m].
+
+        Sizes count, not phases: the sensor has a clock of its own.
+
+        Args:
+            moved: phasors of the grip.
+            motors: (K, J) those of the motors [rad].
+            frequencies: (K,) [Hz].
+        """
+        error = 0.35  # of ln of a motion, where each joint's own stiffness differs; a guess
+        sizes = np.linalg.norm(self.grip(motors, frequencies, STIFFNESS_DEVIATES), axis=2)
+        off = (np.log(np.linalg.norm(moved, axis=1)) - np.log(np.maximum(sizes, 1e-12))) / error
+        return self._replace(log_posterior=self.log_posterior - np.sum(off**2, axis=1) / 2)
+
+    def check(self, moved: ComplexArray, motors: ComplexArray, frequencies: Array) -> None:
+        """Check that motors that do this may move the grip so, however stiff the joints are; arguments as of `update`.
+
+        Raises:
+            DeviceError: they may not: the sensor is not where it is thought to be, or not of this arm.
+        """
+        grips = self.grip(motors, frequencies, STIFFNESS_DEVIATES)
+        sizes = np.linalg.norm(grips, axis=2), np.linalg.norm(moved, axis=1)
+        both = np.sum(sizes[0] * sizes[1], axis=1)
+        alike = np.sum(np.abs(np.einsum("akx,kx->ak", grips.conj(), moved)), axis=1) / np.maximum(both, 1e-30)
+        ratio = np.linalg.norm(sizes[1]) / np.maximum(np.linalg.norm(sizes[0], axis=1), 1e-12)
+        most, least = 3.0, 0.5  # times; cosine of the angle between the lines: guesses
+        if not np.any((alike >= least) & (ratio >= 1 / most) & (ratio <= most)):
+            best = int(alike.argmax())
+            given = f"{ratio[best]:.2g} times what the arm's motors may make of it"
+            turned = f"{np.degrees(np.arccos(min(float(alike[best]), 1.0))):.0f} degrees off their line"
+            allowed = f"{1 / most:.2g} to {most:g} times, {np.degrees(np.arccos(least)):.0f} degrees"
+            raise DeviceError(f"inertial sensor: got {given}, {turned}; allowed: {allowed}. Check where it is mounted.")
+
+
+def with_errors(moved: ComplexArray, count: int) -> ComplexArray:
+    """Return (count, K, 3) what a grip may have done that was measured (K, 3) [m], with the sensor's `ERROR`."""
+    size, rng = np.linalg.norm(moved, axis=1)[:, None], np.random.default_rng(0)
+    return np.asarray(moved + ERROR * size * rng.normal(size=(count, 1, 3)), dtype=np.complex128)
 
 
 def fit_motors(samples: Sequence[ArmSample], frequencies: Array) -> ComplexArray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -30,6 +30,8 @@ from anther.robot.devices import (
     DeviceError,
     Frame,
     GripperState,
+    Imu,
+    ImuReadings,
     JointTrajectory,
     More,
     Robot,
@@ -228,7 +230,7 @@ def _first_piece(work: _Work, watched: WatchedShake | None) -> Swing | None:
 
 def _shake_watched(work: _Work, watched: WatchedShake, first: Swing) -> None:
     """Shake in pieces without a stop, each chosen from the observation of the one before."""
-    camera, motor = work.robot.side_camera, work.robot.motor
+    camera, motor, imu = work.robot.side_camera, work.robot.motor, work.robot.imu
     assert camera is not None
     rest, done, deciding = work.robot.arm.joints(), [first], DecisionThread(work.samples)
 
@@ -247,15 +249,18 @@ def _shake_watched(work: _Work, watched: WatchedShake, first: Swing) -> None:
         )
 
     def more() -> Swing | None:
-        piece, frames = done[-1], list[Frame]()
+        piece, frames, readings = done[-1], list[Frame](), None
         if piece.stops:
             return None
         if not deciding.pending:
+            since = work.samples[0].time + watched.steady_from(piece)
             try:
-                frames = camera.recorded(work.samples[0].time + watched.steady_from(piece))
+                frames = camera.recorded(since)
             except DeviceError as error:
                 work.fail(error)
-        done.append(deciding.wait_for_next(piece, partial(watched.next_piece, piece, frames, tuple(work.samples))))
+            readings = _recorded(imu, since)
+        seen = (piece, frames, tuple(work.samples), readings)
+        done.append(deciding.wait_for_next(piece, partial(watched.next_piece, *seen)))
         return done[-1]
 
     def onward() -> JointTrajectory | None:
@@ -271,8 +276,31 @@ def _shake_watched(work: _Work, watched: WatchedShake, first: Swing) -> None:
         deciding.close()
 
 
+def _recorded(imu: Imu | None, since: float) -> ImuReadings | None:
+    """Return what an inertial sensor read; None without one, and of one that fails: the shake goes on without it."""
+    try:
+        return None if imu is None else imu.recorded(since)
+    except DeviceError:
+        return None
+
+
+@contextmanager
+def _record_hand(imu: Imu | None) -> Iterator[None]:
+    """Record with the hand's inertial sensor, if any; without it the shake is as it would be."""
+    if imu is None:
+        yield
+        return
+    with suppress(DeviceError):
+        imu.start()
+    try:
+        yield
+    finally:
+        with suppress(DeviceError):
+            imu.stop()
+
+
 def _shake(work: _Work, move: Callable[[], ArmRecord]) -> None:
-    with _record_frames(work):
+    with _record_frames(work), _record_hand(work.robot.imu):
         try:
             work.shaken = move()
         except BaseException:

@@ -20,7 +20,7 @@ from anther.core.geometry import Array
 from anther.pollination.execution._trial import Step
 from anther.pollination.grasp import STAND_OFF, Grasp
 from anther.robot.cell import TrajectoryPlanner
-from anther.robot.devices import ArmRecord, ArmSample, DeviceError, Frame, Robot, SafetyLimits
+from anther.robot.devices import ArmRecord, ArmSample, DeviceError, Frame, ImuReadings, Robot, SafetyLimits
 from anther.robot.safety import guard
 from anther.robot.swing import Swing
 
@@ -67,8 +67,15 @@ class WatchedShake(Protocol):
         """Return the time from which the frames of the current piece are needed [s], from the start of the shake."""
         ...
 
-    def next_piece(self, piece: Swing, frames: Sequence[Frame], samples: Sequence[ArmSample]) -> Swing:
-        """Return the next piece (`piece.then`), after frames since `steady_from` and all readings of the arm.
+    def next_piece(
+        self,
+        piece: Swing,
+        frames: Sequence[Frame],
+        samples: Sequence[ArmSample],
+        readings: ImuReadings | None = None,
+    ) -> Swing:
+        """Return the next piece (`piece.then`), after frames and readings of the hand's inertial sensor since
+        `steady_from`, and all readings of the arm.
 
         The last one ends at rest. Called in another thread; until it returns, the piece goes on as it is.
         """

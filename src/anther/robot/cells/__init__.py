@@ -35,7 +35,7 @@ from anther.robot.safety import check_trajectory
 __all__ = ["CellFile", "Limits", "Part", "Simulation", "ToolSection", "own_arm", "own_cell", "read_cell"]
 
 REQUIRED = "arm", "gripper", "wrist_camera", "workspace", "region", "arm_space"
-KNOWN = (*REQUIRED, "side_camera", "shaker", "tool", "keep_out", "limits", "simulation", "cart")
+KNOWN = (*REQUIRED, "side_camera", "shaker", "tool", "keep_out", "limits", "simulation", "cart", "imu")
 Lens = tuple[float, float, float, float, float, float]
 Suppose = Callable[[ArmModel, "Simulation", Box | None], Mapping[str, Any]]
 """Returns the tables that a simulated cell has where its file has none; of (arm, simulation, region or None)."""
@@ -136,6 +136,8 @@ class CellFile:
         keep_out: where no part of arm and tool may be.
         supposed: names of the tables, and of keys in them, that the file lacks; only where it is to be simulated.
         cart, rails: what carries the arm along a row, and where it may go; None: the arm stands on the floor.
+        imu: the inertial sensor on the flange; None: there is none.
+        T_flange_imu: where it is; None: the wrist camera knows.
     """
 
     source: TomlFile
@@ -157,6 +159,8 @@ class CellFile:
     supposed: tuple[str, ...] = ()
     cart: Part | None = None
     rails: CartSection | None = None
+    imu: Part | None = None
+    T_flange_imu: Array | None = None
 
     @property
     def owner_name(self) -> str:
@@ -248,7 +252,7 @@ def read_cell(path: Path | str, suppose: Suppose | None = None) -> CellFile:
         if key not in table:
             do = "docs/cell_file.md has one."
             raise bad_input(str(path), given=f"no [{key}]", allowed="a table of that name", do=do)
-    side, of = table.get("side_camera"), partial(_part, source, connects=suppose is None)
+    side, imu, of = table.get("side_camera"), table.get("imu"), partial(_part, source, connects=suppose is None)
     cell = CellFile(
         source=source,
         arm=of("arm", _parts.ARMS, besides=("model",)),
@@ -258,6 +262,8 @@ def read_cell(path: Path | str, suppose: Suppose | None = None) -> CellFile:
         T_world_side_camera=None if side is None else _pose(source, "side_camera", "T_world_cam", side),
         side_camera=None if side is None else of("side_camera", _parts.CAMERAS, besides=("T_world_cam",)),
         shaker=of("shaker", _parts.SHAKERS) if "shaker" in table else None,
+        imu=None if imu is None else of("imu", _parts.IMUS, besides=("T_flange_imu",)),
+        T_flange_imu=_pose(source, "imu", "T_flange_imu", imu) if imu and "T_flange_imu" in imu else None,
         tool=build(source, ("tool",), table.get("tool", {}), ToolSection),
         limits=build(source, ("limits",), table.get("limits", {}), Limits),
         **{name: convert(source, (name,), table[name], Box) for name in ("workspace", "region", "arm_space")},

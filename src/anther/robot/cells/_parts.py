@@ -25,11 +25,13 @@ from anther.robot.drivers.franka import Franka, open_franka
 from anther.robot.drivers.free_running import FreeRunningCamera
 from anther.robot.drivers.intera import RethinkGripper, types
 from anther.robot.drivers.realsense import open_realsense
+from anther.robot.drivers.realsense_imu import RealSenseImu
 from anther.robot.drivers.robotiq import Name, Robotiq2F, open_line
 from anther.robot.drivers.ros1 import Node
 from anther.robot.drivers.ros2 import JointTrajectoryArm
 from anther.robot.drivers.ros2 import Node as Ros2Node
 from anther.robot.drivers.ros2_cart import VelocityCart
+from anther.robot.drivers.ros2_imu import Ros2Imu
 from anther.robot.drivers.sawyer_ros1 import Mode, Sawyer
 from anther.robot.drivers.ur_controller import open_controller
 from anther.robot.drivers.ur_rtde import UniversalRobot
@@ -40,6 +42,7 @@ GIVEN = ("arm", "speed_ratio", "arm_master", "arm_model", "cart_limits")
 NAME = "/anther"
 GRIPPER_NAME = "/anther_gripper"
 CART_NAME = "/anther_cart"
+IMU_NAME = "/anther_imu"
 
 
 @contextmanager
@@ -159,10 +162,22 @@ def uvc(
     return open_uvc(where, Intrinsics(width, height, fx, fy, cx, cy), rate=rate, latency=latency)
 
 
+def realsense_imu(serial: str = "") -> RealSenseImu:
+    """Return the inertial sensor in a RealSense D435i or D455; serial: as printed on it, "" is the only one."""
+    return RealSenseImu(serial or None)
+
+
+def ros2_imu(topic: str = "/imu") -> Ros2Imu:
+    """Return an inertial sensor under ROS 2 that publishes sensor_msgs/Imu."""
+    with _close_on_error(Ros2Node(IMU_NAME.strip("/"))) as node:
+        return Ros2Imu(node, topic)
+
+
 ARMS: dict[str, Callable[..., Any]] = {"sawyer-ros1": sawyer_ros1, "ros2": ros2, "ur": ur, "franka": franka}
 GRIPPERS: dict[str, Callable[..., Any]] = {"rethink": rethink, "robotiq-2f": robotiq_2f}
 CAMERAS: dict[str, Callable[..., Any]] = {"realsense": realsense, "uvc": uvc}
 CARTS: dict[str, Callable[..., Any]] = {"ros2": ros2_cart}
+IMUS: dict[str, Callable[..., Any]] = {"realsense": realsense_imu, "ros2": ros2_imu}
 SHAKERS: dict[str, Callable[..., Any]] = {"voice-coil": voice_coil}
 
 

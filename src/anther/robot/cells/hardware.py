@@ -24,7 +24,7 @@ from anther.robot.arm.views import Params as ViewParams
 from anther.robot.arm.views import Views, plan_views
 from anther.robot.cell import Cell
 from anther.robot.cells import CellFile, Part, own_cell
-from anther.robot.devices import Arm, Gripper, JointTrajectory, Robot, Tap, no_tap
+from anther.robot.devices import Arm, Gripper, Imu, JointTrajectory, Robot, Tap, no_tap
 from anther.robot.safety import CarriedArm, GuardedArm, GuardedCart, guard
 
 
@@ -100,7 +100,7 @@ def connect_cell(file: CellFile) -> Iterator[Robot]:
         def part(entry: Part | None) -> Any:
             return None if entry is None else keep(file.connect(entry, arm=arm))
 
-        gripper = part(file.gripper)
+        gripper, imu = part(file.gripper), part(file.imu)
         _check_stroke(file, gripper)
         yield Robot(
             arm=arm,
@@ -110,7 +110,24 @@ def connect_cell(file: CellFile) -> Iterator[Robot]:
             T_world_side_camera=file.T_world_side_camera,
             motor=part(file.shaker),
             cart=part(file.cart),
+            imu=imu,
+            T_flange_imu=None if imu is None else _place_of_imu(file, imu),
         )
+
+
+def _place_of_imu(file: CellFile, imu: Imu) -> Array:
+    """Return T_flange_imu (4, 4), by the file or by the wrist camera in which the sensor is.
+
+    Raises:
+        InputError: neither says it.
+    """
+    if file.T_flange_imu is not None:
+        return file.T_flange_imu
+    if imu.T_cam_imu is None:
+        do = "Measure where it is mounted."
+        allowed = "T_flange_imu: 7 numbers, x y z [m] qx qy qz qw"
+        raise bad_input(file.source.where(("imu",)), given="no T_flange_imu", allowed=allowed, do=do)
+    return file.T_flange_cam @ imu.T_cam_imu
 
 
 def _check_stroke(file: CellFile, gripper: Gripper) -> None:

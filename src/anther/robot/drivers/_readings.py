@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -59,6 +61,35 @@ class RobotClock:
         lag, drifted = arrival - stamp, self.offset + 1e-4 * (arrival - self._last_arrival)
         self.offset = lag if np.isnan(drifted) else min(lag, drifted)
         self._last_arrival = arrival
+
+
+class Kept:
+    """The readings of the last minute, longer than any shake, in order of time; threads may share it."""
+
+    seconds = 60.0
+
+    def __init__(self) -> None:
+        self._rows, self._lock = deque[tuple[float, ...]](), threading.Lock()
+
+    def take(self, time: float, *values: float) -> None:
+        """Keep a reading of a time [s], unless a newer one is there or one of its numbers is none."""
+        with self._lock:
+            if not np.isfinite(values).all() or (self._rows and time <= self._rows[-1][0]):
+                return
+            self._rows.append((time, *values))
+            while self._rows[0][0] < time - self.seconds:
+                self._rows.popleft()
+
+    @property
+    def newest(self) -> float:
+        """Time of the newest reading [s]; minus infinity before the first."""
+        with self._lock:
+            return self._rows[-1][0] if self._rows else float("-inf")
+
+    def since(self, begin: float) -> list[tuple[float, ...]]:
+        """Return the readings from a time on [s], each its time and its values."""
+        with self._lock:
+            return [row for row in self._rows if row[0] >= begin]
 
 
 class Readings:

@@ -70,6 +70,68 @@ def load_sdk() -> Any:
         raise MissingExtra(f"RealSense: no pyrealsense2 ({error}). Install it with: {INSTALL}") from error
 
 
+def find_device(rs: Any, devices: Found, serial: str | None) -> Any:
+    """Return the device with a serial number; None: the only one.
+
+    Raises:
+        DeviceError: it is not connected.
+    """
+    there = list(devices())
+    serials = [_info(d, rs.camera_info.serial_number) for d in there]
+    if not there:
+        raise DeviceError("RealSense: none is connected. Plug it in (USB 3); on Linux it needs the SDK's udev rules.")
+    if serial is None and len(there) > 1:
+        raise DeviceError(f"RealSense: {len(there)} are connected. Name one by its serial: {', '.join(serials)}.")
+    if serial is not None and serial not in serials:
+        raise DeviceError(f"RealSense {serial}: not connected; there are {', '.join(serials)}. Plug it in.")
+    return there[0 if serial is None else serials.index(serial)]
+
+
+class Stamps:
+    """When frames of a RealSense were taken, on the robot's clock.
+
+    Args:
+        rs: the SDK.
+        clock: the robot's [s].
+    """
+
+    def __init__(self, rs: Any, clock: Callable[[], float]) -> None:
+        self._rs, self._clock = rs, clock
+        self._offsets: deque[float] = deque(maxlen=300)  # the quickest tells the clocks' offset
+
+    def forget(self) -> None:
+        """Take the camera's clock for another one from now on."""
+        self._offsets.clear()
+
+    def time(self, frame: Any) -> float:
+        """Return when a frame was taken, in the middle of its exposure, on the robot's clock [s].
+
+        Stamps in the host's time (domains global and system) need only the offset of two clocks of this machine. A
+        clock of the camera's own is tied to ours by the frame that came quickest of the last hundreds; its way of some
+        milliseconds stays in.
+        """
+        arrival, host = self._clock(), time.time()
+        rs, stamp = self._rs, 1e-3 * frame.get_timestamp() - self._since_exposure(frame)
+        domains = rs.timestamp_domain.global_time, rs.timestamp_domain.system_time
+        tolerance = 1.0  # stamps in the host's time are believed if they are no farther from it [s]; a recording's are
+        if frame.get_frame_timestamp_domain() in domains and abs(host - stamp) < tolerance:
+            return min(stamp + (arrival - host), arrival)
+        if self._offsets and abs(arrival - stamp - self._offsets[-1]) > tolerance:
+            self._offsets.clear()  # the camera's clock began anew
+        self._offsets.append(arrival - stamp)
+        return stamp + min(self._offsets)
+
+    def _since_exposure(self, frame: Any) -> float:
+        """Return what passed between the middle of the exposure and the stamp, at readout [s]; 0 if it is not told."""
+        value = self._rs.frame_metadata_value
+        if not all(frame.supports_frame_metadata(v) for v in (value.frame_timestamp, value.sensor_timestamp)):
+            return 0.0
+        passed = 1e-6 * (
+            frame.get_frame_metadata(value.frame_timestamp) - frame.get_frame_metadata(value.sensor_timestamp)
+        )
+        return passed if 0 <= passed < 0.1 else 0.0
+
+
 class RealSense:
     """A RealSense as a `free_running.Source`.
 
@@ -98,7 +160,7 @@ class RealSense:
         self._serial, self._size, self._rate, self._preset, self._clock = serial, size, rate, preset, clock
         self._devices: Found = devices or self._rs.context().query_devices
         self._open: list[Any] = []
-        self._offsets: deque[float] = deque(maxlen=300)  # the quickest tells the clocks' offset
+        self._stamps = Stamps(self._rs, clock)
         self.unpaired = 0
 
     def clock(self) -> float:
@@ -108,7 +170,7 @@ class RealSense:
     def open(self) -> Intrinsics:
         """Start both streams."""
         try:
-            device = self._find()
+            device = find_device(self._rs, self._devices, self._serial)
             self._name = _info(device, self._rs.camera_info.name) or "RealSense"
             self._serial = _info(device, self._rs.camera_info.serial_number) or None  # no other one takes its place
             depth, color = self._streams(device)
@@ -134,7 +196,7 @@ class RealSense:
                 break
             depth, color = frames.get_depth_frame(), frames.get_color_frame()
             if depth and color:
-                return Shot(self._time(color), color.get_frame_number(), partial(self._images, depth, color))
+                return Shot(self._stamps.time(color), color.get_frame_number(), partial(self._images, depth, color))
             self.unpaired += 1
         raise DeviceError(self._why_silent())
 
@@ -146,19 +208,6 @@ class RealSense:
             with suppress(RuntimeError):
                 sensor.close()
         self._open = []
-
-    def _find(self) -> Any:
-        devices = list(self._devices())
-        serials = [_info(d, self._rs.camera_info.serial_number) for d in devices]
-        if not devices:
-            raise DeviceError(
-                "RealSense: none is connected. Plug it in (USB 3); on Linux it needs the SDK's udev rules."
-            )
-        if self._serial is None and len(devices) > 1:
-            raise DeviceError(f"RealSense: {len(devices)} are connected. Name one by its serial: {', '.join(serials)}.")
-        if self._serial is not None and self._serial not in serials:
-            raise DeviceError(f"RealSense {self._serial}: not connected; there are {', '.join(serials)}. Plug it in.")
-        return devices[0 if self._serial is None else serials.index(self._serial)]
 
     def _streams(self, device: Any) -> tuple[tuple[Any, Any], tuple[Any, Any]]:
         """Return (sensor, profile) of depth and colour.
@@ -207,7 +256,7 @@ class RealSense:
 
     def _start(self, depth: tuple[Any, Any], color: tuple[Any, Any]) -> None:
         self._syncer = self._rs.syncer(8)  # of 16 that the SDK keeps
-        self._offsets.clear()
+        self._stamps.forget()
         if depth[0] is color[0]:
             wanted = [(depth[0], [depth[1], color[1]])]
         else:
@@ -243,37 +292,9 @@ class RealSense:
         over = laid_over(metres, self._depth_camera, self._color_camera, self._T_color_depth)
         return np.array(straightened(rgb, self._color_maps, nearest=False)), over
 
-    def _time(self, frame: Any) -> float:
-        """Return when a frame was taken, in the middle of its exposure, on the robot's clock [s].
-
-        Stamps in the host's time (domains global and system) need only the offset of two clocks of this machine. A
-        clock of the camera's own is tied to ours by the frame that came quickest of the last hundreds; its way of some
-        milliseconds stays in.
-        """
-        arrival, host = self._clock(), time.time()
-        rs, stamp = self._rs, 1e-3 * frame.get_timestamp() - self._since_exposure(frame)
-        domains = rs.timestamp_domain.global_time, rs.timestamp_domain.system_time
-        tolerance = 1.0  # stamps in the host's time are believed if they are no farther from it [s]; a recording's are
-        if frame.get_frame_timestamp_domain() in domains and abs(host - stamp) < tolerance:
-            return min(stamp + (arrival - host), arrival)
-        if self._offsets and abs(arrival - stamp - self._offsets[-1]) > tolerance:
-            self._offsets.clear()  # the camera's clock began anew
-        self._offsets.append(arrival - stamp)
-        return stamp + min(self._offsets)
-
-    def _since_exposure(self, frame: Any) -> float:
-        """Return what passed between the middle of the exposure and the stamp, at readout [s]; 0 if it is not told."""
-        value = self._rs.frame_metadata_value
-        if not all(frame.supports_frame_metadata(v) for v in (value.frame_timestamp, value.sensor_timestamp)):
-            return 0.0
-        passed = 1e-6 * (
-            frame.get_frame_metadata(value.frame_timestamp) - frame.get_frame_metadata(value.sensor_timestamp)
-        )
-        return passed if 0 <= passed < 0.1 else 0.0
-
     def _why_silent(self) -> str:
         try:
-            self._find()
+            find_device(self._rs, self._devices, self._serial)
         except (DeviceError, RuntimeError) as error:
             return f"{self._name}: unplugged ({error})"
         return (
