@@ -920,7 +920,7 @@ def test_a_sensor_that_falls_silent_is_believed_until_then(shaken: Shaken) -> No
         looks[0] += 1
         return told if looks[0] < 2 else UNBELIEVABLE["silent"](told)
 
-    watched = shaken(World(foresight, foresight.vectors[0], soft=0.3, springs=-1.5, imu=cut))
+    watched = shaken(World(foresight, foresight.vectors[0], soft=0.6, springs=-1.5, imu=cut))
     assert moved_by_sensor(watched)[:2] == [True, False]
     assert watched.joints is not None
     assert watched.joints.stiffness[0] == pytest.approx(-1.5, abs=0.4)

@@ -358,12 +358,12 @@ def test_a_shake_that_goes_on_for_too_long_is_ended() -> None:
 def test_one_who_never_stops_the_pads_is_not_left_so() -> None:
     class Endless(Scripted):
         def next_piece(
-        self,
-        piece: Swing,
-        frames: Sequence[Frame],
-        samples: Sequence[ArmSample],
-        readings: ImuReadings | None = None,
-    ) -> Swing:
+            self,
+            piece: Swing,
+            frames: Sequence[Frame],
+            samples: Sequence[ArmSample],
+            readings: ImuReadings | None = None,
+        ) -> Swing:
             new = super().next_piece(piece, frames, samples, readings)
             return replace(new, amplitudes=np.zeros(2), ramp=new.seconds) if len(self.pieces) > 2 else new
 
@@ -384,3 +384,50 @@ def test_a_picture_that_stands_still_while_the_arm_swings_is_a_fault_and_no_look
     assert "same picture" in trial.stop_reason
     assert trial.phases == PHASES
     assert [bool(frames) for frames, _ in watched.looks] == [n < look for n in range(3)]
+
+
+class BrokenImu:
+    """An inertial sensor that fails whenever it is asked, or only for what it read; `asked` counts that."""
+
+    T_cam_imu = np.eye(4)
+
+    def __init__(self, *, starts: bool) -> None:
+        self.starts, self.asked, self.stopped = starts, 0, 0
+
+    def start(self) -> None:
+        if not self.starts:
+            raise DeviceError("it does not answer")
+
+    def recorded(self, since: float) -> ImuReadings:
+        self.asked += 1
+        raise DeviceError(f"it lost what it read since {since}")
+
+    def stop(self) -> None:
+        self.stopped += 1
+        raise DeviceError("it does not answer")
+
+
+@pytest.mark.parametrize("starts", [True, False])
+def test_an_inertial_sensor_that_fails_stops_nothing_and_its_readings_are_none(starts: bool) -> None:
+    class Told(Scripted):
+        told: tuple[ImuReadings | None, ...] = ()
+
+        def next_piece(
+            self,
+            piece: Swing,
+            frames: Sequence[Frame],
+            samples: Sequence[ArmSample],
+            readings: ImuReadings | None = None,
+        ) -> Swing:
+            self.told = (*self.told, readings)
+            return super().next_piece(piece, frames, samples, readings)
+
+    imu, watched, plain = BrokenImu(starts=starts), Told(), Told()
+    trial = execute(PLANNER, Plan(), replace(fake_robot(), imu=imu, T_flange_imu=np.eye(4)), LIMITS, watched=watched)
+    assert trial.finished
+    assert trial.failure is None
+    assert imu.stopped == 1
+    assert imu.asked == len(watched.told) == 3
+    assert all(told is not None and not len(told.times) for told in watched.told), "why is said by who uses them"
+    execute(PLANNER, Plan(), fake_robot(), LIMITS, watched=plain)
+    assert plain.told == (None, None, None)

@@ -134,10 +134,10 @@ def test_a_stamp_is_moved_to_the_middle_of_the_exposure(bench: Bench) -> None:
     gap = moved[0].time - plain[-1].time
     assert late[0] < late[1] < 0
     assert 0.0 < gap < 0.2
-    source = RealSense(devices=bench.found)
     told = {1: 5_012_000, 2: 5_000_000}
     frame = SimpleNamespace(supports_frame_metadata=lambda v: True, get_frame_metadata=lambda v: told[v])
-    source._rs = SimpleNamespace(frame_metadata_value=SimpleNamespace(frame_timestamp=1, sensor_timestamp=2))
+    named = SimpleNamespace(frame_metadata_value=SimpleNamespace(frame_timestamp=1, sensor_timestamp=2))
+    source = driver.Stamps(named, time.monotonic)
     assert source._since_exposure(frame) == pytest.approx(0.012)
 
 

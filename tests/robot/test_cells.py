@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,12 +15,17 @@ from fake_robotiq import FakeRobotiq
 from fake_ros_master import FakeMaster
 from fake_sawyer import FakeSawyer
 from made_arm import CELL
+from scipy.spatial.transform import Rotation
 
+from anther.cli.cell import _describe_imu
 from anther.cli.main import main
 from anther.core.errors import AntherError, InputError
+from anther.core.geometry import transform
 from anther.robot.arm.arms import find_arm
 from anther.robot.arm.sawyer import SAWYER, TOOL
 from anther.robot.cells import CellFile, _parts, read_cell
+from anther.robot.cells.hardware import place_of_imu
+from anther.robot.devices import ImuReadings
 from anther.robot.drivers import sawyer_ros1
 
 EXAMPLE = (Path(__file__).parents[1] / "support" / "cells" / "sawyer.toml").read_text()
@@ -75,6 +81,8 @@ def test_the_manuals_example_is_a_cell_file(tmp_path: Path) -> None:
     assert cell.limits.speed_ratio == 0.1
     assert cell.shaker is not None
     assert cell.cart is not None
+    assert cell.imu is not None
+    assert cell.imu.driver == "realsense"
 
 
 WRONG = [
@@ -242,3 +250,55 @@ def test_cameras_by_name_say_what_is_missing(tmp_path: Path) -> None:
         _parts.CAMERAS["uvc"](str(tmp_path / "none.mp4"), **lens)
     with pytest.raises(AntherError, match=r"(?i)realsense"):
         _parts.CAMERAS["realsense"]("000000000000")
+
+
+def with_imu(write: Write, table: str) -> CellFile:
+    return read_cell(write(("[limits]", f"[imu]\n{table}\n[limits]")))
+
+
+def test_where_an_inertial_sensor_is_the_file_says_or_the_camera_it_is_in(write: Write) -> None:
+    place = "[0.0, 0.01, 0.03, 0.0, 0.0, 0.0, 1.0]"
+    told = with_imu(write, f'driver = "ros2"\ntopic = "/hand"\nT_flange_imu = {place}')
+    assert told.imu is not None
+    assert told.imu.table == {"topic": "/hand"}
+    T_cam_imu = transform(np.eye(3), [-0.0055, 0.0051, 0.0117])
+    inside, elsewhere = SimpleNamespace(T_cam_imu=T_cam_imu), SimpleNamespace(T_cam_imu=None)
+    for sensor in (inside, elsewhere):
+        assert place_of_imu(told, sensor)[:3, 3] == pytest.approx([0.0, 0.01, 0.03])  # type: ignore[arg-type]
+    untold = with_imu(write, 'driver = "realsense"')
+    assert place_of_imu(untold, inside) == pytest.approx(untold.T_flange_cam @ T_cam_imu)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"imu: got no T_flange_imu; allowed: .*7 numbers"):
+        place_of_imu(untold, elsewhere)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ('driver = "bosch"', r'imu.driver: got "bosch"; allowed: "realsense", "ros2"'),
+        ('driver = "ros2"\nT_flange_imu = [0.0]', r"imu.T_flange_imu: .*7 numbers"),
+        ('driver = "realsense"\ntopic = "/imu"', r"imu.topic: got an unknown key"),
+        ("", "imu: got no driver"),
+    ],
+)
+def test_an_inertial_sensor_that_cannot_be_is_told_with_its_line(write: Write, table: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        with_imu(write, table)
+
+
+def test_a_check_of_an_inertial_sensor_tells_its_rate_and_how_gravity_lies(
+    write: Write, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("time.sleep", lambda _: None)
+    file = with_imu(write, 'driver = "ros2"\nT_flange_imu = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]')
+    up = file.model.forward(SAWYER.neutral)[:3, :3].T @ Rotation.from_euler("x", 0.1).as_matrix() @ [0, 0, 9.7]
+    readings = ImuReadings(np.arange(250) / 250, np.tile(up, (250, 1)), np.zeros((250, 3)))
+    nothing = SimpleNamespace(start=lambda: None, stop=lambda: None, T_cam_imu=None)
+    sensor = SimpleNamespace(**vars(nothing), recorded=lambda _: readings)
+    arm = SimpleNamespace(joints=lambda: SAWYER.neutral)
+    rate, gravity = _describe_imu(sensor, file, arm)  # type: ignore[arg-type]
+    assert rate == "250 readings a second; 9.70 m/s2, at rest 9.81"
+    assert gravity == "gravity 5.7 degrees from where the arm's joints have it"
+    assert len(_describe_imu(sensor, file, None)) == 1  # type: ignore[arg-type]
+    empty = ImuReadings(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)))
+    silent = SimpleNamespace(**vars(nothing), recorded=lambda _: empty)
+    assert _describe_imu(silent, file, None) == ["reads NOTHING in 1 s"]  # type: ignore[arg-type]

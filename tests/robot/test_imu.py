@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from anther.core.geometry import Array, ComplexArray, transform
 from anther.plant.limits import GRAVITY
 from anther.robot.devices import DeviceError, ImuReadings
-from anther.robot.imu import measure_motion
+from anther.robot.imu import ERROR, measure_motion
 
 TONES = np.array([3.0, 8.0, 21.0])
 RNG = np.random.default_rng(3)
@@ -49,17 +49,30 @@ TOLD = readings()
 def test_what_a_point_of_the_hand_does_is_told_to_a_few_per_cent() -> None:
     """It swings about the sensor by 20 cm times the turn: without that, or without gravity's turn, it is far off."""
     truth = SHIFTS + np.cross(TURNS, POINT - T_WORLD_IMU[:3, 3])
-    found = measure_motion(TOLD, SPAN, T_WORLD_IMU, POINT, TONES)
+    found, std = measure_motion(TOLD, SPAN, T_WORLD_IMU, POINT, TONES)
     assert np.linalg.norm(found - truth) < 0.02 * np.linalg.norm(truth)
     for tone in range(3):
         assert np.linalg.norm(found[tone] - truth[tone]) < 0.04 * np.linalg.norm(truth[tone])
+        assert std[tone] == pytest.approx(ERROR * np.linalg.norm(found[tone]) / np.sqrt(6), rel=0.3)
+
+
+def test_noise_is_in_the_error_that_is_told() -> None:
+    truth, _ = measure_motion(TOLD, SPAN, T_WORLD_IMU, POINT, TONES)
+    rng, off, told = np.random.default_rng(0), list[ComplexArray](), list[Array]()
+    for _ in range(20):
+        noisy = replace(TOLD, acceleration=TOLD.acceleration + 0.3 * rng.normal(size=TOLD.acceleration.shape))
+        found, std = measure_motion(noisy, SPAN, T_WORLD_IMU, POINT, TONES[1:])
+        off.append(found - truth[1:])
+        told.append(std)
+    noise = np.sqrt(np.mean(told, axis=0) ** 2 - ERROR**2 * np.linalg.norm(truth[1:], axis=1) ** 2 / 6)
+    assert np.sqrt(np.mean(np.abs(off) ** 2, axis=(0, 2)) / 2) == pytest.approx(noise, rel=0.5)
 
 
 def test_readings_before_and_after_the_span_do_not_count() -> None:
-    found = measure_motion(TOLD, SPAN, T_WORLD_IMU, POINT, TONES)
+    found, _ = measure_motion(TOLD, SPAN, T_WORLD_IMU, POINT, TONES)
     late = TOLD.times > SPAN[1]
     disturbed = replace(TOLD, acceleration=np.where(late[:, None], 50.0, TOLD.acceleration))
-    assert np.array_equal(measure_motion(disturbed, SPAN, T_WORLD_IMU, POINT, TONES), found)
+    assert np.array_equal(measure_motion(disturbed, SPAN, T_WORLD_IMU, POINT, TONES)[0], found)
 
 
 def without(used: Callable[[Array], Array]) -> ImuReadings:
@@ -75,6 +88,10 @@ WRONG: dict[str, tuple[ImuReadings, str]] = {
     "frozen": (
         replace(TOLD, acceleration=np.tile(TOLD.acceleration[:1], (250, 1)), rate=np.tile(TOLD.rate[:1], (250, 1))),
         "the same reading",
+    ),
+    "noise": (
+        replace(TOLD, acceleration=TOLD.acceleration + 8.0 * RNG.normal(size=(250, 3))),
+        "Shake more, or for longer",
     ),
     "in g": (replace(TOLD, acceleration=TOLD.acceleration / GRAVITY), "1 m/s2 of gravity"),
     "axes exchanged": (replace(TOLD, acceleration=TOLD.acceleration[:, [1, 2, 0]]), "degrees from where the arm"),

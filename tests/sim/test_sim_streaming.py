@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,13 +11,16 @@ from fake_robot import LIMITS
 from straight_plant import straight_plant
 
 from anther.core.errors import StageFailure
+from anther.core.geometry import ComplexArray
 from anther.robot.arm.sawyer import SAWYER
 from anther.robot.arm.shaking import swing_trajectory
 from anther.robot.devices import LEAD, ArmRecord, ArmSample, Camera, DeviceError, JointTrajectory
+from anther.robot.imu import measure_motion
 from anther.robot.safety import GuardedArm
 from anther.robot.swing import Swing
 from anther.sim.cell import Cell
 from anther.sim.robot import SimArm, robot_of
+from anther.sim.truth import NOMINAL, Truth
 
 FIRST = Swing.first([4.0, 7.0], [0.002, 0.001], 0.8, 0.3)
 SECOND = FIRST.then([0.004, 0.0], 0.7, 0.3)
@@ -168,3 +172,54 @@ def test_a_camera_that_shows_nothing_says_so(cell: Cell) -> None:
     begun = cell.time
     pass_time(cell, 0.1)
     assert min(f.time for f in camera.stop()) >= begun - 0.002, "nothing is left of the one before"
+
+
+# The inertial sensor.
+
+
+def moved_and_told(truth: Truth) -> tuple[ComplexArray, ComplexArray]:
+    """Return the phasors of the grip in a swing, by the log, and by the sensor in the wrist camera [m]."""
+    cell, long = Cell(straight_plant(), truth=truth), Swing.first([4.0, 7.0], [0.002, 0.001], 1.6, 0.3)
+    robot, pose, start = robot_of(cell, seed=5), cell.flange_pose(), cell.time
+    assert robot.imu is not None
+    assert robot.T_flange_imu is not None
+    rest = iter([motion(long.then(0.0, 0.3, 0.3))])
+    robot.imu.start()
+    SimArm(cell).follow(motion(long), None, lambda: next(rest, None))
+    span, point = (start + 0.5, start + 1.5), (pose @ cell.arm.tool.T_flange_grasp)[:3, 3]
+    told, late = robot.imu.recorded(start), truth.clock_offset
+    clock = (span[0] + late, span[1] + late)
+    found, std = measure_motion(told, clock, pose @ robot.T_flange_imu, point, long.frequencies)
+    assert std.max() < 1e-4
+    found *= np.exp(2j * np.pi * long.frequencies * late)[:, None]
+    log = cell.log()
+    rows = (log.times >= span[0]) & (log.times <= span[1])
+    angle = 2 * np.pi * log.times[rows, None] * long.frequencies
+    basis = np.column_stack([np.sin(angle), np.cos(angle), np.ones(rows.sum()), log.times[rows] - span[0]])
+    path = (cell.flange_pose(log.qpos[rows]) @ cell.arm.tool.T_flange_grasp)[:, :3, 3]
+    parts = np.linalg.lstsq(basis, path, rcond=None)[0]
+    return parts[:2] + 1j * parts[2:4], found
+
+
+@pytest.mark.parametrize(
+    ("truth", "error"),
+    [
+        (replace(NOMINAL, imu_noise=0.0), 0.03),
+        (replace(NOMINAL, imu_noise=0.0, joint_stiffness=8.0, servo_bandwidth=6.0), 0.03),
+        (replace(NOMINAL, imu_scale=0.92, imu_noise=0.0), 0.12),
+        (replace(NOMINAL, clock_offset=0.02), 0.1),
+    ],
+    ids=["stiff", "soft joints", "scale", "late"],
+)
+def test_the_inertial_sensor_tells_what_the_grip_does(truth: Truth, error: float) -> None:
+    moved, told = moved_and_told(truth)
+    off = np.linalg.norm(told - moved) / np.linalg.norm(moved)
+    assert off < error
+    assert (off > 0.07) == (truth.imu_scale != 1.0), "a sensor that errs does"
+
+
+def test_the_inertial_sensor_reads_nothing_before_it_is_started(cell: Cell) -> None:
+    imu = robot_of(cell).imu
+    assert imu is not None
+    with pytest.raises(DeviceError, match="start it first"):
+        imu.recorded(0.0)

@@ -197,7 +197,7 @@ class World:
         times = np.arange(begin + step, until, 0.004)
         before, now, after = (np.array([self.place(piece, t - begin + k * step) for t in times]) for k in (-1, 0, 1))
         moved = np.exp(-self.soft * self.springs) * (before - 2 * now + after) / step**2
-        noise = 0.01 * self._rng.normal(size=(2, len(times), 3))
+        noise = 0.01 * np.random.default_rng(len(self.pieces)).normal(size=(2, len(times), 3))
         return self.imu(ImuReadings(times, moved + [0.0, 0.0, GRAVITY] + noise[0], noise[1]))
 
     def place(self, piece: Swing, time: float) -> Array:

@@ -14,7 +14,7 @@ from anther.cli.args.cell import Args
 
 if TYPE_CHECKING:
     from anther.robot.cells import CellFile
-    from anther.robot.devices import Arm, Camera, JointTrajectory
+    from anther.robot.devices import Arm, Camera, Imu, JointTrajectory
 
 
 def run(args: Args) -> int:
@@ -45,6 +45,7 @@ def check(file: CellFile) -> int:
         ("side camera", file.side_camera, _describe_camera),
         ("shaker", file.shaker, lambda motor: [f"stroke {1e3 * motor.stroke:.2f} mm"]),
         ("cart", file.cart, partial(_describe_cart, file=file)),
+        ("imu", file.imu, partial(_describe_imu, file=file)),
     )
     with own_cell(file) as keep:
         arm: Any = None
@@ -54,7 +55,7 @@ def check(file: CellFile) -> int:
                 continue
             try:
                 machine = keep(file.connect(part, arm=arm))
-                seen = "\n".join(see(machine))
+                seen = "\n".join(see(machine, arm=arm) if name == "imu" else see(machine))
                 arm = machine if name == "arm" else arm
             except AntherError as error:
                 missing += 1
@@ -206,6 +207,25 @@ def _describe_cart(cart: Any, file: CellFile) -> list[str]:
         f"{between} its ends {ends} m",
         *(cart.describe() if hasattr(cart, "describe") else []),
     ]
+
+
+def _describe_imu(imu: Imu, file: CellFile, arm: Arm | None) -> list[str]:
+    from anther.robot.cells.hardware import place_of_imu
+
+    T_flange_imu, seconds = place_of_imu(file, imu), 1.0
+    imu.start()
+    time.sleep(seconds)
+    told = imu.recorded(float("-inf"))
+    imu.stop()
+    if not len(told.times):
+        return [f"reads NOTHING in {seconds:g} s"]
+    mean = told.acceleration.mean(axis=0)
+    words = [f"{len(told.times) / seconds:.0f} readings a second; {np.linalg.norm(mean):.2f} m/s2, at rest 9.81"]
+    if arm is not None:
+        up = (file.model.forward(arm.joints()) @ T_flange_imu)[:3, :3] @ mean
+        tilt = np.degrees(np.arctan2(np.hypot(*up[:2]), up[2]))
+        words.append(f"gravity {tilt:.1f} degrees from where the arm's joints have it")
+    return words
 
 
 def _limits_words(file: CellFile) -> list[str]:

@@ -13,14 +13,16 @@ from anther.plant.limits import GRAVITY
 from anther.robot.devices import DeviceError, ImuReadings
 
 ERROR = 0.05
-"""Standard deviation of a measured motion relative to it: 1 % of scale and two degrees of mounting; a guess."""
+"""Standard deviation of a measured motion relative to it, without noise: 1 % of scale and two degrees of mounting; a
+guess."""
 CHECK = "Check how it is mounted and calibrated."
 
 
 def measure_motion(
     readings: ImuReadings, span: tuple[float, float], T_world_imu: Array, point: Array, frequencies: Array
-) -> ComplexArray:
-    """Return (K, 3) phasors of what a point of the hand does in a shake of known frequencies, world [m].
+) -> tuple[ComplexArray, Array]:
+    """Return (K, 3) phasors of what a point of the hand does in a shake of known frequencies, world [m], and (K,) the
+    standard deviation of real and imaginary parts [m].
 
     x(t) = Im(phasor exp(2 pi i f t)), t on the clock of the readings. The hand turns little: with its rotation theta,
     from the gyroscope, the accelerometer reads a - g + theta x g to first order, and the point moves by theta x r
@@ -34,7 +36,8 @@ def measure_motion(
         frequencies: (K,) of the shake [Hz].
 
     Raises:
-        DeviceError: the readings do not cover the span, or are such as no sensor at this pose can have.
+        DeviceError: the readings do not cover the span, are such as no sensor at this pose can have, or their noise
+            hides the motion.
     """
     tones, (begin, end) = np.asarray(frequencies, dtype=np.float64), span
     used = (readings.times >= begin) & (readings.times <= end)
@@ -47,11 +50,19 @@ def measure_motion(
         raise DeviceError(f"inertial sensor: got the same reading {len(times)} times; allowed: once. Restart it.")
     parts, R = np.linalg.lstsq(basis, both, rcond=None)[0], T_world_imu[:3, :3]
     _check_gravity(R @ parts[-1, :3])
+    spare = max(len(times) - basis.shape[1], 1)
+    noise = np.sqrt(np.sum((both - basis @ parts)[:, :3] ** 2) / (3 * spare))
+    std = noise * np.sqrt(np.linalg.inv(basis.T @ basis).diagonal()[: len(omega)])
     phasors = parts[: len(omega)] + 1j * parts[len(omega) : 2 * len(omega)]
     turned = phasors[:, 3:] @ R.T / (1j * omega[:, None])
     accelerated = phasors[:, :3] @ R.T - np.cross(turned, [0.0, 0.0, -GRAVITY])
     moved = -accelerated / omega[:, None] ** 2 + np.cross(turned, point - T_world_imu[:3, 3])
-    return np.asarray(moved, dtype=np.complex128)
+    size, hidden = np.linalg.norm(moved, axis=1), 0.3  # of a motion that is its own error; a judgement
+    std = np.hypot(std / omega**2, ERROR * size / np.sqrt(6))
+    if np.any(std > hidden * size):
+        given = f"a motion of {1e3 * size.min():.2g} mm with an error of {1e3 * std[size.argmin()]:.2g} mm"
+        raise DeviceError(f"inertial sensor: got {given}; allowed: {hidden:.0%} of it. Shake more, or for longer.")
+    return np.asarray(moved, dtype=np.complex128), std
 
 
 def _check_times(times: Array, span: tuple[float, float], fastest: float) -> None:

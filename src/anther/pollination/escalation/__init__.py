@@ -28,11 +28,11 @@ from anther.pollination.escalation._knowledge import (
     log_likelihood,
     predict,
     prior_answer,
+    sample_motion,
     shows_plant,
     sum_answers,
     update_answer,
     update_directions,
-    with_errors,
 )
 from anther.pollination.escalation._option import SHORTEST, WORDS, Option, Params, limits_of
 from anther.pollination.execution import ShakeDirection, Step
@@ -310,11 +310,11 @@ class Escalation:
         measured = False
         if self._joints is not None:
             motors = fit_motors(steady, tones)
-            moved = self._measure_hand(readings, (steady[0].time, steady[-1].time), motors, tones)
-            measured, count = moved is not None, len(self._foresight.vectors)
-            if moved is not None:
-                self._joints = self._joints.update(moved, motors, tones)
-                gripper = with_errors(moved, count)
+            told = self._measure_hand(readings, (steady[0].time, steady[-1].time), motors, tones)
+            measured, count = told is not None, len(self._foresight.vectors)
+            if told is not None:
+                self._joints = self._joints.update(told[0], motors, tones)
+                gripper = sample_motion(*told, count)
             else:
                 gripper = self._joints.sample(motors, tones, count)
         expected = None
@@ -326,17 +326,18 @@ class Escalation:
 
     def _measure_hand(
         self, readings: ImuReadings | None, span: tuple[float, float], motors: ComplexArray, tones: Array
-    ) -> ComplexArray | None:
-        """Return (K, 3) what the gripper did by the hand's inertial sensor [m]; None, and why, where none tells it."""
+    ) -> tuple[ComplexArray, Array] | None:
+        """Return (K, 3) what the gripper did by the hand's inertial sensor, and its error [m]; None where none tells
+        it."""
         if self._joints is None or self._T_world_imu is None or readings is None:
             return None
         try:
-            moved = measure_motion(readings, span, self._T_world_imu, self.plan.grasp.point, tones)
+            moved, std = measure_motion(readings, span, self._T_world_imu, self.plan.grasp.point, tones)
             self._joints.check(moved, motors, tones)
         except DeviceError as error:
             self._no_hand = str(error)
             return None
-        return moved
+        return moved, std
 
     def _fit_clock_and_joints(self, observation: Observation) -> tuple[Observation, JointBelief | None]:
         """Fit the camera's delay, if nothing has shown the plant yet, and the arm's joints to an observation."""

@@ -30,7 +30,6 @@ from anther.pollination.response.points import Swings
 from anther.pollination.shake.observables import semi_major
 from anther.robot.cell import JOINT_SCATTER, GripMotion
 from anther.robot.devices import ArmSample, DeviceError
-from anther.robot.imu import ERROR
 
 DEPTH_BAND = 14.0
 """Up to here depth tells swings as they are [Hz]: a faster one moves less than depth errs, which feigns it."""
@@ -475,10 +474,10 @@ class JointBelief(NamedTuple):
             raise DeviceError(f"inertial sensor: got {given}, {turned}; allowed: {allowed}. Check where it is mounted.")
 
 
-def with_errors(moved: ComplexArray, count: int) -> ComplexArray:
-    """Return (count, K, 3) what a grip may have done that was measured (K, 3) [m], with the sensor's `ERROR`."""
-    size, rng = np.linalg.norm(moved, axis=1)[:, None], np.random.default_rng(0)
-    return np.asarray(moved + ERROR * size * rng.normal(size=(count, 1, 3)), dtype=np.complex128)
+def sample_motion(moved: ComplexArray, std: Array, count: int) -> ComplexArray:
+    """Return (count, K, 3) what a grip may have done whose motion (K, 3) was measured, with errors `std` (K,) [m]."""
+    drawn = np.random.default_rng(0).normal(size=(2, count, *moved.shape))
+    return np.asarray(moved + std[:, None] * (drawn[0] + 1j * drawn[1]), dtype=np.complex128)
 
 
 def fit_motors(samples: Sequence[ArmSample], frequencies: Array) -> ComplexArray:

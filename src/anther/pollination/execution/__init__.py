@@ -277,11 +277,11 @@ def _shake_watched(work: _Work, watched: WatchedShake, first: Swing) -> None:
 
 
 def _recorded(imu: Imu | None, since: float) -> ImuReadings | None:
-    """Return what an inertial sensor read; None without one, and of one that fails: the shake goes on without it."""
+    """Return what an inertial sensor read; of one that fails nothing, and the shake goes on. None: there is none."""
     try:
         return None if imu is None else imu.recorded(since)
-    except DeviceError:
-        return None
+    except AntherError:  # of numbers that are none, too
+        return ImuReadings(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)))
 
 
 @contextmanager

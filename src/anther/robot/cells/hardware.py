@@ -111,11 +111,11 @@ def connect_cell(file: CellFile) -> Iterator[Robot]:
             motor=part(file.shaker),
             cart=part(file.cart),
             imu=imu,
-            T_flange_imu=None if imu is None else _place_of_imu(file, imu),
+            T_flange_imu=None if imu is None else place_of_imu(file, imu),
         )
 
 
-def _place_of_imu(file: CellFile, imu: Imu) -> Array:
+def place_of_imu(file: CellFile, imu: Imu) -> Array:
     """Return T_flange_imu (4, 4), by the file or by the wrist camera in which the sensor is.
 
     Raises:
