@@ -145,7 +145,9 @@ def test_a_watched_shake_ends_within_what_the_cell_allows(
     monkeypatch.setattr(pipeline, "watch_points", lambda _, **__: [0])
     monkeypatch.setattr(pipeline, "_grip_motion", lambda *_: None)
     monkeypatch.setattr(pipeline, "Escalation", lambda *_, params, **__: params)
-    robot = SimpleNamespace(side_camera=SimpleNamespace(intrinsics=None), T_world_side_camera=np.eye(4))
+    robot = SimpleNamespace(
+        side_camera=SimpleNamespace(intrinsics=None), T_world_side_camera=np.eye(4), T_flange_imu=None
+    )
     cell: Any = SimpleNamespace(robot=robot, limits=replace(LIMITS, shake_duration=allowed))
     cloud = SimpleNamespace(points=np.zeros((0, 3)))
     seen: Any = SimpleNamespace(flowers=SimpleNamespace(positions=np.zeros((2, 3))), cloud=cloud)
