@@ -6,6 +6,8 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
+from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -20,6 +22,7 @@ from anther.robot.devices import DeviceError, Imu
 from anther.robot.drivers.realsense import load_sdk
 from anther.robot.drivers.realsense_imu import RealSenseImu
 from anther.robot.drivers.ros2_imu import Ros2Imu
+from anther.robot.imu_testing import IMU_CHECKS, ImuRig, check_imu_readings
 
 RATES = {"accel": 250, "gyro": 400}
 PLACE = (-0.0055, 0.0051, 0.0117)
@@ -41,6 +44,7 @@ class MovedCamera:
 
     def __init__(self, rs: Any, *, kinds: tuple[str, ...] = ("accel", "gyro"), late: float = 0.0) -> None:
         self.rs, self.camera, self.silent, self._late = rs, made_realsense.SoftwareCamera(rs), False, late
+        self.swing = 1.0
         self._sensor, self._profiles = self.camera.device.add_sensor("Motion Module"), dict[str, Any]()
         for number, kind in enumerate(kinds):
             for slow in (2, 1):  # the slower profile comes first
@@ -70,7 +74,7 @@ class MovedCamera:
             if self.silent:
                 continue
             now, data = time.time(), self.rs.vector()
-            swung = float(np.sin(2 * np.pi * TONE * now))
+            swung = self.swing * float(np.sin(2 * np.pi * TONE * now))
             data.x, data.y, data.z = (swung, -9.81, 0.0) if kind == "accel" else (0.0, swung, 0.0)
             frame = self.rs.software_motion_frame()
             frame.data, frame.timestamp, frame.frame_number = data, 1e3 * (now + self._late), number
@@ -184,3 +188,52 @@ def test_a_topic_that_says_nothing_is_named(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(Ros2Imu, "_patience", 0.1)
     with pytest.raises(DeviceError, match="on /hand/imu"):
         Ros2Imu(FakeNode(), "/hand/imu")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("check", IMU_CHECKS, ids=lambda check: check.__name__)
+def test_a_realsense_passes_the_kit(rs: Any, check: Callable[[ImuRig], None]) -> None:
+    with moved(rs) as camera:
+        camera.swing = 0.0
+        connect = partial(RealSenseImu, devices=lambda: [camera.camera.device])
+        check(ImuRig(connect, time.monotonic, time.sleep, rate=80.0))
+
+
+class StillTopic(FakeNode):
+    """A node on whose topic a sensor at rest tells 200 messages a second, in a time of its own."""
+
+    now = 10.0
+
+    def subscribe(self, topic: str, kind: str, hear: Callable[[Any], None]) -> None:
+        super().subscribe(topic, kind, hear)
+        self.sleep(0.01)
+
+    def sleep(self, seconds: float) -> None:
+        (hear,) = self.hears.values()
+        for _ in range(round(200 * seconds)):
+            self.now += 0.005
+            hear(message(self.now + 490.0, force=(0.0, 0.1, 9.8), rate=self.rate))
+
+    rate = (0.001, 0.0, 0.0)
+
+
+def topic_rig(node: StillTopic) -> ImuRig:
+    return ImuRig(
+        lambda: Ros2Imu(node, clock=lambda: node.now),  # type: ignore[arg-type]
+        lambda: node.now,
+        node.sleep,
+        rate=200.0,
+    )
+
+
+@pytest.mark.parametrize("check", IMU_CHECKS, ids=lambda check: check.__name__)
+def test_a_topic_passes_the_kit(check: Callable[[ImuRig], None]) -> None:
+    check(topic_rig(StillTopic()))
+
+
+def test_the_kit_finds_a_gyroscope_in_degrees_and_a_sensor_that_reads_seldom() -> None:
+    node = StillTopic()
+    node.rate = (3.0, 0.0, 0.0)
+    with pytest.raises(AssertionError, match="degrees"):
+        check_imu_readings(topic_rig(node))
+    with pytest.raises(AssertionError, match=r"100 readings in 0\.5 s"):
+        check_imu_readings(replace(topic_rig(StillTopic()), rate=400.0))

@@ -16,6 +16,7 @@ from anther.robot.arm.sawyer import SAWYER
 from anther.robot.arm.shaking import swing_trajectory
 from anther.robot.devices import LEAD, ArmRecord, ArmSample, Camera, DeviceError, JointTrajectory
 from anther.robot.imu import measure_motion
+from anther.robot.imu_testing import IMU_CHECKS, ImuRig
 from anther.robot.safety import GuardedArm
 from anther.robot.swing import Swing
 from anther.sim.cell import Cell
@@ -223,3 +224,13 @@ def test_the_inertial_sensor_reads_nothing_before_it_is_started(cell: Cell) -> N
     assert imu is not None
     with pytest.raises(DeviceError, match="start it first"):
         imu.recorded(0.0)
+
+
+@pytest.mark.parametrize("check", IMU_CHECKS, ids=lambda check: check.__name__)
+def test_the_inertial_sensor_passes_the_kit(cell: Cell, check: Callable[[ImuRig], None]) -> None:
+    robot = robot_of(cell)
+
+    def stand(seconds: float) -> None:
+        robot.arm.follow(JointTrajectory.standstill(cell.joints, seconds))
+
+    check(ImuRig(lambda: robot.imu, lambda: cell.time, stand, rate=250.0))  # type: ignore[arg-type, return-value]
