@@ -478,6 +478,22 @@ def test_a_small_swing_that_is_soft_or_lost_in_noise_is_not_taken_for_stale(foll
     assert arm.done == 1
 
 
+@pytest.mark.parametrize("frequency", [6.5, 8.0, 9.8])
+def test_a_weak_servo_near_an_antiresonance_is_not_taken_for_stale(frequency: float) -> None:
+    """A simulated Sawyer's first joint followed 8 % of 2.2 mrad at 9.8 Hz; one that freezes there is noticed."""
+
+    def told(follows: float) -> FakeArm:
+        return readings(
+            lambda n, s: replace(s, measured=SAWYER.neutral + follows * (s.commanded - SAWYER.neutral) + NOISE[n])
+        )
+
+    weak = told(0.08)
+    GuardedArm(weak, LIMITS).follow(swinging(2.2e-3, frequency))
+    assert weak.done == 1
+    with pytest.raises(DeviceError, match="joint 0 reads the same"):
+        GuardedArm(told(0.0), LIMITS).follow(swinging(2.2e-3, frequency))
+
+
 def test_a_joint_that_the_others_still_is_not_taken_for_stale() -> None:
     two, still = np.eye(len(SAWYER.neutral))[:2].sum(axis=0), np.eye(len(SAWYER.neutral))[0]
     alone = swinging(2e-4, 18.0)

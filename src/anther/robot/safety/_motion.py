@@ -207,7 +207,9 @@ def _is_fast(swing: Array) -> NDArray[np.bool_]:
     return np.asarray(np.count_nonzero(np.diff(np.sign(swing), axis=0), axis=0) >= 4)
 
 
-def find_hidden_swings(times: Array, commanded: Array, measured: Array, travel: Array) -> NDArray[np.bool_]:
+def find_hidden_swings(
+    times: Array, commanded: Array, measured: Array, travel: Array, fast: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
     """Return (J,) which joints show nothing of a fast swing that is commanded.
 
     The measured joints are fitted by the command and its rate, so that size and phase are free: a soft arm is late and
@@ -220,11 +222,12 @@ def find_hidden_swings(times: Array, commanded: Array, measured: Array, travel: 
         times: (T,) of the last readings [s].
         commanded, measured: (T, J) joints then [rad].
         travel: (J,) of the command, the least within the lag that is healthy [rad].
+        fast: (J,) which of them swing fast.
     """
     swing, rate, found = (_detrend(times, x) for x in (commanded, np.gradient(commanded, times, axis=0), measured))
     size = np.minimum(np.ptp(swing, axis=0), travel)
     # From 1e-4 rad on, which 16 bits show, and of joints that travel half as far as the furthest or more than `STILL`.
-    swings = _is_fast(swing) & (size >= max(1e-4, min(STILL, 0.5 * float(size.max()))))
+    swings = fast & (size >= max(1e-4, min(STILL, 0.5 * float(size.max()))))
     hidden = swings.copy()
     for j in np.flatnonzero(swings):
         basis = np.linalg.qr(np.stack([swing[:, j], rate[:, j]], axis=1))[0]
@@ -274,7 +277,7 @@ class Watchdog:
         With `stale_after` = 0.1 s: a joint that freezes, to the bit or with noise below `SHOWS` of its travel, is
         noticed within 0.2 s where its command goes faster than 0.04 rad/s all the while, else within 0.35 s where it
         travels 2 mrad, and 1 % of what the furthest does, in any 0.2 s of them: a swing of 3 mrad at 2 Hz, of 1.3 mrad
-        at 4 Hz. From 10 Hz on a swing of 0.1 mrad is enough (`find_hidden_swings`); not where one joint of several
+        at 4 Hz. From 6 Hz on a swing of 0.1 mrad is enough (`find_hidden_swings`); not where one joint of several
         freezes with noise and swings by less than `STILL`. What lags by up to 0.15 s is not.
         """
         past, after = self._past, self._limits.stale_after
@@ -303,12 +306,11 @@ class Watchdog:
             else:
                 turned = 0.01  # of the furthest joint's travel: what its acceleration may turn another by
                 hidden = (doubted > STILL + turned * doubted.max()) & (shown < SHOWS * doubted)
-                if hidden.any():
-                    recent = times > sample.time - spans[-1] * after
-                    hidden &= ~_is_fast(_detrend(times[recent], commanded[recent]))  # judged by their own rule
+                fast = _is_fast(_detrend(times, commanded)) if swings or hidden.any() else hidden
+                hidden &= ~fast  # judged by their own rule
                 if swings:
                     self._next = sample.time + after / 2  # it takes a quarter of a millisecond
-                    hidden |= find_hidden_swings(times[begin:], commanded[begin:], measured[begin:], doubted)
+                    hidden |= find_hidden_swings(times[begin:], commanded[begin:], measured[begin:], doubted, fast)
                 if hidden.any():
                     self._distrust(f"joint {np.flatnonzero(hidden)[0]} reads the same for {span:.2f} s of motion")
 
