@@ -35,6 +35,7 @@ from anther.robot.safety import (
     shake_amplitude,
     stem_stress,
 )
+from anther.robot.safety._motion import find_hidden_swings
 from anther.robot.swing import Swing
 
 
@@ -841,3 +842,22 @@ def test_an_arm_has_as_many_joints_as_its_limits_say() -> None:
     with pytest.raises(StageFailure, match="joint 5"):
         arm.follow(path(goal + 1.2 * np.eye(6)[5], start=goal))
     np.testing.assert_allclose(bare.joints(), goal)
+
+
+RAMPING = 1e-5 * np.array(
+    [
+        [171, 57, -79, -187, -228, -186, -79, 55, 164, 210, 178, 81, -43, -147, -194, -170, -88, 18, 108, 151, 136, 73],
+        [16, 4, -7, -15, -16, -11, -3, 5, 11, 13, 12, 10, 8, 5, 1, -3, -9, -13, -14, -9, 0, 13],
+    ],
+    dtype=float,
+)
+"""A weak joint of a simulated Sawyer, commanded and read, every 10 ms of a swing of 9.8 Hz that ends [rad]."""
+
+
+def test_a_weak_joint_whose_swing_settles_is_not_taken_for_frozen() -> None:
+    commanded, measured = RAMPING[..., None]
+    times, travel, fast = 0.01 * np.arange(len(commanded)), np.ptp(commanded, axis=0), np.array([True])
+    assert not find_hidden_swings(times, commanded, measured, travel, fast).any()
+    frozen = 1e-6 * np.random.default_rng(0).normal(size=measured.shape)
+    for still in (frozen, 0 * frozen):
+        assert find_hidden_swings(times, commanded, still, travel, fast).all()

@@ -212,8 +212,8 @@ def find_hidden_swings(
 ) -> NDArray[np.bool_]:
     """Return (J,) which joints show nothing of a fast swing that is commanded.
 
-    The measured joints are fitted by the command and its rate, so that size and phase are free: a soft arm is late and
-    swings less. A joint shows nothing where the fitted swing is no more than three standard errors, as of a reading
+    The measured joints are fitted by the command and its rate, each also growing with time, so that size and phase are
+    free and may change: a soft arm is late and swings less, and settles after a change. A joint shows nothing where the fitted swing is no more than three standard errors, as of a reading
     that stands, and with three more still below `SHOWS` of the command; all without the straight line that fits the
     motion best. One joint alone may be stilled by the others, at its antiresonance: a swing within `STILL` is hidden
     only where its reading stands to the bit, or where no joint that swings shows anything.
@@ -229,11 +229,13 @@ def find_hidden_swings(
     # From 1e-4 rad on, which 16 bits show, and of joints that travel half as far as the furthest or more than `STILL`.
     swings = fast & (size >= max(1e-4, min(STILL, 0.5 * float(size.max()))))
     hidden = swings.copy()
+    growing = (times - times.mean())[:, None]
     for j in np.flatnonzero(swings):
-        basis = np.linalg.qr(np.stack([swing[:, j], rate[:, j]], axis=1))[0]
-        part = basis.T @ found[:, j]
-        rest = np.linalg.norm(found[:, j] - basis @ part) / np.sqrt(max(len(times) - 4, 1))
-        shown, noise = np.linalg.norm(part), 3 * np.sqrt(2) * rest + 1e-9  # [rad]: rounding
+        both = np.stack([swing[:, j], rate[:, j]], axis=1)
+        basis = np.linalg.qr(_detrend(times, np.concatenate([both, growing * both], axis=1)))[0]
+        part, count = basis.T @ found[:, j], basis.shape[1]
+        rest = np.linalg.norm(found[:, j] - basis @ part) / np.sqrt(max(len(times) - count - 2, 1))
+        shown, noise = np.linalg.norm(part), 3 * np.sqrt(count) * rest + 1e-9  # [rad]: rounding
         hidden[j] = shown <= noise and 2 * np.sqrt(2 / len(times)) * (shown + noise) < SHOWS * size[j]
     all_hidden = np.array_equal(hidden, swings)
     return hidden if all_hidden else hidden & ((size > STILL) | (np.ptp(measured, axis=0) == 0))
