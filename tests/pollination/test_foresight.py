@@ -427,7 +427,7 @@ def test_a_flower_that_is_followed_but_not_measured_moves_no_more_than_would_hav
     lost = shown.copy()
     lost[2] = False
     still, hidden = (
-        told(foresight, look(World(foresight, truth, shown=[s], noise=1e-5)), 1, 0.0) for s in (shown, lost)
+        told(foresight, look(World(foresight, truth, shown=[s], noise=1e-4)), 1, 0.0) for s in (shown, lost)
     )
     assert not still.seen[2]
     assert not hidden.seen[2]
@@ -435,8 +435,28 @@ def test_a_flower_that_is_followed_but_not_measured_moves_no_more_than_would_hav
     assert still.answer.flowers[:, 2].max() <= still.detectable[2] * (1 + 1e-9)
     assert hidden.answer.flowers[:, 2].min() > still.detectable[2]
     assert still.flowers[2] < 0.5 * hidden.flowers[2]
-    threshold = foresight_module.SIGNIFICANCE * np.sqrt(2) * 1e-5 / 1e-3 * (2 * np.pi * TONES[1]) ** 2
+    threshold = foresight_module.SIGNIFICANCE * np.sqrt(2) * 1e-4 / 1e-3 * (2 * np.pi * TONES[1]) ** 2
     assert still.detectable[2] == pytest.approx(threshold, rel=0.5), "three deviations of what was seen across and down"
+
+
+@pytest.mark.parametrize(("share", "believed"), [(0.0, True), (0.03, True), (0.4, False), (1.0, False)])
+def test_a_flower_that_stands_still_while_all_else_moves_is_taken_for_what_is_behind_it(
+    share: float, believed: bool
+) -> None:
+    """A neighbour's flower, or a bright place: what is known of this one are the members alone."""
+    foresight = made_foresight(3)
+    truth, shown = foresight.vectors[5].copy(), np.ones(FLOWERS + POINTS, bool)
+    truth[..., 2, :] *= share
+    lost = shown.copy()
+    lost[2] = False
+    worlds = [World(foresight, truth, shown=[s], noise=1e-5) for s in (shown, lost)]
+    seen, hidden = (told(foresight, look(world), 1, 0.0) for world in worlds)
+    assert seen.seen[2] == (not believed)
+    assert np.isnan(seen.detectable[2]) == believed
+    if believed:
+        assert seen.answer.flowers == pytest.approx(hidden.answer.flowers, rel=0.2)
+    else:
+        assert seen.answer.flowers[0, 2] == pytest.approx(worlds[0].flowers(1)[2], rel=0.1)
 
 
 def test_a_flower_that_only_the_look_before_measured_goes_on_counting_as_much_but_as_not_measured() -> None:

@@ -205,23 +205,31 @@ def moves_or_stands(members: ComplexArray, motion: ComplexArray, std: Array, axe
     return -np.concatenate([misfit(share * members, motion, std, axes) for share in (1.0, still)])
 
 
-def flowers_stand_still(members: ComplexArray, motion: ComplexArray, std: Array, axes: Array, count: int) -> bool:
-    """Return whether the first `count` of F + P points, the flowers, stand still while the others move.
+STILL = 2.0
+"""Deviations of `stillness` from which all tracked flowers are taken for background; those of simulated plants had 1.4
+at most."""
+
+
+def stillness(members: ComplexArray, motion: ComplexArray, std: Array, axes: Array, count: int) -> tuple[Array, float]:
+    """Return by how many deviations the first `count` of F + P points, the flowers, move less than the others do.
 
     Compares ln of observed motion, with its detection limit, over predicted motion of flowers and of other points.
+    NaN where no flower is followed, or no other point is.
+
+    Returns:
+        (count,) of each flower, and of all together.
     """
     used = np.isfinite(std)
     flowers, points = used[:count, 0], used[count:, 0]
     if not flowers.any() or not points.any():
-        return False
+        return np.full(count, np.nan), float("nan")
     predicted = np.where(used, np.abs(np.einsum("mpx,pxa->mpa", members[:, : len(motion)], axes)), 0.0)
     predicted = np.log(np.maximum(np.linalg.norm(predicted, axis=2), 1e-12))
     upper = np.where(used, np.hypot(np.abs(motion), SIGNIFICANCE * std), 0.0)
     more = np.log(np.maximum(np.linalg.norm(upper, axis=1), 1e-12)) - predicted.mean(axis=0)
-    alike = float(predicted[:, :count][:, flowers].mean(axis=1).std())
-    spread = np.hypot(FLOWER_SPREAD, alike)  # flowers of one plant may all be off alike
-    deviations = 2.0  # from which tracked flowers are taken for background; simulated plants had 1.4 at most
-    return bool(np.median(more[:count][flowers]) - np.median(more[count:][points]) < -deviations * spread)
+    less = np.where(flowers, np.median(more[count:][points]) - more[:count], np.nan)
+    alike = float(predicted[:, :count][:, flowers].mean(axis=1).std())  # flowers of one plant may all be off alike
+    return less / FLOWER_SPREAD, float(np.nanmedian(less) / np.hypot(FLOWER_SPREAD, alike))
 
 
 def repeats_motion(

@@ -19,11 +19,12 @@ from anther.pollination.decision import COSTS, expected
 from anther.pollination.escalation._foresight import (
     FLOWER_SPREAD,
     SIGNIFICANCE,
+    STILL,
     Foresight,
-    flowers_stand_still,
     misfit,
     moves_or_stands,
     repeats_motion,
+    stillness,
     update_members,
 )
 from anther.pollination.response.points import Swings
@@ -163,7 +164,7 @@ def shows_plant(
     """Return whether an observation can only show a plant that the gripper moves.
 
     Stem, branches and leaves must move as predicted rather than a tenth as far (`moves_or_stands`), whatever the arm's
-    joints let the gripper do; flowers may move little, but may not stand still (`flowers_stand_still`); and the motion
+    joints let the gripper do; flowers may move little, but may not stand still (`stillness`); and the motion
     must not repeat that of a gentler shake (`repeats_motion`).
 
     Args:
@@ -182,7 +183,7 @@ def shows_plant(
         for a, moved in enumerate(grips[:, i] / observation.commanded[i]):
             members = np.asarray(np.einsum("mapx,a->mpx", watched, moved))
             found[:, a] += moves_or_stands(members, motion[points], std[points], axes[points])
-        stands |= flowers_stand_still(_predict_members(foresight, observation, i), motion, std, axes, count)
+        stands |= stillness(_predict_members(foresight, observation, i), motion, std, axes, count)[1] > STILL
     moves, still = np.logaddexp.reduce(found, axis=1)
     least = 3.0  # ln of 20 to 1
     return bool(moves - still > least) and not stands and not _repeats_earlier(foresight, observation, delay, before)
@@ -269,10 +270,12 @@ def _credible_motion(
     members: ComplexArray,
     before: Prediction | None,
 ) -> tuple[ComplexArray, Array]:
-    """Return motion and standard deviation as `_align_phase` does; NaN for flowers that were mistaken for another."""
+    """Return motion and standard deviation as `_align_phase` does; NaN for flowers that were mistaken for another, or
+    for what stands still behind them."""
     (motion, std), axes = _align_phase(foresight, observation, i, delay), observation.swings.axes
     own = foresight.where["flowers"]
     mistaken = ~_agrees_with_others(members[:, own], motion[own], std[own], axes[own])
+    mistaken |= stillness(members, motion, std, axes, own.stop)[0] > SIGNIFICANCE
     if before is not None:
         omega = 2 * np.pi * foresight.frequencies[observation.frequency_indices[i]]
         across = np.linalg.norm(motion[own][:, :2], axis=1)

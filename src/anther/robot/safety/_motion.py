@@ -213,10 +213,11 @@ def find_hidden_swings(
     """Return (J,) which joints show nothing of a fast swing that is commanded.
 
     The measured joints are fitted by the command and its rate, each also growing with time, so that size and phase are
-    free and may change: a soft arm is late and swings less, and settles after a change. A joint shows nothing where the fitted swing is no more than three standard errors, as of a reading
-    that stands, and with three more still below `SHOWS` of the command; all without the straight line that fits the
-    motion best. One joint alone may be stilled by the others, at its antiresonance: a swing within `STILL` is hidden
-    only where its reading stands to the bit, or where no joint that swings shows anything.
+    free and may change: a soft arm is late and swings less, and settles after a change. A joint shows nothing where the
+    fitted swing is no more than three standard errors, as of a reading that stands, and with three more still below
+    `SHOWS` of the command; all without the straight line that fits the motion best. One joint alone may be stilled by
+    the others, at its antiresonance: a swing within `STILL` is hidden only where its reading stands to the bit, or
+    where no joint that swings shows anything.
 
     Args:
         times: (T,) of the last readings [s].
