@@ -61,6 +61,21 @@ def test_the_wiggles_of_a_scan_do_not_bend_what_hangs_straight() -> None:
     np.testing.assert_allclose(limb, foot, atol=1e-12)
 
 
+def test_a_stem_that_turns_back_near_its_foot_is_straight_in_its_order() -> None:
+    """A scan went about a leaf there; its nodes above stay where they are along the stem."""
+    skeleton, stem, flowers = branched()
+    scanned = np.array(skeleton.nodes)
+    scanned[1:4] += [[0.01, 0.0, 0.02], [0.02, 0.0, 0.01], [0.01, 0.0, -0.03]]
+    turned = replace(skeleton, nodes=scanned)
+    assert np.any(np.diff(scanned[stem.node_ids, 2]) < 0)
+    hung = build_plant(turned, stem, flowers, params=HUNG)
+    stem_nodes = hung.rods.nodes[stem.node_ids]
+    steps = np.diff(stem_nodes[:, 2])
+    assert steps.min() > 5e-4
+    np.testing.assert_allclose(stem_nodes[[0, -1]], scanned[stem.node_ids[[0, -1]]], atol=1e-9)
+    np.testing.assert_allclose(stem_nodes[8:, 2], scanned[stem.node_ids[8:], 2], atol=1e-9)
+
+
 def line(height: float, aside: float, kind: str = "string") -> Support:
     """A support that runs beside the straight stem from `height` [m] up."""
     axis = np.array([[0.7 + aside, 0.0, height], [0.7 + aside, 0.0, 1.0]])
