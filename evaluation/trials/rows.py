@@ -10,6 +10,7 @@ takes more than a day's hours, are in docs/results/long/done/rows.jsonl (--done)
 
 held_row         share of rows: the asked stem was held through the shake, nothing else was held, pushed or touched
 moved_row        share of these whose median flower felt 5 m/s2 or more
+lost_row         share of the flowers of these stems whose stalk stayed bent; lost_row_expected: what was expected of it
 neighbour_harm   share of rows: a neighbour, a string, a post, pipe or gutter was touched, or the stem's string let go
 cycle_s          median of the visits that shook [s], while the cart stands: the sum of its parts, thought_s,
                  approach_s, shake_s, retreat_s, stow_s: the way back to where the arm waits, which is not simulated, is
@@ -37,7 +38,7 @@ from rich.console import RenderableType
 from anther.core import StageFailure
 from anther.plant import Crop
 from anther.plant.limits import MOVED
-from anther.pollination import visit_row_stem
+from anther.pollination import ShakePlan, visit_row_stem
 from anther.pollination.execution import EARLY
 from anther.pollination.row import AHEAD
 from anther.sim import build_row, grow_row, mapped_others, mapped_string
@@ -87,6 +88,7 @@ def one(row: Row, folder: Path) -> Row:
     if done is not None:
         found |= {"thought_s": thought(found, run), "approach_s": approach(found.get("phases_s", {}))}
         found["ahead_s"] = sum(map(run.took, AHEAD))
+        found["expected_lost_share"] = expected_lost(done.shake)
         found["flowers_seen"], found["flowers_there"] = (
             len(run.results["flowers"].positions),
             len(cell.plant.flower_segment),
@@ -103,6 +105,12 @@ def thought(row: Row, run: Brief) -> float:
     """Return what thought took while arm and cart waited [s]. What is thought on the arm's way counts as approach."""
     seconds = sum(run.took(name) for name in COMPUTE if name not in AHEAD)
     return max(seconds - overlap(row.get("phases_s", {}), run), 0.0)
+
+
+def expected_lost(plan: ShakePlan) -> float | None:
+    """Return the share of flowers that the robot expected to lose by the shake that it carried out."""
+    weighed = plan.weighed
+    return None if weighed is None else float(np.interp(plan.amplitude, weighed.amplitude, weighed.lost))
 
 
 def approach(phases: dict[str, float]) -> float:
@@ -136,6 +144,14 @@ def moved(row: Row) -> bool:
     return (row.get(ACCELERATION) or 0.0) >= MOVED
 
 
+def lost(rows: Sequence[Row], expected: bool = False) -> float:
+    """Return the share of all flowers of some rows that were lost, or that the robot expected to lose; NaN of none."""
+    key, peaks = "expected_lost_share" if expected else "flowers_lost", "true_flower_acceleration_peak_ms2"
+    told = [(row[key], len(row[peaks])) for row in rows if row.get(key) is not None and row.get(peaks)]
+    gone = sum(share * count if expected else share for share, count in told)
+    return float(gone / sum(count for _, count in told)) if told else float("nan")
+
+
 def cycle(row: Row) -> float:
     """Return how long a visit that shook took [s]; NaN of others."""
     return float(sum(part_of(row, part) or np.nan for part in PARTS))
@@ -166,6 +182,7 @@ def metrics(rows: Sequence[Row]) -> dict[str, float]:
             low, high = interval(good, count) if count else (float("nan"), float("nan"))
             share = good / count if count else float("nan")
             table |= {f"{name}{end}": share, f"{name}{end}_low": low, f"{name}{end}_high": high}
+        table |= {f"lost_row{end}": lost(taken), f"lost_row_expected{end}": lost(taken, expected=True)}
     shook = [row for row in rows if np.isfinite(cycle(row)) and not row.get("first")]
     cycles = np.array([cycle(row) for row in shook])
     low, high = bootstrap(cycles)
@@ -189,6 +206,8 @@ def report(rows: Sequence[Row], found: dict[str, float]) -> list[RenderableType]
          f"{row.get('string_pull') or 0:.2f}", str(row.get("message") or row.get("failure") or ""))
         for row in rows
     ]  # fmt: skip
+    shares["flowers lost"] = "lost_row*:.1%"
+    shares["as was expected"] = "lost_row_expected*:.1%"
     return [
         by_number(found, "", crops, shares),
         by_part(found, "part of a visit", parts, {"median [s]": "*:.1f"}),

@@ -74,3 +74,16 @@ def test_no_visit_at_all_is_no_share() -> None:
     found = metrics([row(species="tomato", held=False)])
     assert found["held_row"] == 0
     assert found["moved_row"] != found["moved_row"], "NaN: none was held"
+
+
+def test_flowers_that_were_lost_stand_beside_those_that_were_expected_to_be() -> None:
+    ten = {"true_flower_acceleration_peak_ms2": [5.0] * 10}
+    rows = [
+        row(**ten, flowers_lost=1, expected_lost_share=0.02),
+        row(true_flower_acceleration_peak_ms2=[5.0] * 30, flowers_lost=3, expected_lost_share=0.06),
+        row(**ten, flowers_lost=2),
+        row(**ten, flowers_lost=9, expected_lost_share=0.9, held=False),
+    ]
+    found = metrics(rows)
+    assert found["lost_row"] == pytest.approx(6 / 50)
+    assert found["lost_row_expected"] == pytest.approx((0.2 + 1.8) / 40), "of a visit that did not say, nothing counts"
