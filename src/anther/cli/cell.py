@@ -38,6 +38,7 @@ def check(file: CellFile) -> int:
     from anther.robot.cells import own_cell
 
     table, missing = Table("part", "driver", "what it sees", title=str(file.source.path), title_justify="left"), 0
+    connected: dict[str, Any] = {}
     looks = (
         ("arm", file.arm, partial(_describe_arm, file=file)),
         ("gripper", file.gripper, _describe_gripper),
@@ -45,18 +46,16 @@ def check(file: CellFile) -> int:
         ("side camera", file.side_camera, _describe_camera),
         ("shaker", file.shaker, lambda motor: [f"stroke {1e3 * motor.stroke:.2f} mm"]),
         ("cart", file.cart, partial(_describe_cart, file=file)),
-        ("imu", file.imu, partial(_describe_imu, file=file)),
+        ("imu", file.imu, lambda imu: _describe_imu(imu, file, connected.get("arm"))),
     )
     with own_cell(file) as keep:
-        arm: Any = None
         for name, part, see in looks:
             if part is None:
                 table.add_row(name, "-", "none in the file")
                 continue
             try:
-                machine = keep(file.connect(part, arm=arm))
-                seen = "\n".join(see(machine, arm=arm) if name == "imu" else see(machine))
-                arm = machine if name == "arm" else arm
+                connected[name] = keep(file.connect(part, arm=connected.get("arm")))
+                seen = "\n".join(see(connected[name]))
             except AntherError as error:
                 missing += 1
                 seen = f"MISSING: {error}"
