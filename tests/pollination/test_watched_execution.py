@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from threading import Event, Timer
+from typing import Any
 
 import numpy as np
 import pytest
@@ -357,14 +358,8 @@ def test_a_shake_that_goes_on_for_too_long_is_ended() -> None:
 
 def test_one_who_never_stops_the_pads_is_not_left_so() -> None:
     class Endless(Scripted):
-        def next_piece(
-            self,
-            piece: Swing,
-            frames: Sequence[Frame],
-            samples: Sequence[ArmSample],
-            readings: ImuReadings | None = None,
-        ) -> Swing:
-            new = super().next_piece(piece, frames, samples, readings)
+        def next_piece(self, *seen: Any) -> Swing:
+            new = super().next_piece(*seen)
             return replace(new, amplitudes=np.zeros(2), ramp=new.seconds) if len(self.pieces) > 2 else new
 
     arm, gripper = FakeArm(), FakeGripper()
@@ -412,15 +407,9 @@ def test_an_inertial_sensor_that_fails_stops_nothing_and_its_readings_are_none(s
     class Told(Scripted):
         told: tuple[ImuReadings | None, ...] = ()
 
-        def next_piece(
-            self,
-            piece: Swing,
-            frames: Sequence[Frame],
-            samples: Sequence[ArmSample],
-            readings: ImuReadings | None = None,
-        ) -> Swing:
-            self.told = (*self.told, readings)
-            return super().next_piece(piece, frames, samples, readings)
+        def next_piece(self, *seen: Any) -> Swing:
+            self.told = (*self.told, seen[3])
+            return super().next_piece(*seen)
 
     imu, watched, plain = BrokenImu(starts=starts), Told(), Told()
     trial = execute(PLANNER, Plan(), replace(fake_robot(), imu=imu, T_flange_imu=np.eye(4)), LIMITS, watched=watched)

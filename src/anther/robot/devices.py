@@ -240,6 +240,11 @@ class ImuReadings(Record):
     acceleration: Annotated[Array, Shape("N", 3), Range(unit="m/s2")]
     rate: Annotated[Array, Shape("N", 3), Range(unit="rad/s")]
 
+    @classmethod
+    def none(cls) -> ImuReadings:
+        """Return no readings."""
+        return cls(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)))
+
 
 class Imu(Protocol):
     """An inertial sensor that rides with the gripper: an accelerometer and a gyroscope, as many wrist cameras have."""
@@ -370,8 +375,8 @@ class Robot:
         side_camera: stands still at `T_world_side_camera`; watches the flowers during the shake. None if there is none.
         motor: in the gripper; None if there is none.
         cart: carries the arm; None if it stands on the floor.
-        imu: rides on the flange, at `T_flange_imu`; tells what the joints of the arm let the gripper
-            do. None if there is none.
+        imu: rides on the flange, at `T_flange_imu`; tells what the arm's joints let the gripper do. None if there is
+            none.
     """
 
     arm: Arm

@@ -316,7 +316,7 @@ class SimImu:
         wanted = np.arange(begin, min(self.cell.time - late, log.times[-2]), 1 / self.rate)
         rows = np.unique(np.clip(np.searchsorted(log.times, wanted), 1, len(log.times) - 2))
         if not len(rows):
-            return ImuReadings(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)))
+            return ImuReadings.none()
         poses = self.cell.flange_pose(log.qpos[rows[:, None] + [-1, 0, 1]]) @ self._T_flange_imu
         step = np.diff(log.times[rows[:, None] + [-1, 0, 1]]).mean(axis=1)[:, None]
         place, R = poses[..., :3, 3], poses[..., :3, :3]

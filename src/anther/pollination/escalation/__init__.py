@@ -122,7 +122,7 @@ class Escalation:
         self.plan, self.params = plan, params
         self.steps: tuple[Step, ...] = ()
         self._foresight, self._rest_points, self._camera = foresight, (flowers, points), camera
-        self._joints, self._T_world_imu, self._no_hand = None if grip is None else JointBelief(grip), T_world_imu, ""
+        self._joints, self._T_world_imu = None if grip is None else JointBelief(grip), T_world_imu
         tones = plan.tones
         self._frequency_index, self._direction_index = (part.ravel() for part in np.indices(tones.reach.shape))
         self._frequencies = tones.frequencies[self._frequency_index]
@@ -131,7 +131,7 @@ class Escalation:
         self._probe_answers: list[list[Answer]] = []
         self._options: list[Option] = []
         self._watched: dict[int, tuple[Observation, Prediction] | None] = {}  # see `_update_other_directions`
-        self._camera_delay, self._visible_count, self._holding, self._hand_lost = 0.0, 0, False, False
+        self._camera_delay, self._visible_count, self._holding = 0.0, 0, False
         self._same_since = 0.0  # of the present amplitudes, on the clock of the shake [s]
         self._proofs: list[bool] = []  # by step, whether the observation can only show the plant
         self._observations: list[Observation] = []  # by step
@@ -307,37 +307,24 @@ class Escalation:
         direction, tones = self.plan.tones.directions[self._direction_index[active[0]]], piece.frequencies[active]
         commanded = np.asarray(piece.amplitudes[active] * np.exp(-2j * np.pi * tones * begin), dtype=np.complex128)
         gripper, motors = np.asarray(commanded[None, :, None] * direction, dtype=np.complex128), None
-        measured = False
+        measured, fault = False, ""
         if self._joints is not None:
-            motors = fit_motors(steady, tones)
-            told = self._measure_hand(readings, (steady[0].time, steady[-1].time), motors, tones)
-            measured, count = told is not None, len(self._foresight.vectors)
-            if told is not None:
-                self._joints = self._joints.update(told[0], motors, tones)
-                gripper = sample_motion(*told, count)
-            else:
-                gripper = self._joints.sample(motors, tones, count)
+            motors, count = fit_motors(steady, tones), len(self._foresight.vectors)
+            gripper = self._joints.sample(motors, tones, count)
+            if self._T_world_imu is not None and readings is not None:
+                span, point = (steady[0].time, steady[-1].time), self.plan.grasp.point
+                try:
+                    moved, std = measure_motion(readings, span, self._T_world_imu, point, tones)
+                    self._joints = self._joints.update(moved, motors, tones)
+                    gripper, measured = sample_motion(moved, std, count), True
+                except DeviceError as error:
+                    fault = str(error)
         expected = None
         if self._options:
             expected = np.stack([c * self._options[n].prediction.phasors for c, n in zip(commanded, active)], axis=1)  # noqa: B905
         seen = extrapolate_growth(swings(self._sight, frames, tones, expected), float(tones[0]))
-        number = len(self.steps)
-        return Observation(self._frequency_index[active], direction, commanded, gripper, seen, number, motors, measured)
-
-    def _measure_hand(
-        self, readings: ImuReadings | None, span: tuple[float, float], motors: ComplexArray, tones: Array
-    ) -> tuple[ComplexArray, Array] | None:
-        """Return (K, 3) what the gripper did by the hand's inertial sensor, and its error [m]; None where none tells
-        it."""
-        if self._joints is None or self._T_world_imu is None or readings is None:
-            return None
-        try:
-            moved, std = measure_motion(readings, span, self._T_world_imu, self.plan.grasp.point, tones)
-            self._joints.check(moved, motors, tones)
-        except DeviceError as error:
-            self._no_hand = str(error)
-            return None
-        return moved, std
+        shake = self._frequency_index[active], direction, commanded, gripper, seen
+        return Observation(*shake, len(self.steps), motors, measured, fault)
 
     def _fit_clock_and_joints(self, observation: Observation) -> tuple[Observation, JointBelief | None]:
         """Fit the camera's delay, if nothing has shown the plant yet, and the arm's joints to an observation."""
@@ -371,11 +358,8 @@ class Escalation:
 
     def _remark(self) -> str:
         """Return, the first time, why the gripper's motion is not measured."""
-        why, self._no_hand = self._no_hand, ""
-        if not why or self._hand_lost:
-            return ""
-        self._hand_lost = True
-        return f" What the gripper does is believed, not measured: {why}"
+        *before, why = (one.fault for one in self._observations)
+        return f" What the gripper does is believed, not measured: {why}" if why and not any(before) else ""
 
     def _predict(self, shake: int, answer: Answer) -> Prediction:
         return predict(self._foresight, float(self._frequencies[shake]), answer, self._camera_delay)

@@ -75,6 +75,7 @@ class Observation(NamedTuple):
         number: of the observation within the shake.
         motors: (K, J) phasors of what the arm's motors did, as they read [rad]; None of a motor in the gripper.
         measured: whether a sensor on the hand told what the gripper did.
+        fault: why a sensor on the hand did not; empty if it did, or if there is none.
     """
 
     frequency_indices: NDArray[np.int64]
@@ -85,6 +86,7 @@ class Observation(NamedTuple):
     number: int = 0
     motors: ComplexArray | None = None
     measured: bool = False
+    fault: str = ""
 
     @property
     def followed(self) -> int:
@@ -451,23 +453,16 @@ class JointBelief(NamedTuple):
             moved: phasors of the grip.
             motors: (K, J) those of the motors [rad].
             frequencies: (K,) [Hz].
-        """
-        error = 0.35  # of ln of a motion, where each joint's own stiffness differs; a guess
-        sizes = np.linalg.norm(self.grip(motors, frequencies, STIFFNESS_DEVIATES), axis=2)
-        off = (np.log(np.linalg.norm(moved, axis=1)) - np.log(np.maximum(sizes, 1e-12))) / error
-        return self._replace(log_posterior=self.log_posterior - np.sum(off**2, axis=1) / 2)
-
-    def check(self, moved: ComplexArray, motors: ComplexArray, frequencies: Array) -> None:
-        """Check that motors that do this may move the grip so, however stiff the joints are; arguments as of `update`.
 
         Raises:
-            DeviceError: they may not: the sensor is not where it is thought to be, or not of this arm.
+            DeviceError: these motors cannot move a grip so, however stiff the joints are: the sensor is not where it is
+                thought to be, or not of this arm.
         """
-        grips = self.grip(motors, frequencies, STIFFNESS_DEVIATES)
-        sizes = np.linalg.norm(grips, axis=2), np.linalg.norm(moved, axis=1)
-        both = np.sum(sizes[0] * sizes[1], axis=1)
-        alike = np.sum(np.abs(np.einsum("akx,kx->ak", grips.conj(), moved)), axis=1) / np.maximum(both, 1e-30)
-        ratio = np.linalg.norm(sizes[1]) / np.maximum(np.linalg.norm(sizes[0], axis=1), 1e-12)
+        grips, size = self.grip(motors, frequencies, STIFFNESS_DEVIATES), np.linalg.norm(moved, axis=1)
+        sizes = np.maximum(np.linalg.norm(grips, axis=2), 1e-12)
+        along = np.sum(np.abs(np.einsum("akx,kx->ak", grips.conj(), moved)), axis=1)
+        alike = along / np.maximum(np.sum(sizes * size, axis=1), 1e-30)
+        ratio = np.linalg.norm(size) / np.linalg.norm(sizes, axis=1)
         most, least = 3.0, 0.5  # times; cosine of the angle between the lines: guesses
         if not np.any((alike >= least) & (ratio >= 1 / most) & (ratio <= most)):
             best = int(alike.argmax())
@@ -475,6 +470,9 @@ class JointBelief(NamedTuple):
             turned = f"{np.degrees(np.arccos(min(float(alike[best]), 1.0))):.0f} degrees off their line"
             allowed = f"{1 / most:.2g} to {most:g} times, {np.degrees(np.arccos(least)):.0f} degrees"
             raise DeviceError(f"inertial sensor: got {given}, {turned}; allowed: {allowed}. Check where it is mounted.")
+        error = 0.35  # of ln of a motion, where each joint's own stiffness differs; a guess
+        off = (np.log(size) - np.log(sizes)) / error
+        return self._replace(log_posterior=self.log_posterior - np.sum(off**2, axis=1) / 2)
 
 
 def sample_motion(moved: ComplexArray, std: Array, count: int) -> ComplexArray:

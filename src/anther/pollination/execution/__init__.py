@@ -268,10 +268,11 @@ def _shake_watched(work: _Work, watched: WatchedShake, first: Swing) -> None:
         return None if piece is None else joints(piece)
 
     try:
-        if motor is None:
-            _shake(work, lambda: work.follow(joints(first), work.samples.append, onward))
-        else:
-            _shake(work, lambda: work.note(motor.swing(first, work.samples.append, more)))
+        with _record_hand(imu):
+            if motor is None:
+                _shake(work, lambda: work.follow(joints(first), work.samples.append, onward))
+            else:
+                _shake(work, lambda: work.note(motor.swing(first, work.samples.append, more)))
     finally:
         deciding.close()
 
@@ -281,7 +282,7 @@ def _recorded(imu: Imu | None, since: float) -> ImuReadings | None:
     try:
         return None if imu is None else imu.recorded(since)
     except AntherError:  # of numbers that are none, too
-        return ImuReadings(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)))
+        return ImuReadings.none()
 
 
 @contextmanager
@@ -300,7 +301,7 @@ def _record_hand(imu: Imu | None) -> Iterator[None]:
 
 
 def _shake(work: _Work, move: Callable[[], ArmRecord]) -> None:
-    with _record_frames(work), _record_hand(work.robot.imu):
+    with _record_frames(work):
         try:
             work.shaken = move()
         except BaseException:

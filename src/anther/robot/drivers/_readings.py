@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -71,13 +72,13 @@ class Kept:
     def __init__(self) -> None:
         self._rows, self._lock = deque[tuple[float, ...]](), threading.Lock()
 
-    def take(self, time: float, *values: float) -> None:
+    def take(self, taken: float, *values: float) -> None:
         """Keep a reading of a time [s], unless a newer one is there or one of its numbers is none."""
         with self._lock:
-            if not np.isfinite(values).all() or (self._rows and time <= self._rows[-1][0]):
+            if not np.isfinite(values).all() or (self._rows and taken <= self._rows[-1][0]):
                 return
-            self._rows.append((time, *values))
-            while self._rows[0][0] < time - self.seconds:
+            self._rows.append((taken, *values))
+            while self._rows[0][0] < taken - self.seconds:
                 self._rows.popleft()
 
     @property
@@ -85,6 +86,13 @@ class Kept:
         """Time of the newest reading [s]; minus infinity before the first."""
         with self._lock:
             return self._rows[-1][0] if self._rows else float("-inf")
+
+    def has_begun(self, seconds: float) -> bool:
+        """Return whether a first reading comes within a time [s]; wait for it until then."""
+        until = time.monotonic() + seconds
+        while not np.isfinite(self.newest) and time.monotonic() <= until:
+            time.sleep(0.01)
+        return bool(np.isfinite(self.newest))
 
     def since(self, begin: float) -> list[tuple[float, ...]]:
         """Return the readings from a time on [s], each its time and its values."""

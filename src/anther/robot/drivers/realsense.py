@@ -10,8 +10,8 @@ import ctypes
 import importlib
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Any
 
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from anther.core.cameras import laid_over, straightened, straightening
 from anther.core.errors import MissingExtra
-from anther.core.geometry import Intrinsics, transform
+from anther.core.geometry import Array, Intrinsics, transform
 from anther.robot.devices import DeviceError
 from anther.robot.drivers.free_running import STALLED, FreeRunningCamera, Shot
 
@@ -77,7 +77,7 @@ def find_device(rs: Any, devices: Found, serial: str | None) -> Any:
         DeviceError: it is not connected.
     """
     there = list(devices())
-    serials = [_info(d, rs.camera_info.serial_number) for d in there]
+    serials = [info_of(d, rs.camera_info.serial_number) for d in there]
     if not there:
         raise DeviceError("RealSense: none is connected. Plug it in (USB 3); on Linux it needs the SDK's udev rules.")
     if serial is None and len(there) > 1:
@@ -85,6 +85,35 @@ def find_device(rs: Any, devices: Found, serial: str | None) -> Any:
     if serial is not None and serial not in serials:
         raise DeviceError(f"RealSense {serial}: not connected; there are {', '.join(serials)}. Plug it in.")
     return there[0 if serial is None else serials.index(serial)]
+
+
+@contextmanager
+def closed_on_error(close: Callable[[], None], what: str) -> Iterator[None]:
+    """Close what the block did not get open, and raise the SDK's own error as a DeviceError.
+
+    Raises:
+        DeviceError: the SDK raised one of its own.
+    """
+    try:
+        yield
+    except RuntimeError as error:  # the SDK's
+        close()
+        raise DeviceError(f"{what}: {error}. Is another program using it? Unplug it and plug it in.") from error
+    except BaseException:
+        close()
+        raise
+
+
+def stamp_in_host_time(rs: Any, sensor: Any) -> None:
+    """Have a sensor stamp in the host's time, where it can."""
+    if sensor.supports(rs.option.global_time_enabled):
+        sensor.set_option(rs.option.global_time_enabled, 1)
+
+
+def way_between(one: Any, other: Any) -> Array:
+    """Return T_other_one (4, 4) between two streams' profiles [m]."""
+    between = one.get_extrinsics_to(other)
+    return transform(np.reshape(between.rotation, (3, 3)).T, between.translation)  # by columns
 
 
 class Stamps:
@@ -169,20 +198,14 @@ class RealSense:
 
     def open(self) -> Intrinsics:
         """Start both streams."""
-        try:
+        with closed_on_error(self.close, "RealSense"):
             device = find_device(self._rs, self._devices, self._serial)
-            self._name = _info(device, self._rs.camera_info.name) or "RealSense"
-            self._serial = _info(device, self._rs.camera_info.serial_number) or None  # no other one takes its place
+            self._name = info_of(device, self._rs.camera_info.name) or "RealSense"
+            self._serial = info_of(device, self._rs.camera_info.serial_number) or None  # no other one takes its place
             depth, color = self._streams(device)
             self._set_up(device, depth)
             self._start(depth, color)
             return self._geometry(depth[1], color[1])
-        except RuntimeError as error:  # the SDK's
-            self.close()
-            raise DeviceError(f"RealSense: {error}. Is another program using it? Unplug it and plug it in.") from error
-        except BaseException:
-            self.close()
-            raise
 
     def next(self) -> Shot:
         """Wait for depth and colour of one time."""
@@ -227,7 +250,7 @@ class RealSense:
             if not fitting:
                 asked = f"{self._size} px at {self._rate} Hz" if self._size else "any"
                 there = sorted({f"{_size(o[1])} at {o[1].fps()}" for o in offers})
-                usb = _info(device, rs.camera_info.usb_type_descriptor) or "?"
+                usb = info_of(device, rs.camera_info.usb_type_descriptor) or "?"
                 raise DeviceError(
                     f"{self._name}: got {kind.name} {asked}; it has {', '.join(there) or 'none'} on USB {usb}. "
                     "USB 2 carries less: use a USB 3 cable and port."
@@ -239,8 +262,7 @@ class RealSense:
         """Choose the preset, and stamps in the host's time where the camera can."""
         option = self._rs.option
         for sensor in device.query_sensors():
-            if sensor.supports(option.global_time_enabled):
-                sensor.set_option(option.global_time_enabled, 1)
+            stamp_in_host_time(self._rs, sensor)
         if self._preset is None:
             return
         names = dict[str, float]()
@@ -271,8 +293,7 @@ class RealSense:
         """Read cameras, lenses, the way between them and the depth unit off the sensors."""
         self._depth_camera, self._depth_maps = self._camera(depth)
         self._color_camera, self._color_maps = self._camera(color)
-        between = depth.get_extrinsics_to(color)
-        self._T_color_depth = transform(np.reshape(between.rotation, (3, 3)).T, between.translation)  # by columns
+        self._T_color_depth = way_between(depth, color)
         self._unit = np.float32(self._open[0].get_option(self._rs.option.depth_units))
         # compiled now: the first frame must not wait for it
         laid_over(np.zeros((1, 1), np.float32), self._depth_camera, self._color_camera, self._T_color_depth)
@@ -312,5 +333,6 @@ def _size(profile: Any) -> tuple[int, int]:
     return profile.width(), profile.height()
 
 
-def _info(device: Any, info: Any) -> str:
+def info_of(device: Any, info: Any) -> str:
+    """Return what a device says of itself; nothing where it does not say it."""
     return device.get_info(info) if device.supports(info) else ""

@@ -13,10 +13,19 @@ from typing import Any
 
 import numpy as np
 
-from anther.core.geometry import Array, transform
+from anther.core.geometry import Array
 from anther.robot.devices import DeviceError, ImuReadings
 from anther.robot.drivers._readings import Kept
-from anther.robot.drivers.realsense import Found, Stamps, find_device, load_sdk
+from anther.robot.drivers.realsense import (
+    Found,
+    Stamps,
+    closed_on_error,
+    find_device,
+    info_of,
+    load_sdk,
+    stamp_in_host_time,
+    way_between,
+)
 
 
 class RealSenseImu:
@@ -50,19 +59,15 @@ class RealSenseImu:
         self._rs, self._since = load_sdk(), float("inf")
         self._stamps = Stamps(self._rs, clock)
         self._force, self._rate, self._sensor = Kept(), Kept(), None
-        try:
+        with closed_on_error(self.close, "RealSense's inertial sensor"):
             device = find_device(self._rs, devices or self._rs.context().query_devices, serial)
             self._sensor, profiles = self._streams(device)
             self.T_cam_imu = self._place(device, profiles[0])
             self._sensor.open(profiles)
             self._sensor.start(self._receive)
-            self._wait()
-        except RuntimeError as error:  # the SDK's
-            self.close()
-            raise DeviceError(f"RealSense's inertial sensor: {error}. Unplug the camera and plug it in.") from error
-        except BaseException:
-            self.close()
-            raise
+            if not all(kept.has_begun(self._patience) for kept in (self._force, self._rate)):
+                given = f"nothing within {self._patience:g} s"
+                raise DeviceError(f"RealSense's inertial sensor: got {given}; allowed: both streams. Plug it in anew.")
 
     def start(self) -> None:
         """Begin to record."""
@@ -105,10 +110,9 @@ class RealSenseImu:
                 for kind in (rs.stream.accel, rs.stream.gyro)
             ]
             if all(found):
-                if sensor.supports(rs.option.global_time_enabled):
-                    sensor.set_option(rs.option.global_time_enabled, 1)
+                stamp_in_host_time(rs, sensor)
                 return sensor, found
-        name = device.get_info(rs.camera_info.name) if device.supports(rs.camera_info.name) else "this RealSense"
+        name = info_of(device, rs.camera_info.name) or "this RealSense"
         raise DeviceError(f"{name} has no inertial sensor: a D435i or D455 has one. Remove [imu] from the cell file.")
 
     def _place(self, device: Any, accelerometer: Any) -> Array:
@@ -120,19 +124,10 @@ class RealSenseImu:
             for profile in sensor.get_stream_profiles()
             if profile.stream_type() == rs.stream.color
         )
-        between = accelerometer.get_extrinsics_to(next(colours))
-        return transform(np.reshape(between.rotation, (3, 3)).T, between.translation)  # by columns
+        return way_between(accelerometer, next(colours))
 
     def _receive(self, frame: Any) -> None:
         """Take a reading, in the SDK's own thread."""
         data = frame.as_motion_frame().get_motion_data()
         is_force = frame.get_profile().stream_type() == self._rs.stream.accel
         (self._force if is_force else self._rate).take(self._stamps.time(frame), data.x, data.y, data.z)
-
-    def _wait(self) -> None:
-        until = time.monotonic() + self._patience
-        while not np.isfinite([self._force.newest, self._rate.newest]).all():
-            if time.monotonic() > until:
-                given = f"nothing within {self._patience:g} s"
-                raise DeviceError(f"RealSense's inertial sensor: got {given}; allowed: both streams. Plug it in anew.")
-            time.sleep(0.01)

@@ -37,12 +37,9 @@ class Ros2Imu:
         self.node, self._clock, self._since = node, clock, float("inf")
         self._kept, self._robot_clock = Kept(), RobotClock()
         node.subscribe(topic, "sensor_msgs/msg/Imu", self._receive)
-        until = time.monotonic() + self._patience
-        while not np.isfinite(self._kept.newest):
-            if time.monotonic() > until:
-                given = f"nothing within {self._patience:g} s on {topic}"
-                raise DeviceError(f"inertial sensor: got {given}; allowed: sensor_msgs/Imu. Is its driver running?")
-            time.sleep(0.01)
+        if not self._kept.has_begun(self._patience):
+            given = f"nothing within {self._patience:g} s on {topic}"
+            raise DeviceError(f"inertial sensor: got {given}; allowed: sensor_msgs/Imu. Is its driver running?")
 
     def start(self) -> None:
         """Begin to record."""
