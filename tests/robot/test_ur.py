@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fake_ur import READY, FakeDashboard, FakeReceive, FakeUR, connected, far
-from slow_clock import AGAIN_IF_HELD_UP, clock, sleep
+from slow_clock import AGAIN_IF_HELD_UP, HELD_UP, clock, sleep
 from streamed_motions import halfway
 
 from anther.robot.devices import Arm, ArmSample, DeviceError, JointTrajectory
@@ -158,12 +158,12 @@ def test_commands_that_come_too_late_end_the_motion(arm: UniversalRobot, ur: Fak
     def watch(sample: ArmSample) -> None:
         if np.abs(sample.measured - READY).max() > 0.1 and not seen:
             seen.append(clock())
-            sleep(0.04 if how == "held up" else 0.2)
+            sleep(0.034 if how == "held up" else 0.2)
 
     with pytest.raises(DeviceError, match=r"a command came .* ms after"):
         arm.follow(far(arm), watch)
     assert ur.stopped_after(seen[0]) < STANDS + 0.1
-    assert ur.protective == (how == "hangs")  # the driver brakes; where it cannot, the watchdog does
+    assert ur.protective == (how == "hangs"), HELD_UP  # the driver brakes; where it cannot, the watchdog does
 
 
 def test_an_arm_whose_driver_hangs_stands_soon(arm: UniversalRobot, ur: FakeUR) -> None:
