@@ -157,7 +157,7 @@ def test_ground_is_what_lies_below_a_wide_surface() -> None:
     solid[np.hypot(x, y) > 15, 4] = True  # bench, hidden under the pot
     solid[np.hypot(x, y) < 14, 25] = True  # soil
     solid[30, 30, 26:50] = True  # stem
-    below, rim = ground_cells(solid, 0.005, radius=0.035, sure_radius=0.035, rings=True)
+    below, rim = ground_cells(solid, solid, 0.005, radius=0.035, sure_radius=0.035, rings=True)
     assert below[30, 30, 26]
     assert not below[30, 30, 28:].any()
     assert not rim[30, 30].any()
@@ -169,8 +169,19 @@ def test_a_leaf_over_the_bench_is_not_ground() -> None:
     solid = np.zeros((60, 60, 60), dtype=bool)
     solid[:, :, 4] = True
     solid[20:40, 20:40, 30] = True
-    below, _ = ground_cells(solid, 0.005, radius=0.035, sure_radius=0.035, rings=False)
+    below, _ = ground_cells(solid, solid, 0.005, radius=0.035, sure_radius=0.035, rings=False)
     assert not below[:, :, 8:].any()
+
+
+def test_what_a_plant_hangs_below_is_not_ground() -> None:
+    """A spool on the wire of a row, and the stem that hangs from it."""
+    spool, seen = np.zeros((2, 60, 60, 60), dtype=bool)
+    spool[20:40, 18:42, 50:54] = True
+    seen[20:40, 18:42:2, 20:30] = True  # leaves
+    seen[30, 30, :50] = True  # stem
+    for plant in (seen, seen & False):
+        below, _ = ground_cells(spool, spool | plant, 0.005, radius=0.035, sure_radius=0.035, rings=True)
+        assert below[30, 30, 25] == (not plant.any())
 
 
 def test_a_pot_whose_soil_is_hidden_is_found_by_its_wall() -> None:
@@ -179,8 +190,8 @@ def test_a_pot_whose_soil_is_hidden_is_found_by_its_wall() -> None:
     solid = np.zeros((60, 60, 60), dtype=bool)
     solid[wall, 2:30] = True
     settings = {"radius": 0.035, "sure_radius": 0.035}
-    assert ground_cells(solid, 0.005, rings=True, **settings)[0][30, 30, 20]
-    assert not ground_cells(solid, 0.005, rings=False, **settings)[0][30, 30, 20]
+    assert ground_cells(solid, solid, 0.005, rings=True, **settings)[0][30, 30, 20]
+    assert not ground_cells(solid, solid, 0.005, rings=False, **settings)[0][30, 30, 20]
 
 
 def empty_view(rgb: bool = True) -> Capture:

@@ -48,21 +48,31 @@ def test_another_plant_is_refused_and_so_is_one_that_is_too_far() -> None:
 
 
 def test_a_view_from_where_the_cart_stands_moves_all_that_was_seen() -> None:
-    """What lies outside the workspace takes no part."""
-    plant, by = leaves(5), small_transform(np.zeros(3), [0.008, 0.03, -0.004])
+    """What lies outside the workspace takes no part, nor do leaves far from the stem: each plant sways by itself."""
+    plant, by = leaves(5) * [1.0, 0.7, 1.0], small_transform(np.zeros(3), [0.008, 0.03, -0.004])
+    neighbours = np.concatenate(
+        [leaves(seed) * [1.0, 0.5, 1.0] + [0.02, y, 0.0] for seed, y in ((6, 0.22), (7, -0.22))]
+    )
+    stem = np.stack([np.full(60, 0.7), np.zeros(60), np.linspace(-0.3, 0.3, 60)], axis=1)
     wall = np.stack([np.full(4000, 1.6), *np.random.default_rng(0).uniform(-0.4, 0.4, (2, 4000))], axis=1)
     lens, pose = Intrinsics(480, 480, 424.0, 424.0, 239.5, 239.5), look_at([0.2, -0.3, 0.05], [0.7, 0.0, 0.0])
     depth = np.zeros((480, 480), np.float32)
-    for point in transform_points(inverse(pose), np.concatenate([wall, transform_points(by, plant)])):
+    for point in transform_points(inverse(pose), np.concatenate([wall, neighbours, transform_points(by, plant)])):
         column, row = np.rint(lens.project(point[None])[0]).astype(int)
         if 1 <= row < 479 and 1 <= column < 479:
             patch = depth[row - 1 : row + 2, column - 1 : column + 2]
             patch[(patch == 0) | (patch > point[2])] = point[2]
     poses = np.stack([look_at([0.1, y, 0.0], [0.7, y, 0.0]) for y in (-0.3, 0.0, 0.3)])
     string = Support("string", np.array([[0.7, 0.2, -0.3], [0.7, 0.2, 0.4]]), 0.001, plant[:3])
-    seen = Cloud(plant, obstacles=plant[:5], loose=plant[5:9], supports=(string,), T_world_cam=poses)
+    seen = Cloud(
+        np.concatenate([plant, neighbours]),
+        obstacles=plant[:5],
+        loose=plant[5:9],
+        supports=(string,),
+        T_world_cam=poses,
+    )
     box = Box(np.array([0.4, -0.4, -0.4]), np.array([1.0, 0.4, 0.5]))
-    found = moved_since(seen, View(depth, None, lens, pose), box)
+    found = moved_since(seen, stem, View(depth, None, lens, pose), box)
     np.testing.assert_allclose(transform_points(found, plant), transform_points(by, plant), atol=0.004)
     here = seen.moved(by)
     for name in ("points", "obstacles", "loose"):

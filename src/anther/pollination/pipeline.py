@@ -208,8 +208,9 @@ def _topped(tree: Skeleton, params: Params) -> Params:
     part = 0.03  # m: nearer, the tree has it, as thick as leaves hang about it
     if np.linalg.norm(tree.nodes - tip, axis=1).min() < part:
         return params
-    height = tree.nodes[:, 2]
-    along = np.linalg.norm(tree.nodes[:, :2] - string.line.at(height), axis=1) < string.line.stray(height)
+    height, bend = tree.nodes[:, 2], 0.05  # m by which a stem leaves the line through its tip, along its string
+    beside = tip[:2] - string.line.at(np.array([tip[2]]))
+    along = np.linalg.norm(tree.nodes[:, :2] - string.line.at(height) - beside, axis=1) < bend
     top = tree.nodes[along][height[along].argmax()] if along.any() else tree.nodes[0]
     return replace(params, stem=replace(params.stem, tip=tuple(top.tolist())))
 
@@ -369,7 +370,8 @@ def _driven_up(
     view = View(frame.depth, frame.rgb, camera.intrinsics, pose)
 
     def found(_: Advance) -> tuple[Seen, MotionPlanner, list[Grasp], ShakePlan | None]:
-        T_now_then = cloud.moved_since(seen.cloud, view, cell.workspace)
+        stem_nodes = seen.skeleton.nodes[seen.stem.node_ids]
+        T_now_then = cloud.moved_since(seen.cloud, stem_nodes, view, cell.workspace)
         here, around = seen.moved(T_now_then), planner.moved(T_now_then)
         reached = grasp.still_reached([one.moved(T_now_then) for one in grasps], around.reach)
         plan = ahead and shake.moved_plan(ahead, T_now_then, reached, _actuator(cell, around, params))

@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from anther.core.checks import check_array
 from anther.core.errors import StageFailure
@@ -306,11 +307,12 @@ def surface(view: View, workspace: Box) -> Surface:
     return _surface(view, near)
 
 
-def moved_since(cloud: Cloud, view: View, workspace: Box) -> Array:
-    """Return T_now_then (4, 4), which moves what was seen on a cart's way to where a view from where it stands has it.
+def moved_since(cloud: Cloud, stem: Array, view: View, workspace: Box) -> Array:
+    """Return T_now_then (4, 4), which moves a plant seen on a cart's way to where a view from where it stands has it.
 
     Args:
         cloud: of the views that were taken on the way.
+        stem: (K, 3) along the plant's main stem there [m].
         view: taken where the cart stands, its pose known.
         workspace: where the plant may be, world [m].
 
@@ -321,7 +323,9 @@ def moved_since(cloud: Cloud, view: View, workspace: Box) -> Array:
     assert cloud.T_world_cam is not None, "it was seen by a camera"
     way = cloud.T_world_cam[-1, :3, 3] - cloud.T_world_cam[0, :3, 3]
     seen = np.concatenate([cloud.points, cloud.loose, *(support.points for support in cloud.supports)])
-    return find_again(seen, way, points[workspace.contains(points)])
+    own = 0.12  # m from the stem: what is farther may be a neighbour's, and each plant sways by itself
+    near = np.isfinite(KDTree(stem).query(seen, distance_upper_bound=own)[0])
+    return find_again(seen[near], way, points[workspace.contains(points)])
 
 
 def _surface(view: View, mask: NDArray[np.bool_]) -> Surface:

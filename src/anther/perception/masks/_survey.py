@@ -99,13 +99,14 @@ def survey(capture: Capture, workspace: Box | None, params: Params, observations
     total = votes[0].astype(np.int32)
     for layer in votes[1:PETAL_VIEWS]:  # NumPy's `sum` over so few takes five times as long
         total += layer
+    seen = total >= 2
     if rule is None or rule.learned:
         soil = 0.06  # [m]: without colour, a leaf of 35 mm could be mistaken for it
-        below, rim = ground_cells(total >= 2, VOXEL, params.ground_radius, soil, rings=False)
+        below, rim = ground_cells(seen, seen, VOXEL, params.ground_radius, soil, rings=False)
     else:
         bare = total >= 5
         bare[bare] = votes[GREEN - 1][bare] <= 0.1 * total[bare]
-        below, rim = ground_cells(bare, VOXEL, params.ground_radius, params.ground_radius, rings=True)
+        below, rim = ground_cells(bare, seen, VOXEL, params.ground_radius, params.ground_radius, rings=True)
     source = "geometry" if rule is None else "geometry; light without green" if rule.learned else "colour and geometry"
     return Survey(grid, observed, classes, rule, votes, total, below, rim, source)
 
@@ -130,12 +131,13 @@ def _learned(capture: Capture, grid: Grid, params: Params) -> ColourRule:
 
 
 def ground_cells(
-    solid: NDArray[np.bool_], voxel: float, radius: float, sure_radius: float, *, rings: bool
+    solid: NDArray[np.bool_], seen: NDArray[np.bool_], voxel: float, radius: float, sure_radius: float, *, rings: bool
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return which cells belong to the ground.
 
     Args:
         solid: (X, Y, Z) occupied cells that are not vegetation.
+        seen: (X, Y, Z) occupied cells; where plants hang below a surface, as below a wire's spool, it is no ground.
         voxel: edge of a cell [m].
         radius: of the disc that a horizontal surface must hold up to the height of the soil [m].
         sure_radius: of the disc that the soil itself must hold, with little seen below it [m].
@@ -147,12 +149,12 @@ def ground_cells(
         a pot's wall and rim, only what is green is plant.
     """
     slabs = _slabs(solid, voxel)
-    lowest = np.where(np.any(solid, axis=2), np.argmax(solid, axis=2), solid.shape[2])
-    sure, disc = _disc(sure_radius / voxel), _disc(radius / voxel)
+    lowest = np.where(np.any(seen, axis=2), np.argmax(seen, axis=2), seen.shape[2])
+    sure, half, disc = (_disc(r / voxel) for r in (sure_radius, sure_radius / 2, radius))
     height = np.full(solid.shape[:2], -1)
     for level, slab in slabs:
-        centres = _opaque(_eroded(slab, sure), lowest, level, voxel)
-        height[cv2.dilate(centres, sure) > 0] = level
+        opaque = _opaque(_eroded(slab, sure), half, lowest, level, voxel)
+        height[cv2.dilate(opaque, sure) > 0] = level
     rim = 0.05 / voxel  # cells; m, at most so far is a pot's rim above its soil
     top = height.max() + rim
     for level, slab in slabs:
@@ -232,19 +234,22 @@ def _extended(height: NDArray[Any], reach: float) -> NDArray[np.int64]:
     return np.where((height < 0) & (around < unknown), around, height)
 
 
-def _opaque(centres: NDArray[Any], lowest: NDArray[Any], level: int, voxel: float) -> NDArray[np.uint8]:
-    """Return the patches of `centres` (X, Y) with something seen below less than 0.3 of them: others are foliage."""
-    seen_below = lowest < level - 0.04 / voxel
+def _opaque(
+    centres: NDArray[Any], disc: NDArray[np.uint8], lowest: NDArray[Any], level: int, voxel: float
+) -> NDArray[np.uint8]:
+    """Return the patches of `centres` (X, Y) with something seen below less than 0.3 of what discs about them cover:
+    others are foliage, or hang above some."""
     if not centres.any():
         return centres
-    count, numbered = cv2.connectedComponents(centres, connectivity=8)
+    seen_below = lowest < level - 0.04 / voxel
+    count, numbered = cv2.connectedComponents(cv2.dilate(centres, disc), connectivity=8)
     patch = np.asarray(numbered, dtype=np.int64)
     share = np.bincount(patch.ravel(), weights=seen_below.ravel(), minlength=count) / np.maximum(
         1, np.bincount(patch.ravel(), minlength=count)
     )
     opaque = share < 0.3
     opaque[0] = False
-    return opaque[patch].astype(np.uint8)
+    return centres * opaque[patch]
 
 
 def _rim_zone(height: NDArray[Any], levels: NDArray[Any], voxel: float, rim: float) -> NDArray[np.bool_]:
