@@ -117,8 +117,40 @@ def test_where_no_shake_is_allowed_the_lesser_grasps_are_offered(monkeypatch: py
     assert done.trial.finished
 
 
+@pytest.mark.parametrize(("width", "again"), [(0.0, 1), (0.03, 0)])
+def test_on_a_cart_a_stem_that_was_missed_is_looked_for_again(
+    width: float, again: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It swayed away; what was held by mistake tells nothing of where it is."""
+    tried, by = list[float](), 0.01
+
+    def plan_shake(rods: Any, grasps: list[Grasp], *_: Any) -> Plan:
+        tried.append(float(grasps[0].point[1]))
+        return Plan(grasps[0])
+
+    def seen_again(cell: Cell, before: str, *found: Any) -> Any:
+        assert before == "frame"
+        seen, planner, grasps, ahead, *_ = found
+        return seen, planner, [replace(grasp, point=grasp.point + np.array([0, by, 0])) for grasp in grasps], ahead
+
+    monkeypatch.setattr(pipeline, "_planned_ahead", lambda *_: None)
+    monkeypatch.setattr(pipeline, "_driven_up", lambda _cell, _drive, *found: found[:4])
+    monkeypatch.setattr(pipeline, "_seen_again", seen_again)
+    camera = (SimpleNamespace(read=lambda: "frame"), np.eye(4))
+    monkeypatch.setattr(pipeline, "_side_camera", lambda _: camera)
+    done, _ = _pollinated(monkeypatch, plan_shake, FakeArm(), Meets(width, 0.008), on_cart=True)
+    assert done.trial.failure is None
+    assert np.diff(tried) == pytest.approx([again * by])
+
+
 def _pollinated(
-    monkeypatch: pytest.MonkeyPatch, plan_shake: Any, arm: FakeArm, gripper: FakeGripper, ranked: Any = GRASPS
+    monkeypatch: pytest.MonkeyPatch,
+    plan_shake: Any,
+    arm: FakeArm,
+    gripper: FakeGripper,
+    ranked: Any = GRASPS,
+    *,
+    on_cart: bool = False,
 ) -> tuple[pipeline.Done, Any]:
     monkeypatch.setattr(pipeline, "perceive", lambda *_: SimpleNamespace(**dict.fromkeys(_SEEN)))
     monkeypatch.setattr(pipeline, "rank_grasps", lambda *_: list(ranked))
@@ -130,6 +162,7 @@ def _pollinated(
     workspace = Box(-np.ones(3), np.ones(3))
     views: Any = SimpleNamespace(views=1)
     cell = Cell(lambda *_: views, lambda _: planner, robot, workspace, LIMITS)  # type: ignore[arg-type,return-value]
+    cell = replace(cell, drive_up=(lambda: None) if on_cart else None)
     return pipeline.pollinate(cell, TOMATO, NoFiles(), pipeline.Params()), robot  # type: ignore[arg-type]
 
 

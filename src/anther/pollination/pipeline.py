@@ -37,7 +37,7 @@ from anther.pollination.response import Response, measure_response, stem_near
 from anther.pollination.response.thresholds import FEWEST_FRAMES
 from anther.pollination.shake import Pads, ShakePlan
 from anther.robot.cell import Cell, GripMotion, MotionPlanner
-from anther.robot.devices import DeviceError
+from anther.robot.devices import Camera, DeviceError, Frame
 from anther.robot.safety import shake_amplitude
 
 TRY_THE_NEXT: tuple[FailureKind, ...] = (
@@ -357,16 +357,37 @@ def _driven_up(
         DeviceError: it shows what it showed before the drive.
         StageFailure: "no_plant_found": the plant is not there; or there is no grasp any more.
     """
+    camera = _side_camera(cell)[0]
+    before = camera.read()
+    drive_up()
+    return _seen_again(cell, before, seen, planner, grasps, ahead, run, params)
+
+
+def _side_camera(cell: Cell) -> tuple[Camera, Array]:
     camera, pose = cell.robot.side_camera, cell.robot.T_world_side_camera
     if camera is None or pose is None:
         do = "Name one, or take the views from where the cart stands."
         raise bad_input("side camera", given="none, in a cell that looks ahead", allowed="a side camera", do=do)
-    before = camera.read()
-    drive_up()
+    return camera, pose
+
+
+def _seen_again(
+    cell: Cell,
+    before: Frame,
+    seen: Seen,
+    planner: MotionPlanner,
+    grasps: list[Grasp],
+    ahead: ShakePlan | None,
+    run: Run,
+    params: Params,
+) -> tuple[Seen, MotionPlanner, list[Grasp], ShakePlan | None]:
+    """Return what `_driven_up` returns, by a frame of now, later than the one of `before`."""
+    camera, pose = _side_camera(cell)
     frame = camera.read()
     if frame.time <= before.time or np.array_equal(frame.rgb, before.rgb):
-        given = f"the picture of {before.time:.2f} s, before the cart drove up, again"
-        raise DeviceError(f"side camera: got {given}; allowed: one of now. Restart it.")
+        raise DeviceError(
+            f"side camera: got the picture of {before.time:.2f} s again; allowed: one of now. Restart it."
+        )
     view = View(frame.depth, frame.rgb, camera.intrinsics, pose)
 
     def found(_: Advance) -> tuple[Seen, MotionPlanner, list[Grasp], ShakePlan | None]:
@@ -460,48 +481,79 @@ def _shaken(
     as carried out, its record, why the plan alone was to be carried out, the shake as planned, and what it told of the
     arm's joints.
     """
-    by_arm = params.actuator == "arm"
-    robot, pressing = replace(cell.robot, motor=None) if by_arm else cell.robot, cell.limits.pressing
-    actuator = _actuator(cell, planner, params)
-
     while True:
         offered = _offered(grasps)
         try:
-            plan = run.stage(
-                "shake plan",
-                ShakePlan.load,
-                lambda _, offered=offered, ahead=ahead: (
-                    ahead or shake.plan_shake(rods, offered, actuator, params.shake, pressing, earlier)
-                ),
-            )
+            planned = _planned(cell, planner, rods, offered, run, params, earlier, ahead)
         except StageFailure as failure:
             if failure.kind not in TRY_THE_NEXT or len(offered) == len(grasps):
                 raise
             run.note_attempt(f"{len(offered)} grasps left: {failure}")
             grasps = grasps[len(offered) :]
             continue
-        way = run.timed("prediction", lambda _, plan=plan: _watching(cell, planner, rods, plan, seen, params))
-        watched, alone = (None, way) if isinstance(way, str) else (way, None)
-        if watched is None and not by_arm:
-            why = "a motor shakes only what a side camera watches, and flowers it knows."
-            raise StageFailure("limits_exceeded", why)
-        run.told("watched", watched)
-        commanded = plan if watched is None else watched.plan
-        trial = run.stage(
-            "execution",
-            Trial.load,
-            lambda advance, plan=commanded, arrive=arrive, watched=watched: execution.execute(
-                planner, plan, robot, cell.limits, progress=_progress(run, advance), arrive=arrive, watched=watched
-            ),
-        )
-        arrive, ahead, planned = None, None, plan
-        if watched is not None:
-            plan = watched.executed_plan(trial.steps)
+        plan, trial, alone, joints = _carried_out(cell, planner, rods, planned, seen, run, arrive, params)
+        arrive, ahead = None, None
         grasps = [g for i, g in enumerate(grasps) if i != planned.grasp_index]
         if trial.failure not in TRY_THE_NEXT or len(trial.shake_times) or not grasps:
-            return plan, trial, alone, planned, None if watched is None else watched.joints
+            return plan, trial, alone, planned, joints
         at = f"{100 * planned.grasp.arc_length:.0f} cm up the stem"
         run.note_attempt(f"the grasp {at} is left for the next: {trial.stop_reason}")
+        if trial.failure == "nothing_grasped" and cell.drive_up is not None:  # it swayed away
+            before = _side_camera(cell)[0].read()
+            seen, planner, grasps, _ = _seen_again(cell, before, seen, planner, grasps, None, run, params)
+            rods = model_plant(seen, rods.material, params)
+
+
+def _planned(
+    cell: Cell,
+    planner: MotionPlanner,
+    rods: PlantModel,
+    offered: list[Grasp],
+    run: Run,
+    params: Params,
+    earlier: EarlierShake | None,
+    ahead: ShakePlan | None,
+) -> ShakePlan:
+    """Return the shake to be carried out; see `shake.plan_shake`."""
+    actuator, pressing = _actuator(cell, planner, params), cell.limits.pressing
+    return run.stage(
+        "shake plan",
+        ShakePlan.load,
+        lambda _: ahead or shake.plan_shake(rods, offered, actuator, params.shake, pressing, earlier),
+    )
+
+
+def _carried_out(
+    cell: Cell,
+    planner: MotionPlanner,
+    rods: PlantModel,
+    plan: ShakePlan,
+    seen: Seen,
+    run: Run,
+    arrive: Arrive | None,
+    params: Params,
+) -> tuple[ShakePlan, Trial, str | None, JointBelief | None]:
+    """Carry out a plan; return the shake as carried out, its record, why the plan alone was to be carried out, and what
+    it told of the arm's joints."""
+    by_arm = params.actuator == "arm"
+    robot = replace(cell.robot, motor=None) if by_arm else cell.robot
+    way = run.timed("prediction", lambda _: _watching(cell, planner, rods, plan, seen, params))
+    watched, alone = (None, way) if isinstance(way, str) else (way, None)
+    if watched is None and not by_arm:
+        why = "a motor shakes only what a side camera watches, and flowers it knows."
+        raise StageFailure("limits_exceeded", why)
+    run.told("watched", watched)
+    commanded = plan if watched is None else watched.plan
+    trial = run.stage(
+        "execution",
+        Trial.load,
+        lambda advance: execution.execute(
+            planner, commanded, robot, cell.limits, progress=_progress(run, advance), arrive=arrive, watched=watched
+        ),
+    )
+    if watched is None:
+        return plan, trial, alone, None
+    return watched.executed_plan(trial.steps), trial, alone, watched.joints
 
 
 def _progress(run: Run, advance: Advance) -> execution.Progress:
