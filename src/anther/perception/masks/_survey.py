@@ -150,10 +150,10 @@ def ground_cells(
     """
     slabs = _slabs(solid, voxel)
     lowest = np.where(np.any(seen, axis=2), np.argmax(seen, axis=2), seen.shape[2])
-    sure, half, disc = (_disc(r / voxel) for r in (sure_radius, sure_radius / 2, radius))
+    sure, disc = (_disc(r / voxel) for r in (sure_radius, radius))
     height = np.full(solid.shape[:2], -1)
     for level, slab in slabs:
-        opaque = _opaque(_eroded(slab, sure), half, lowest, level, voxel)
+        opaque = _opaque(_eroded(slab, sure), lowest, level, voxel)
         height[cv2.dilate(opaque, sure) > 0] = level
     rim = 0.05 / voxel  # cells; m, at most so far is a pot's rim above its soil
     top = height.max() + rim
@@ -234,21 +234,19 @@ def _extended(height: NDArray[Any], reach: float) -> NDArray[np.int64]:
     return np.where((height < 0) & (around < unknown), around, height)
 
 
-def _opaque(
-    centres: NDArray[Any], disc: NDArray[np.uint8], lowest: NDArray[Any], level: int, voxel: float
-) -> NDArray[np.uint8]:
-    """Return the patches of `centres` (X, Y) with something seen below less than 0.3 of what discs about them cover:
-    others are foliage, or hang above some."""
+def _opaque(centres: NDArray[Any], lowest: NDArray[Any], level: int, voxel: float) -> NDArray[np.uint8]:
+    """Return the patches of `centres` (X, Y) with something seen below less than 0.3 of them: others are foliage, or
+    hang above some. Of a patch that is narrower than 20 mm, what is around it counts too."""
     if not centres.any():
         return centres
-    seen_below = lowest < level - 0.04 / voxel
-    count, numbered = cv2.connectedComponents(cv2.dilate(centres, disc), connectivity=8)
+    seen_below, disc = lowest < level - 0.04 / voxel, _disc(0.01 / voxel)
+    around = cv2.dilate(centres, disc)
+    count, numbered = cv2.connectedComponents(around, connectivity=8)
     patch = np.asarray(numbered, dtype=np.int64)
-    share = np.bincount(patch.ravel(), weights=seen_below.ravel(), minlength=count) / np.maximum(
-        1, np.bincount(patch.ravel(), minlength=count)
-    )
-    opaque = share < 0.3
-    opaque[0] = False
+    wide = np.bincount(patch[centres > 0], minlength=count) >= disc.sum()
+    counts = np.where(wide[patch], centres, around).ravel() > 0
+    share = np.bincount(patch.ravel()[counts], weights=seen_below.ravel()[counts], minlength=count)
+    opaque = share < 0.3 * np.bincount(patch.ravel()[counts], minlength=count)
     return centres * opaque[patch]
 
 
