@@ -58,7 +58,7 @@ BEFORE = "4e1aafc"
 ROOMS = "anther.elastic_rod", "anther.rods"
 """What the rods' package was called then, and is called now."""
 RUN = """
-import sys, time; from anther.cli.main import main; code = main(sys.argv[1:])
+import sys, time; from anther.cli.main import main; code = main()
 from anther.core.compiling import COMPILED
 print("used", COMPILED.kernels, COMPILED.seconds, time.process_time()); sys.exit(code)
 """
