@@ -67,11 +67,11 @@ class Voxels:
     off_middle: Array
 
 
-def point_spacing(points: Array, neighbour: int = 3) -> float:
-    """Return the typical distance from a point to its third or other nearest `neighbour` [m] (median over a sample)."""
+def point_spacing(points: Array) -> float:
+    """Return the typical distance between neighbouring points [m] (median over a sample)."""
     sample = points[:: max(1, len(points) // 2000)]
     tree = KDTree(points, leafsize=64, compact_nodes=False, balanced_tree=False)  # built quickest, for few questions
-    away = np.asarray(tree.query(sample, min(neighbour + 1, len(points)))[0])
+    away = np.asarray(tree.query(sample, min(4, len(points)))[0])
     return float(np.median(away.reshape(len(sample), -1)[:, -1]))
 
 

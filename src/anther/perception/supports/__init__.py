@@ -301,7 +301,7 @@ def _clearest_ring(line: _Line, cell: float, largest: float) -> tuple[float, Arr
         low, high = np.searchsorted(line.t, [middle - half, middle + half])
         some = line.xy[low:high]
         some = some[np.linalg.norm(some, axis=1) < 2 * largest + 2 * cell]
-        fewer = np.ascontiguousarray(some[:: max(1, len(some) // most)])
+        fewer = np.ascontiguousarray(some[:: max(1, len(some) // most)].T)
         score, *found = clearest_ring(fewer, max(int(largest / (0.5 * cell)), 1), 0.5 * cell)
         score *= max(1, len(some) // most)
         if score > best:

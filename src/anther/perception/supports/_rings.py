@@ -9,10 +9,11 @@ from anther.core.compiling import compiled, inlined
 
 @compiled
 def clearest_ring(xy, rings, pixel):
-    """Return (score, x, y, radius) of the ring that points (N, 2) around a line show best [m].
+    """Return (score, x, y, radius) of the ring that points (2, N) around a line show best [m].
 
     The line runs on the ring or inside it. Of all such rings of up to `rings` pixels [m] that one is taken on which
     points are, and beside which none are: a matched filter, whose noise grows with the root of the ring's length.
+    Columns side by side in memory let the compiler use vector instructions.
     """
     best = (0.0, 0.0, 0.0, pixel)
     for j in range(1, rings + 1):
@@ -25,8 +26,8 @@ def clearest_ring(xy, rings, pixel):
             for k in range(turns):
                 x, y = share * radius * np.cos(2 * np.pi * k / turns), share * radius * np.sin(2 * np.pi * k / turns)
                 on = within = 0
-                for p in range(len(xy)):
-                    square = (xy[p, 0] - x) ** 2 + (xy[p, 1] - y) ** 2
+                for p in range(xy.shape[1]):
+                    square = (xy[0, p] - x) ** 2 + (xy[1, p] - y) ** 2
                     on += (square > on_low) & (square < on_high)
                     within += (square > low) & (square < high)
                 score = (1.5 * on - 0.5 * within) / np.sqrt(radius + pixel)
